@@ -1,0 +1,218 @@
+"""Directions and the half/difference angles (Rusinkiewicz 1998; Nishino 2009, section 2).
+
+A pair of unit directions ``omega_in``, ``omega_out`` above a surface with normal (0, 0, 1) is described by
+the polar angle ``theta_half`` of the half vector ``h ~ omega_in + omega_out``, and by the angles
+``theta_diff``, ``phi_diff`` of ``omega_in`` in the frame whose pole is ``h``. With ``s = +1`` for
+``omega_in`` and ``s = -1`` for ``omega_out``::
+
+    Rz(phi_half) Ry(theta_half) (s sin(theta_diff) cos(phi_diff),
+                                 s sin(theta_diff) sin(phi_diff),
+                                 cos(theta_diff))
+
+An isotropic BRDF does not depend on ``phi_half``. All angles are radians. Every angle is taken with
+``atan2`` of a sum and a difference, which keeps full accuracy where ``arccos`` loses half of the digits: at
+normal incidence, at ``omega_in = omega_out`` and at the horizon.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.errors import InvalidArgumentError
+
+__all__ = ["above_horizon", "check_directions", "directions", "half_difference", "incident_cosines"]
+
+_UNIT_TOLERANCE = 1e-6
+# Cosines closer than this to a bound count as on it: nodes that lie exactly on the horizon must not
+# be decided by the last bit of a cosine.
+_COSINE_ROUNDING = 1e-12
+# A sum of two unit vectors shorter than this is the rounding of the two, not a direction.
+_SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
+
+
+def half_difference(
+    omega_in: ArrayLike, omega_out: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Half and difference angles of pairs of directions.
+
+    Parameters
+    ----------
+    omega_in, omega_out : array_like, shape (..., 3)
+        Unit vectors that broadcast against each other; see `check_directions`.
+
+    Returns
+    -------
+    theta_half, theta_diff, phi_diff : ndarray, shape (...)
+        Radians; ``phi_diff`` is in [0, 2 pi). Opposite directions (``omega_in = -omega_out``, possible
+        only at the horizon) have no half vector: the normal takes its place. Where the half vector is the
+        normal, ``phi_diff`` is the azimuth of ``omega_in``; at ``omega_in = omega_out`` it is 0.
+    """
+    first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
+    total = first + second
+    difference = first - second
+    length = np.sqrt(np.einsum("...i,...i->...", total, total))
+    total = np.where((length > _SUM_ROUNDING)[..., np.newaxis], total, (0.0, 0.0, 1.0))
+    radius = np.hypot(total[..., 0], total[..., 1])
+    theta_half = np.arctan2(radius, total[..., 2])
+    theta_diff = np.arctan2(np.sqrt(np.einsum("...i,...i->...", difference, difference)), length)
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cos_phi = np.where(radius > 0.0, total[..., 0] / radius, 1.0)
+        sin_phi = np.where(radius > 0.0, total[..., 1] / radius, 0.0)
+    along = cos_phi * difference[..., 0] + sin_phi * difference[..., 1]
+    across = cos_phi * difference[..., 1] - sin_phi * difference[..., 0]
+    # Adding 0.0 turns -0.0 into 0.0, whose atan2 is 0 and not pi.
+    tangent = np.cos(theta_half) * along - np.sin(theta_half) * difference[..., 2] + 0.0
+    phi_diff = np.arctan2(across + 0.0, tangent)
+    phi_diff = np.where(phi_diff < 0.0, phi_diff + 2.0 * np.pi, phi_diff)
+    # A tiny negative angle rounds up to the full turn, which is the angle 0.
+    phi_diff = np.where(phi_diff >= 2.0 * np.pi, 0.0, phi_diff)
+    return theta_half, theta_diff, phi_diff
+
+
+def directions(
+    theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, phi_half: ArrayLike = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions of given half and difference angles; the inverse of `half_difference`.
+
+    Parameters
+    ----------
+    theta_half, theta_diff, phi_diff, phi_half : array_like
+        Radians, of shapes that broadcast against each other.
+
+    Returns
+    -------
+    omega_in, omega_out : ndarray, shape (..., 3)
+        Unit vectors. One of them may lie below the horizon: see `above_horizon`.
+    """
+    half, diff, phi, turn = _angles(
+        theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
+    )
+    sin_half, cos_half, cos_diff = np.sin(half), np.cos(half), np.cos(diff)
+    x, y = np.sin(diff) * np.cos(phi), np.sin(diff) * np.sin(phi)
+    cos_turn, sin_turn = np.cos(turn), np.sin(turn)
+
+    def rotated(sign: float) -> NDArray[np.float64]:
+        tilted = cos_half * sign * x + sin_half * cos_diff
+        parts = np.broadcast_arrays(
+            cos_turn * tilted - sin_turn * sign * y,
+            sin_turn * tilted + cos_turn * sign * y,
+            cos_half * cos_diff - sin_half * sign * x,
+        )
+        return np.stack(parts, axis=-1)
+
+    return rotated(1.0), rotated(-1.0)
+
+
+def incident_cosines(
+    theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Cosines of ``omega_in`` and ``omega_out`` with the surface normal.
+
+    Parameters
+    ----------
+    theta_half, theta_diff, phi_diff : array_like
+        Radians, of shapes that broadcast against each other.
+
+    Returns
+    -------
+    cos_in, cos_out : ndarray, shape (...)
+        ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
+    """
+    half, diff, phi = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
+    level = np.cos(half) * np.cos(diff)
+    swing = np.sin(half) * np.sin(diff) * np.cos(phi)
+    return level - swing, level + swing
+
+
+def above_horizon(
+    theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2
+) -> NDArray[np.bool_]:
+    """Whether both directions are above the horizon and within ``cutoff`` of the normal.
+
+    Parameters
+    ----------
+    theta_half, theta_diff, phi_diff : array_like
+        Radians, of shapes that broadcast against each other.
+    cutoff : float
+        Largest angle with the normal, radians, in (0, pi/2]. The cutoff itself is inside; the horizon is not.
+
+    Returns
+    -------
+    ndarray of bool, shape (...)
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the cutoff is not in (0, pi/2].
+    """
+    if not 0.0 < cutoff <= np.pi / 2:
+        raise InvalidArgumentError(
+            f"The horizon cutoff must be above 0 and at most pi/2 radians (90 degrees), not {cutoff:g}."
+        )
+    cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
+    inside = (cosine > _COSINE_ROUNDING) & (cosine >= np.cos(cutoff) - _COSINE_ROUNDING)
+    return np.asarray(inside, dtype=np.bool_)
+
+
+def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
+    """Directions that can be used as they are, or one sentence on what is wrong with them.
+
+    Parameters
+    ----------
+    name : str
+        What to call them in the sentence, such as ``"omega_in"``.
+    omega : array_like, shape (..., 3)
+        Vectors in the frame with the surface normal as z axis.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        The directions, scaled to unit length to the last digit.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the shape is not (..., 3), a number is not finite, a length differs from 1 by more than 1e-6, or a
+        direction points below the horizon (z < 0).
+    """
+    vectors = _vectors(name, omega)
+    if not np.isfinite(vectors).all():
+        raise InvalidArgumentError(f"{name} holds NaN or infinity; a direction has three finite numbers.")
+    length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    if (np.abs(length - 1.0) > _UNIT_TOLERANCE).any():
+        worst = length.flat[int(np.argmax(np.abs(length - 1.0)))]
+        raise InvalidArgumentError(
+            f"{name} must be of unit length (to {_UNIT_TOLERANCE:g}), not {worst:.9g}."
+        )
+    lowest = vectors[..., 2].min(initial=1.0)
+    if lowest < -_COSINE_ROUNDING:
+        raise InvalidArgumentError(
+            f"{name} must lie on or above the horizon (z >= 0); its smallest z is {lowest:.6g}."
+        )
+    unit = np.asarray(vectors / length[..., np.newaxis], dtype=np.float64)
+    unit[..., 2] = np.maximum(unit[..., 2], 0.0)
+    return unit
+
+
+def _vectors(name: str, omega: ArrayLike) -> NDArray[np.float64]:
+    vectors = _numbers(name, omega)
+    if vectors.ndim == 0 or vectors.shape[-1] != 3:
+        raise InvalidArgumentError(f"{name} must have the shape (..., 3), not {vectors.shape}.")
+    return vectors
+
+
+def _angles(**named: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+    arrays = tuple(_numbers(name, value) for name, value in named.items())
+    try:
+        np.broadcast_shapes(*(array.shape for array in arrays))
+    except ValueError:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(named, arrays, strict=True))
+        raise InvalidArgumentError(f"The angles must broadcast against each other; got {shapes}.") from None
+    return arrays
+
+
+def _numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidArgumentError(f"{name} must be an array of real numbers.") from None
