@@ -138,7 +138,7 @@ def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.f
         return values
     variance = np.log1p(noise * noise)
     normal = np.random.default_rng(seed).standard_normal(values.shape)
-    return values * np.exp(np.sqrt(variance) * normal - variance / 2)
+    return np.asarray(values * np.exp(np.sqrt(variance) * normal - variance / 2), dtype=np.float64)
 
 
 def _colour(name: str, colour: _Triple) -> NDArray[np.float64]:
