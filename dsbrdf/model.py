@@ -1,0 +1,224 @@
+"""The Directional Statistics BRDF model: mixtures of hemi-EPDs whose parameters vary with theta_diff.
+
+    f(theta_half, theta_diff) = sum_k [exp(kappa_k cos(theta_half - center_k)**gamma_k) - 1]
+                                + delta [theta_half < 1 degree]
+
+for each colour channel, where kappa, gamma, center and delta are interpolated in theta_diff between knots and
+held beyond the first and the last (Nishino 2009, eq. 5 and section 6).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.albedo import directional_albedo
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.geometry import check_directions, half_difference
+from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
+from dsbrdf.profiles import CENTER_CUTOFF
+
+Array = NDArray[np.float64]
+
+INTERPOLATIONS = ("linear",)
+"""How parameters run between knots: ``linear`` in kappa and gamma (the paper)."""
+
+_CHUNK = 8192  # points evaluated at a time, so that the intermediate arrays stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class DSBRDF:
+    """A fitted model of an isotropic BRDF.
+
+    Attributes
+    ----------
+    theta_diff : ndarray, shape (D,)
+        Knots, increasing, 0 to pi/2 [rad].
+    kappa, gamma, center : ndarray, shape (3, D, K)
+        Scale, shape and ring angle [rad] of each lobe, per channel (red, green, blue) and knot.  K may be 0.
+    delta : ndarray, shape (3, D)
+        Height added where theta_half < 1 degree [1/sr].
+    interpolation : str
+        One of `INTERPOLATIONS`.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If shapes disagree, a number is not finite or a parameter is out of range.
+    """
+
+    theta_diff: Array
+    kappa: Array
+    gamma: Array
+    center: Array
+    delta: Array
+    interpolation: str = "linear"
+
+    def __post_init__(self) -> None:
+        for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        _check_model(self)
+
+    @property
+    def n_lobes(self) -> int:
+        """Number K of lobes in each channel."""
+        return int(self.kappa.shape[2])
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
+        """BRDF values for half and difference angles.
+
+        Parameters
+        ----------
+        theta_half, theta_diff : array_like
+            Angles, 0 to pi/2 [rad]; they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            RGB values [1/sr].
+
+        Raises
+        ------
+        InvalidArgumentError
+            If an angle is not a number or out of range.
+        """
+        theta_half, theta_diff = np.broadcast_arrays(
+            _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
+        )
+        flat_half, flat_diff = theta_half.ravel(), theta_diff.ravel()
+        values = np.empty((flat_half.size, 3))
+        for start in range(0, flat_half.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            values[part] = self._evaluate(flat_half[part], flat_diff[part])
+        return values.reshape(*theta_half.shape, 3)
+
+    def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
+        """BRDF values for pairs of directions.
+
+        Parameters
+        ----------
+        omega_in, omega_out : array_like, shape (..., 3)
+            Unit vectors on the upper hemisphere, the normal being (0, 0, 1); they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            RGB values [1/sr].
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector or lies below the horizon.
+        """
+        theta_half, theta_diff, _ = half_difference(
+            check_directions("omega_in", omega_in), check_directions("omega_out", omega_out)
+        )
+        return self.evaluate(theta_half, theta_diff)
+
+    def tabulate(self) -> Array:
+        """Values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
+
+        Nodes below the horizon get the model's value too, so that programs that interpolate in the table meet
+        no marker there.
+        """
+        grid = self.evaluate(THETA_HALF[:, None], THETA_DIFF)
+        return np.repeat(np.moveaxis(grid, -1, 0)[..., None], GRID_SHAPE[2], axis=-1)
+
+    def parameters_at(self, theta_diff: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Interpolated parameters.
+
+        Parameters
+        ----------
+        theta_diff : array_like, shape (...)
+            Angles [rad].
+
+        Returns
+        -------
+        kappa, gamma, center : ndarray, shape (..., 3, K)
+        delta : ndarray, shape (..., 3)
+        """
+        low, share = self._bracket(_check_angle("theta_diff", theta_diff))
+        parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
+        kappa, gamma, center = (_between(p, low, share[..., None, None]) for p in parameters)
+        return kappa, gamma, center, _between(self.delta.T, low, share[..., None])
+
+    def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
+        """Return the part of the model made of some of its lobes, with or without the delta term."""
+        index = list(lobes)
+        return DSBRDF(
+            self.theta_diff,
+            self.kappa[:, :, index],
+            self.gamma[:, :, index],
+            self.center[:, :, index],
+            self.delta if with_delta else np.zeros_like(self.delta),
+            self.interpolation,
+        )
+
+    def directional_albedo(self, theta_out: ArrayLike) -> Array:
+        """Share of the light from each direction that is reflected, by quadrature.
+
+        Parameters
+        ----------
+        theta_out : array_like, shape (...)
+            Angle of the direction to the normal, 0 to pi/2 [rad].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
+        """
+        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out))
+
+    def _bracket(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
+        """Index of the knot below, and the share of the way to the next one; held at both ends."""
+        knots = self.theta_diff
+        if knots.size == 1:
+            return np.zeros(theta_diff.shape, np.intp), np.zeros(theta_diff.shape)
+        low = np.clip(np.searchsorted(knots, theta_diff, side="right") - 1, 0, knots.size - 2)
+        share = (theta_diff - knots[low]) / (knots[low + 1] - knots[low])
+        return low, np.clip(share, 0.0, 1.0)
+
+    def _evaluate(self, theta_half: Array, theta_diff: Array) -> Array:
+        kappa, gamma, center, delta = self.parameters_at(theta_diff)
+        cosine = np.cos(theta_half[:, None, None] - center)
+        lobes = np.expm1(kappa * np.maximum(cosine, 0.0) ** gamma).sum(-1)
+        return lobes + np.where(theta_half < CENTER_CUTOFF, delta.T, 0.0).T
+
+
+def _between(values: Array, low: NDArray[np.intp], share: Array) -> Array:
+    """Linear interpolation along the first axis of ``values``."""
+    if len(values) == 1:
+        return np.asarray(values[low])
+    return values[low] * (1.0 - share) + values[low + 1] * share
+
+
+def _check_angle(name: str, angle: ArrayLike) -> Array:
+    angle = np.asarray(angle, dtype=float)
+    slack = 1e-9  # degrees converted to radians may round to just above pi/2
+    if not np.all((angle >= 0.0) & (angle <= np.pi / 2 + slack)):
+        raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
+    return np.minimum(angle, np.pi / 2)
+
+
+def _check_model(model: DSBRDF) -> None:
+    knots, kappa = model.theta_diff, model.kappa
+    if knots.ndim != 1 or knots.size == 0:
+        raise InvalidArgumentError("theta_diff must be a sequence of at least one knot")
+    if not (knots[0] >= 0 and knots[-1] <= np.pi / 2 + 1e-9 and np.all(np.diff(knots) > 0)):
+        raise InvalidArgumentError("the knots theta_diff must increase from 0 or more to at most pi/2")
+    if kappa.ndim != 3 or kappa.shape[:2] != (3, knots.size):
+        raise InvalidArgumentError(f"kappa must have shape (3, {knots.size}, lobes), not {kappa.shape}")
+    for name in ("gamma", "center"):
+        if getattr(model, name).shape != kappa.shape:
+            raise InvalidArgumentError(f"{name} must have the shape of kappa, {kappa.shape}")
+    if model.delta.shape != (3, knots.size):
+        raise InvalidArgumentError(f"delta must have shape (3, {knots.size}), not {model.delta.shape}")
+    if not (np.all((kappa > 0) & (kappa < np.inf)) and np.all((model.gamma >= 0) & (model.gamma < np.inf))):
+        raise InvalidArgumentError("every kappa must be positive, every gamma zero or positive, and both finite")
+    if not (np.all((model.center >= 0) & (model.center <= np.pi / 2)) and np.all(np.isfinite(model.delta))):
+        raise InvalidArgumentError("every center must lie between 0 and pi/2, and every delta must be finite")
+    if model.interpolation not in INTERPOLATIONS:
+        known = ", ".join(INTERPOLATIONS)
+        raise InvalidArgumentError(f"interpolation must be one of {known}, not {model.interpolation!r}")
