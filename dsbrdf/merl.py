@@ -104,9 +104,7 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
     status = source.stat()
     if not source.is_file():
         kind = "a directory" if source.is_dir() else "not a regular file"
-        raise MeasurementFormatError(
-            f"{source} is {kind}; a MERL measurement is a file of {FILE_SIZE} bytes."
-        )
+        raise MeasurementFormatError(f"{source} is {kind}; a MERL measurement is a file of {FILE_SIZE} bytes.")
     with source.open("rb") as file:
         check_header(file.read(HEADER_SIZE))
         check_length(status.st_size)
@@ -180,13 +178,10 @@ def _stored(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
     if valid is not None:
         mask = np.asarray(valid, dtype=np.bool_)
         if mask.shape != GRID_SHAPE:
-            raise MeasurementFormatError(
-                f"The valid nodes have the shape {mask.shape}; it must be {GRID_SHAPE}."
-            )
+            raise MeasurementFormatError(f"The valid nodes have the shape {mask.shape}; it must be {GRID_SHAPE}.")
         stored[:, ~mask] = -1.0
     if not np.isfinite(stored).all():
         count = int((~np.isfinite(stored)).sum())
-        raise MeasurementFormatError(
-            f"{count} of the values are NaN or infinite; every value must be finite."
-        )
+        are = "is" if count == 1 else "are"
+        raise MeasurementFormatError(f"{count} of the values {are} NaN or infinite; every value must be finite.")
     return stored
