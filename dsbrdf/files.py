@@ -28,9 +28,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
         If the folder does not exist or cannot be written to, or the disk is full.
     """
     target = Path(path)
-    descriptor, temporary = tempfile.mkstemp(
-        prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent
-    )
+    descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
     try:
         with os.fdopen(descriptor, "wb") as file:
             for part in parts:

@@ -84,9 +84,7 @@ def directions(
     omega_in, omega_out : ndarray, shape (..., 3)
         Unit vectors. One of them may lie below the horizon: see `above_horizon`.
     """
-    half, diff, phi, turn = _angles(
-        theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
-    )
+    half, diff, phi, turn = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half)
     sin_half, cos_half, cos_diff = np.sin(half), np.cos(half), np.cos(diff)
     x, y = np.sin(diff) * np.cos(phi), np.sin(diff) * np.sin(phi)
     cos_turn, sin_turn = np.cos(turn), np.sin(turn)
@@ -181,14 +179,10 @@ def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
     if (np.abs(length - 1.0) > _UNIT_TOLERANCE).any():
         worst = length.flat[int(np.argmax(np.abs(length - 1.0)))]
-        raise InvalidArgumentError(
-            f"{name} must be of unit length (to {_UNIT_TOLERANCE:g}), not {worst:.9g}."
-        )
+        raise InvalidArgumentError(f"{name} must be of unit length (to {_UNIT_TOLERANCE:g}), not {worst:.9g}.")
     lowest = vectors[..., 2].min(initial=1.0)
     if lowest < -_COSINE_ROUNDING:
-        raise InvalidArgumentError(
-            f"{name} must lie on or above the horizon (z >= 0); its smallest z is {lowest:.6g}."
-        )
+        raise InvalidArgumentError(f"{name} must lie on or above the horizon (z >= 0); its smallest z is {lowest:.6g}.")
     unit = np.asarray(vectors / length[..., np.newaxis], dtype=np.float64)
     unit[..., 2] = np.maximum(unit[..., 2], 0.0)
     return unit

@@ -85,9 +85,7 @@ class Measurement:
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 
     @classmethod
-    def from_values(
-        cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement"
-    ) -> "Measurement":
+    def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> "Measurement":
         """Make a measurement of an array, as if it had been written to a file and read back.
 
         Parameters

@@ -191,9 +191,7 @@ class MerlChecker:
                 f"is {n_valid}; a measurement needs at least {SMALLEST_VALID_SHARE:.0%} of them."
             )
         if not (valid & self._positive).any():
-            raise MeasurementFormatError(
-                "Every valid node is zero in all channels; a measurement has positive values."
-            )
+            raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
         return valid.reshape(GRID_SHAPE)
 
     def _take(self, values: NDArray[np.float64]) -> None:
@@ -228,9 +226,7 @@ class _Fault:
         found = np.flatnonzero(where)
         if found.size and not self.count:
             node = tuple(int(index) for index in np.unravel_index(start + int(found[0]), GRID_SHAPE))
-            self._first = (
-                f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
-            )
+            self._first = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
         self.count += found.size
 
     def sentence(self, one: str, many: str) -> str:

@@ -84,9 +84,7 @@ def synthetic_measurement(
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 
-def model_measurement(
-    model: BivariateModel, *, noise: float = 0.0, seed: int = 0, name: str = "model"
-) -> Measurement:
+def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
     """Measurement whose every node holds the value of a model.
 
     Parameters

@@ -1,0 +1,349 @@
+import io
+import json
+import pickle
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.fit import FitReport, FitResult
+from dsbrdf.model import DSBRDF
+from dsbrdf.serialize import (
+    from_json,
+    from_npz,
+    load,
+    model_from_dict,
+    model_to_dict,
+    report_from_dict,
+    report_to_dict,
+    save,
+    to_json,
+    to_npz,
+)
+
+ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
+
+
+def make_model(n_lobes: int = 3, n_knots: int = 5) -> DSBRDF:
+    """Parameters of every magnitude, with all 53 bits in use."""
+    generator = np.random.default_rng(n_lobes)
+    shape = (3, n_knots, n_lobes)
+    return DSBRDF(
+        theta_diff=np.sort(generator.uniform(0.0, np.pi / 2, n_knots)),
+        kappa=10.0 ** generator.uniform(-300.0, 1.0, shape),
+        gamma=10.0 ** generator.uniform(-320.0, 7.0, shape),
+        center=generator.uniform(0.0, np.pi / 2, shape),
+        delta=generator.standard_normal((3, n_knots)) * 10.0 ** generator.uniform(-200.0, 200.0, (3, n_knots)),
+    )
+
+
+@pytest.fixture
+def model() -> DSBRDF:
+    return make_model()
+
+
+@pytest.fixture
+def report() -> FitReport:
+    numbers = np.random.default_rng(0).standard_normal((3, 4)).tolist()
+    return FitReport(
+        metrics={"relative_rms": 0.1 + 0.2, "floor": 1e-323, "excess": 1.7976931348623157e308, "male": None},
+        slices={"theta_diff": numbers[0], "converged": [[True, False]], "iterations": [[3, 100]]},
+        energy={"albedo": numbers},
+        timings={"em": 0.1},
+        options={"n_lobes": 3, "method": "paper", "mask": None, "robust": False},
+        versions={"dsbrdf": "0.1.0", "name": "Grün µ"},
+    )
+
+
+def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
+    for name in ARRAYS:
+        first, second = getattr(got, name), getattr(expected, name)
+        assert first.shape == second.shape
+        assert first.tobytes() == second.tobytes()
+    assert got.interpolation == expected.interpolation
+
+
+@pytest.mark.parametrize(("n_lobes", "n_knots"), [(0, 4), (1, 1), (3, 18), (8, 19)])
+def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, report: FitReport) -> None:
+    model = make_model(n_lobes, n_knots)
+    for attached in (None, report):
+        for back in (from_json(to_json(model, attached)), from_npz(to_npz(model, attached))):
+            assert_same_bits(back[0], model)
+            assert back[1] == attached
+    assert_same_bits(model_from_dict(model_to_dict(model)), model)
+    assert report_from_dict(report_to_dict(report)) == report
+
+
+def test_negative_zero_survives(model: DSBRDF) -> None:
+    flat = replace(model, delta=-np.zeros_like(model.delta))
+    assert_same_bits(from_json(to_json(flat))[0], flat)
+    assert_same_bits(from_npz(to_npz(flat))[0], flat)
+
+
+def test_encoding_is_deterministic(model: DSBRDF, report: FitReport) -> None:
+    assert to_json(model, report) == to_json(make_model(), report)
+    assert to_npz(model, report) == to_npz(make_model(), report)
+
+
+def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:
+    document = json.loads(to_json(model, report))
+    assert document["format"] == "dsbrdf"
+    assert document["version"] == 1
+    assert list(document["model"]) == [*ARRAYS, "interpolation"]
+    assert document["model"]["kappa"][2][4][1] == model.kappa[2, 4, 1]
+    assert document["report"]["metrics"]["relative_rms"] == 0.1 + 0.2
+    assert json.loads(to_json(model))["report"] is None
+
+
+def test_a_first_version_text_stays_readable() -> None:
+    text = (
+        '{"format": "dsbrdf", "version": 1, "model": {"theta_diff": [0, 1.5], "kappa": [[[1], [2]], [[3], [4]], '
+        '[[5], [6]]], "gamma": [[[0], [1]], [[2], [3]], [[4], [5.5]]], "center": [[[0], [0]], [[0], [0]], '
+        '[[0], [1e-3]]], "delta": [[0, 0], [0, -1], [0, 2]], "interpolation": "linear"}, "report": null}'
+    )
+    model, report = from_json(text)
+    assert report is None
+    assert model.kappa[1].tolist() == [[3.0], [4.0]]
+    assert model.gamma[2, 1, 0] == 5.5
+    assert model.delta[1].tolist() == [0.0, -1.0]
+
+
+@pytest.mark.parametrize("suffix", [".json", ".npz", ".JSON"])
+def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"nickel{suffix}"
+    save(model, path)
+    assert_same_bits(load(path), model)
+    save(FitResult(model, report), path)  # replaces
+    assert_same_bits(load(str(path)), model)
+    back = from_npz(path.read_bytes()) if suffix == ".npz" else from_json(path.read_text())
+    assert back[1] == report
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    save(model, path)
+    bad = replace(report, metrics={"relative_rms": float("nan")})
+    for target in (path, tmp_path / "model.npz"):
+        with pytest.raises(InvalidArgumentError, match="report must hold plain, finite content"):
+            save(FitResult(model, bad), target)
+    assert_same_bits(load(path), model)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_suffixes_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model\.txt'"):
+        save(model, tmp_path / "model.txt")
+    with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model'"):
+        load(tmp_path / "model")
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "missing.json")
+
+
+Document = dict[str, Any]
+
+
+def _set(*path: Any, value: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = value
+
+    return change
+
+
+def _drop(*path: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in path[:-1]:
+            place = place[key]
+        del place[path[-1]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_drop("format"), "its format is not 'dsbrdf'"),
+        (_set("format", value="other"), "its format is not 'dsbrdf'"),
+        (_drop("version"), "no valid version"),
+        (_set("version", value="1"), "no valid version"),
+        (_set("version", value=True), "no valid version"),
+        (_set("version", value=0), "no valid version"),
+        (_set("version", value=2), "version 2, which is newer than the 1 that this release reads"),
+        (_drop("model"), "lacks the key 'model'"),
+        (_drop("report"), "lacks the key 'report'"),
+        (_set("model", value=[1]), "stored model must be a mapping"),
+        *((_drop("model", name), f"stored model lacks the key '{name}'") for name in (*ARRAYS, "interpolation")),
+        (_set("model", "extra", value=1), "stored model has the unknown key 'extra'"),
+        (_set("model", "kappa", value=[1.0, 2.0]), "kappa must have shape"),
+        (_set("model", "gamma", value=[[[1.0]]]), "gamma must have the shape of kappa"),
+        (_set("model", "delta", value=[[0.0]] * 3), "delta must have shape"),
+        (_set("model", "theta_diff", value=[]), "theta_diff"),
+        (_set("model", "theta_diff", value=[0.5, 0.4, 0.3, 0.2, 0.1]), "increase"),
+        (_set("model", "kappa", 0, value=[1.0]), "kappa is not a regular array"),
+        (_set("model", "kappa", 0, 0, 0, value="1.0"), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=None), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=10**400), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=0.0), "every kappa must be positive"),
+        (_set("model", "gamma", 2, 4, 2, value=-1.0), "every gamma zero or positive"),
+        (_set("model", "center", 0, 0, 0, value=2.0), "every center"),
+        (_set("model", "interpolation", value=3), "interpolation in the stored model is not a text"),
+        (_set("model", "interpolation", value="magic"), "interpolation must be one of"),
+        (_set("report", value=3), "stored report must be a mapping"),
+        (_drop("report", "metrics"), "stored report lacks the key 'metrics'"),
+        (_set("report", "metrics", value=[]), "'metrics' must be of the kind dict, not list"),
+        (_set("report", "extra", value=1), "stored report has the unknown key 'extra'"),
+    ],
+)
+def test_damaged_json_is_named(
+    model: DSBRDF, report: FitReport, change: Callable[[Document], None], message: str
+) -> None:
+    document = json.loads(to_json(model, report))
+    change(document)
+    with pytest.raises(ModelFormatError, match=message):
+        from_json(json.dumps(document))
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_numbers_that_are_not_finite_are_refused(model: DSBRDF, value: str) -> None:
+    document = json.loads(to_json(model))
+    for name in ARRAYS:
+        text = json.dumps(document | {"model": document["model"] | {name: "HERE"}})
+        numbers = json.dumps(document["model"][name])
+        first = numbers.lstrip("[").split(",")[0].rstrip("]")
+        with pytest.raises(ModelFormatError):
+            from_json(text.replace('"HERE"', numbers.replace(first, value, 1)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not valid JSON"),
+        ("{", "not valid JSON"),
+        ("\x80", "not valid JSON"),
+        ("[" * 100_000, "not valid JSON"),
+        ("1" * 5000, "not valid JSON"),
+        ("[]", "not an object"),
+        ("null", "not an object"),
+        ("{}", "its format is not 'dsbrdf'"),
+    ],
+)
+def test_text_that_is_not_a_model(text: str, message: str) -> None:
+    with pytest.raises(ModelFormatError, match=message):
+        from_json(text)
+
+
+def test_every_cut_of_a_json_text_is_refused(model: DSBRDF) -> None:
+    text = to_json(model)
+    for length in range(0, len(text), 97):
+        with pytest.raises(ModelFormatError, match="not valid JSON"):
+            from_json(text[:length])
+
+
+def npz(**content: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **content)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> dict[str, Any]:
+    with np.load(io.BytesIO(data)) as archive:
+        return dict(archive)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": None}, "its format is not 'dsbrdf'"),
+        ({"format": np.array(["dsbrdf"])}, "its format is not 'dsbrdf'"),
+        ({"version": None}, "no valid version"),
+        ({"version": np.array(2)}, "version 2, which is newer"),
+        ({"version": np.array(1.0)}, "no valid version"),
+        ({"report": None}, "lacks the key 'report'"),
+        ({"report": np.array(1)}, "report in the stored model is not a text"),
+        ({"report": np.array("{")}, "not valid JSON"),
+        ({"report": np.array("[]")}, "stored report must be a mapping"),
+        ({"interpolation": None}, "lacks the key 'interpolation'"),
+        ({"interpolation": np.array(1)}, "interpolation in the stored model is not a text"),
+        ({"extra": np.array(1)}, "unknown key 'extra'"),
+        *(({name: None}, f"lacks the key '{name}'") for name in ARRAYS),
+        *(({name: np.array(np.nan)}, "stored model is not valid") for name in ARRAYS),
+        *(({name: np.array("text")}, f"{name} is not an array of real numbers") for name in ARRAYS),
+        ({"kappa": np.ones((3, 5, 3), dtype=complex)}, "kappa is not an array of real numbers"),
+        ({"kappa": np.full((3, 5, 3), np.nan)}, "every kappa must be positive"),
+        ({"delta": np.full((3, 5), np.inf)}, "every delta must be finite"),
+    ],
+)
+def test_damaged_npz_is_named(model: DSBRDF, changes: dict[str, Any], message: str) -> None:
+    content = unpacked(to_npz(model)) | changes
+    with pytest.raises(ModelFormatError, match=message):
+        from_npz(npz(**{name: value for name, value in content.items() if value is not None}))
+
+
+class Trap:
+    """Fails the test if anything unpickles it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return pytest.fail, ("a pickle was executed",)
+
+
+def test_pickles_are_never_opened(model: DSBRDF, tmp_path: Path) -> None:
+    content = unpacked(to_npz(model))
+    trapped = npz(**(content | {"kappa": np.array([Trap()], dtype=object)}))
+    for data in (trapped, pickle.dumps(Trap())):
+        with pytest.raises(ModelFormatError, match=r"not a readable \.npz archive of plain arrays"):
+            from_npz(data)
+        (tmp_path / "trap.npz").write_bytes(data)
+        with pytest.raises(ModelFormatError):
+            load(tmp_path / "trap.npz")
+
+
+def test_every_cut_of_an_npz_is_refused(model: DSBRDF) -> None:
+    data = to_npz(model)
+    for length in [*range(0, len(data), 61), len(data) - 1]:
+        with pytest.raises(ModelFormatError, match="not a readable"):
+            from_npz(data[:length])
+
+
+def test_flipped_bytes_of_an_npz_are_refused_or_harmless(model: DSBRDF, report: FitReport) -> None:
+    data = to_npz(model, report)
+    generator = np.random.default_rng(12)
+    refused = 0
+    for position in generator.integers(0, len(data), 1500):
+        damaged = bytearray(data)
+        damaged[position] ^= int(generator.integers(1, 256))
+        try:
+            back = from_npz(bytes(damaged))
+        except ModelFormatError:
+            refused += 1
+        else:  # a byte that the zip format does not use
+            assert_same_bits(back[0], model)
+            assert back[1] == report
+    assert refused > 1000
+
+
+def test_other_files_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+    plain = io.BytesIO()
+    np.save(plain, np.zeros(3))
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("kappa.npy", bytes(100_000_000))
+    for data, message in ((plain.getvalue(), "not a readable"), (bomb.getvalue(), "unpacks to 100000000 bytes")):
+        with pytest.raises(ModelFormatError, match=message):
+            from_npz(data)
+    path = tmp_path / "model.json"
+    path.write_bytes(to_npz(model))
+    with pytest.raises(ModelFormatError, match="not a JSON text in UTF-8"):
+        load(path)
+    with path.open("wb") as file:
+        file.truncate(10 << 30)
+    with pytest.raises(ModelFormatError, match="longer than the 67108864 bytes"):
+        load(path)

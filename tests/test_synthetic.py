@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.geometry import half_difference
+from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement, nodes_above_horizon
+from dsbrdf.synthetic import model_measurement, synthetic_measurement
+
+Array = NDArray[np.float64]
+
+
+def directional_albedo(measurement: Measurement, theta_out: float) -> Array:
+    """Integral of f cos over the incident directions: midpoints on the hemisphere, nearest nodes of the table."""
+    polar = (np.arange(300) + 0.5) / 300 * np.pi / 2
+    azimuth = (np.arange(360) + 0.5) / 360 * np.pi
+    theta, phi = (v.ravel() for v in np.meshgrid(polar, azimuth, indexing="ij"))
+    omega_in = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    half, diff, turn = half_difference(omega_in, [np.sin(theta_out), 0.0, np.cos(theta_out)])
+    i = np.minimum(np.sqrt(np.degrees(half) * 90.0).round().astype(int), 89)
+    j = np.minimum(np.degrees(diff).round().astype(int), 89)
+    k = np.degrees(turn).round().astype(int) % 180
+    values = np.where(measurement.valid[i, j, k], measurement.values[:, i, j, k], 0.0)
+    weight = np.cos(theta) * np.sin(theta) * (np.pi / 2 / 300) * (np.pi / 360) * 2
+    return np.asarray((values * weight).sum(axis=1), dtype=np.float64)
+
+
+@pytest.mark.parametrize("degrees", [2.0, 30.0, 60.0])
+def test_no_more_light_leaves_than_arrives(measurements: tuple[Measurement, ...], degrees: float) -> None:
+    for measurement in measurements:
+        albedo = directional_albedo(measurement, np.deg2rad(degrees))
+        assert (albedo > 0.01).all()
+        assert (albedo < 1.02).all()  # the nearest nodes of the table stand for the values between
+
+
+def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) -> None:
+    np.testing.assert_allclose(directional_albedo(metal, 0.3), [0.95, 0.64, 0.54], rtol=0.04)
+    # Ashikhmin and Shirley: the diffuse albedo at normal incidence is close to diffuse (1 - F0).
+    albedo = directional_albedo(matte, 0.05)
+    assert albedo == pytest.approx(np.array([0.6, 0.5, 0.4]) * 0.98, rel=0.1)
+
+
+def test_values_are_reciprocal(matte: Measurement, metal: Measurement) -> None:
+    for measurement in (matte, metal):
+        values, valid = measurement.values[..., 1:], measurement.valid[..., 1:]
+        np.testing.assert_array_equal(valid, valid[..., ::-1])
+        np.testing.assert_allclose(values[:, valid], values[..., ::-1][:, valid], rtol=1e-10)
+
+
+def test_values_are_positive_above_the_horizon_and_marked_below(plastic: Measurement) -> None:
+    above = nodes_above_horizon()
+    np.testing.assert_array_equal(plastic.valid, above)
+    assert (plastic.stored[:, above] > 0.0).all()
+    assert (plastic.stored[:, ~above] == -1.0).all()
+
+
+def test_mirror_direction_at_normal_incidence_has_the_textbook_value() -> None:
+    alpha, reflectance = 0.2, np.array([0.9, 0.5, 0.1])
+    measurement = synthetic_measurement(roughness=alpha, diffuse=(0.0, 0.0, 0.0), specular=tuple(reflectance))
+    # GGX at its peak is 1 / (pi alpha^2), shadowing is 1 and both cosines are 1.
+    expected = reflectance / (4 * np.pi * alpha**2)
+    np.testing.assert_allclose(measurement.values[:, 0, 0, 0], expected, rtol=1e-12)
+
+
+def test_microfacet_lobe_against_the_separate_terms() -> None:
+    """D, G and F of Walter et al. (2007) and Heitz (2014) written out at one node."""
+    alpha, i, j, k = 0.3, 35, 40, 25
+    measurement = synthetic_measurement(roughness=alpha, diffuse=(0, 0, 0), specular=(0.04, 0.04, 0.04))
+    half, diff, turn = THETA_HALF[i], THETA_DIFF[j], np.deg2rad(k)
+    level, swing = np.cos(half) * np.cos(diff), np.sin(half) * np.sin(diff) * np.cos(turn)
+    angle_in, angle_out = np.arccos(level - swing), np.arccos(level + swing)
+    tangent = np.tan(half)
+    d = 1 / (np.pi * alpha**2 * np.cos(half) ** 4 * (1 + (tangent / alpha) ** 2) ** 2)
+    shadow = [(np.sqrt(1 + (alpha * np.tan(angle)) ** 2) - 1) / 2 for angle in (angle_in, angle_out)]
+    g = 1 / (1 + shadow[0] + shadow[1])
+    f = 0.04 + 0.96 * (1 - np.cos(diff)) ** 5
+    expected = d * g * f / (4 * np.cos(angle_in) * np.cos(angle_out))
+    np.testing.assert_allclose(measurement.values[:, i, j, k], expected, rtol=1e-11)
+
+
+def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
+    arguments = {"roughness": 0.05, "diffuse": (0.0, 0.0, 0.0), "specular": (0.95, 0.64, 0.54)}
+    first = synthetic_measurement(**arguments, noise=0.05, seed=4)  # type: ignore[arg-type]
+    again = synthetic_measurement(**arguments, noise=0.05, seed=4)  # type: ignore[arg-type]
+    other = synthetic_measurement(**arguments, noise=0.05, seed=5)  # type: ignore[arg-type]
+    assert first.sha256 == again.sha256 != other.sha256
+    ratio = first.values[:, metal.valid] / metal.values[:, metal.valid]
+    assert ratio.mean() == pytest.approx(1.0, abs=2e-4)
+    assert ratio.std() == pytest.approx(0.05, rel=5e-3)
+    assert (ratio > 0).all()
+    assert abs(np.corrcoef(ratio[0], ratio[1]).ravel()[1]) < 5e-3
+
+
+class Tilted:
+    """A model whose values tell the angles."""
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
+        half, diff = np.broadcast_arrays(theta_half, theta_diff)
+        return np.stack([1.0 + half, 2.0 + diff, 3.0 + half * diff], axis=-1)
+
+
+class Broken:
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
+        return Tilted().evaluate(theta_half, theta_diff) * np.nan
+
+
+def test_model_measurement_holds_the_model() -> None:
+    measurement = model_measurement(Tilted(), name="tilted")
+    above = nodes_above_horizon()
+    np.testing.assert_array_equal(measurement.valid, above)
+    for i, j, k in ((0, 0, 0), (20, 50, 7), (45, 60, 90), (2, 80, 179)):
+        assert above[i, j, k]
+        half, diff = THETA_HALF[i], THETA_DIFF[j]
+        expected = [1 + half, 2 + diff, 3 + half * diff]
+        np.testing.assert_allclose(measurement.values[:, i, j, k], expected, rtol=1e-15)
+    assert (measurement.stored[:, ~above] == -1.0).all()
+    assert measurement.name == "tilted"
+
+
+def test_model_measurement_noise_and_faults() -> None:
+    assert model_measurement(Tilted(), noise=0.1, seed=1).sha256 != model_measurement(Tilted()).sha256
+    with pytest.raises(MeasurementFormatError, match="NaN or infinite"):
+        model_measurement(Broken())
+    with pytest.raises(InvalidArgumentError, match=r"noise must be in \[0, 1\], not -0\.1"):
+        model_measurement(Tilted(), noise=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"roughness": 0.0}, r"roughness must be in \[0\.005, 1\], not 0"),
+        ({"roughness": np.nan}, r"roughness must be"),
+        ({"diffuse": (0.1, 0.2)}, r"diffuse must be three numbers \(RGB\) in \[0, 1\], not \(0\.1, 0\.2\)"),
+        ({"specular": (0.1, 0.2, 1.1)}, r"specular must be three numbers"),
+        ({"specular": (0.1, 0.2, np.nan)}, r"specular must be three numbers"),
+        ({"noise": np.nan}, r"noise must be in"),
+        ({"diffuse": (0.0, 0.0, 0.0), "specular": (0.0, 0.0, 0.0), "noise": 2.0}, r"noise must be in"),
+    ],
+)
+def test_parameters_out_of_range_are_named(arguments: dict[str, float], message: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=message):
+        synthetic_measurement(**arguments)  # type: ignore[arg-type]
