@@ -209,7 +209,7 @@ class MerlChecker:
             largest, smallest = values.max(), values.min()
             if not (np.isfinite(largest) and np.isfinite(smallest)):
                 self._not_finite.record(~np.isfinite(values), channel, nodes.start)
-            if not largest <= limit:  # also where it is NaN, which hides the true maximum
+            if largest > limit:  # a NaN hides the true maximum, but then it is the fault to name
                 self._too_large.record((values > limit) & self._above[nodes], channel, nodes.start)
             self._measured[nodes] &= values >= 0.0
             self._positive[nodes] |= values > 0.0
