@@ -46,7 +46,9 @@ def nodes_above_horizon() -> NDArray[np.bool_]:
     ndarray of bool, shape (90, 90, 180)
         Read-only; computed once.
     """
-    above = above_horizon(THETA_HALF[:, np.newaxis, np.newaxis], THETA_DIFF[:, np.newaxis], PHI_DIFF)
+    above = np.empty(GRID_SHAPE, dtype=np.bool_)
+    for row, theta_half in enumerate(THETA_HALF):  # the whole grid at once would take 50 MB for a moment
+        above[row] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF)
     above.flags.writeable = False
     return above
 
