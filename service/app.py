@@ -1,0 +1,56 @@
+"""The application: `create_app` puts the parts together, and the lifespan opens and closes them."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
+
+import dsbrdf
+from dsbrdf.merl import MerlChecker
+from service import openapi, problems
+from service.context import Context
+from service.engines.local import LocalEngine
+from service.jobs import Jobs
+from service.models import Models
+from service.routes import brdf, exports, fits, health, lobes, measurements
+from service.settings import Settings
+from service.store import Store
+
+_DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
+
+`POST /v1/fits` with a file as the body answers with the fitted model; the fit then gives BRDF values and its
+decomposition into specular spike, specular lobe and diffuse part. Angles are in degrees, directions are unit
+vectors about the normal (0, 0, 1), values are in 1/sr, in the order red, green, blue. Errors are RFC 9457
+problem documents.
+"""
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Return the application for `settings`; nothing is opened before it starts."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        store = await run_in_threadpool(Store, settings.data_dir)
+        try:
+            engine = LocalEngine(settings.fit_seconds, settings.fit_memory_mb)
+            jobs = Jobs(store, engine, settings)
+            models = Models(store, settings.model_cache)
+            app.state.context = Context(settings, store, engine, jobs, models)
+            await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
+            await engine.check()
+            await jobs.start()
+            try:
+                yield
+            finally:
+                await jobs.close()
+                await engine.close()
+        finally:
+            store.close()
+
+    app = FastAPI(title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan)
+    problems.install(app)
+    for routes in (fits, brdf, lobes, exports, measurements, health):
+        app.include_router(routes.router)
+    openapi.install(app)
+    return app

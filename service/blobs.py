@@ -1,0 +1,113 @@
+"""Measurement files on disk: written under a temporary name, then moved into place in one step."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+_SUFFIX = ".binary"
+
+
+class Incoming:
+    """A file that is being received; it is either placed by `Blobs.place` or discarded.
+
+    Attributes
+    ----------
+    size : int
+        Bytes written so far.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        descriptor, name = tempfile.mkstemp(prefix="upload-", dir=folder)
+        self.path = Path(name)
+        self.size = 0
+        self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
+        self._digest = hashlib.sha256()
+
+    def write(self, data: bytes | memoryview) -> None:
+        """Append `data` to the file and to the digest."""
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) :]
+        self._digest.update(data)
+        self.size += len(data)
+
+    def close(self) -> str:
+        """Make the content durable and return its sha256."""
+        os.fsync(self._file.fileno())
+        self._file.close()
+        return self._digest.hexdigest()
+
+    def discard(self) -> None:
+        """Remove the file, unless it has been placed."""
+        self._file.close()
+        with suppress(FileNotFoundError):
+            self.path.unlink()
+
+
+class Blobs:
+    """Folder of measurement files, named by the sha256 of their bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        The data folder; ``blobs`` and ``tmp`` are made in it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._blobs = folder / "blobs"
+        self._temporary = folder / "tmp"
+        self._blobs.mkdir(parents=True, exist_ok=True)
+        self._temporary.mkdir(exist_ok=True)
+
+    def path(self, sha256: str) -> Path:
+        """Return where the measurement `sha256` is, or would be."""
+        return self._blobs / sha256[:2] / f"{sha256}{_SUFFIX}"
+
+    def incoming(self) -> Incoming:
+        """Return a new temporary file."""
+        return Incoming(self._temporary)
+
+    def place(self, incoming: Incoming, sha256: str) -> None:
+        """Move a closed incoming file to its place; durable when this returns."""
+        target = self.path(sha256)
+        if not target.parent.exists():
+            target.parent.mkdir()
+            _sync_folder(self._blobs)
+        incoming.path.replace(target)
+        _sync_folder(target.parent)
+
+    def remove(self, sha256: str) -> None:
+        """Remove a measurement's file."""
+        with suppress(FileNotFoundError):
+            self.path(sha256).unlink()
+
+    def all(self) -> Iterator[str]:
+        """Yield the sha256 of every file."""
+        for path in self._blobs.glob(f"*/*{_SUFFIX}"):
+            yield path.name.removesuffix(_SUFFIX)
+
+    def clear_temporary(self) -> None:
+        """Remove what an earlier process was receiving when it ended."""
+        for path in self._temporary.iterdir():
+            path.unlink()
+
+    def check(self) -> None:
+        """Raise OSError unless a file can be written."""
+        probe = self.incoming()
+        try:
+            probe.write(b"ready?")
+            probe.close()
+        finally:
+            probe.discard()
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,28 @@
+"""What a request needs of the running service."""
+
+from dataclasses import dataclass
+
+from starlette.requests import Request
+
+from service.engines import Engine
+from service.jobs import Jobs
+from service.models import Models
+from service.settings import Settings
+from service.store import Store
+
+
+@dataclass(frozen=True)
+class Context:
+    """The parts of one service; made when it starts, closed when it ends."""
+
+    settings: Settings
+    store: Store
+    engine: Engine
+    jobs: Jobs
+    models: Models
+
+
+def context_of(request: Request) -> Context:
+    """Return the service that answers `request`."""
+    context: Context = request.app.state.context
+    return context

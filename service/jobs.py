@@ -1,0 +1,190 @@
+"""The life of a fit: accepted, running, then succeeded, failed or cancelled.
+
+The store's row is the truth; what is here is what a running process needs besides: the tasks that wait for a
+free slot or for the engine, their progress, and who wants to hear of a change.
+"""
+
+import asyncio
+import hashlib
+import json
+import logging
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+from starlette.concurrency import run_in_threadpool
+
+import dsbrdf
+from service.engines import Engine, Fault, FitTask, Fitted, Outcome
+from service.options import from_wire, to_wire
+from service.problems import is_disk_full
+from service.rows import FitRow
+from service.settings import Settings
+from service.store import Store
+
+logger = logging.getLogger(__name__)
+
+_LEAST_CHANGE = 0.01  # of progress, that is worth telling
+
+
+def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
+    """Return the id of a fit: a hash of the measurement, the options and the algorithm's version."""
+    parts = {"measurement": measurement, "options": to_wire(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@dataclass
+class _Live:
+    """An unfinished fit in this process."""
+
+    task: "asyncio.Task[None]"
+    progress: float = 0.0
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def tell(self) -> None:
+        """Wake everyone who waits for a change."""
+        self.changed.set()
+        self.changed = asyncio.Event()
+
+
+class Jobs:
+    """Runs fits and tells of them.
+
+    Parameters
+    ----------
+    store : Store
+    engine : Engine
+    settings : Settings
+    """
+
+    def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
+        self._store = store
+        self._engine = engine
+        self._settings = settings
+        self._slots = asyncio.Semaphore(settings.workers)
+        self._live: dict[str, _Live] = {}
+
+    async def start(self) -> None:
+        """Run again what an earlier process left unfinished."""
+        for row in await run_in_threadpool(self._store.resume):
+            self._begin(row.id)
+
+    async def close(self) -> None:
+        """Stop all fits; their rows stay unfinished, so that the next process runs them."""
+        tasks = [live.task for live in self._live.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def submit(self, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
+        """Accept a fit of a stored measurement, or find the same one.
+
+        Returns
+        -------
+        FitRow
+            Its row, which is durable.
+        bool
+            Whether it is computed because of this call.
+        """
+        fit_id = fit_identity(measurement, options)
+        versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
+        row, new = await run_in_threadpool(
+            self._store.add_fit, fit_id, measurement, to_wire(options), versions, self._settings.queue_limit
+        )
+        if new:
+            self._begin(fit_id)
+        return row, new
+
+    async def wait(self, fit_id: str, seconds: float) -> FitRow | None:
+        """Return the fit's row when it has ended, or after `seconds`; None if there is no such fit."""
+        live = self._live.get(fit_id)
+        if live is not None and seconds > 0:
+            await asyncio.wait([live.task], timeout=seconds)
+        return await run_in_threadpool(self._store.fit, fit_id)
+
+    def progress(self, row: FitRow) -> float:
+        """Return the finished share of a fit, 0 to 1."""
+        if row.status == "succeeded":
+            return 1.0
+        live = self._live.get(row.id)
+        return 0.0 if live is None else live.progress
+
+    async def watch(self, fit_id: str) -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at every change, last when it has ended or has been deleted."""
+        while True:
+            live = self._live.get(fit_id)
+            changed = None if live is None else live.changed
+            row = await run_in_threadpool(self._store.fit, fit_id)
+            if row is None:
+                return
+            yield row
+            if row.ended:
+                return
+            if changed is not None:
+                await changed.wait()
+            else:  # the row is ahead of, or behind, this process by one step
+                await asyncio.sleep(0.05)
+
+    async def cancel(self, fit_id: str) -> FitRow | None:
+        """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
+        row = await run_in_threadpool(self._store.cancel_fit, fit_id)
+        live = self._live.get(fit_id)
+        if row is not None and live is not None:
+            live.task.cancel()
+            await asyncio.wait([live.task])
+        return row
+
+    def _begin(self, fit_id: str) -> None:
+        previous = self._live.get(fit_id)
+        task = asyncio.create_task(self._live_through(fit_id, previous.task if previous else None))
+        self._live[fit_id] = live = _Live(task)
+
+        def forget(_: "asyncio.Task[None]") -> None:
+            if self._live.get(fit_id) is live:
+                del self._live[fit_id]
+            live.tell()
+
+        task.add_done_callback(forget)
+
+    async def _live_through(self, fit_id: str, previous: "asyncio.Task[None] | None") -> None:
+        if previous is not None:  # cancelled, and asked for again before its process had ended
+            await asyncio.wait([previous])
+        try:
+            while not await self._attempt(fit_id):
+                pass
+        except Exception as error:
+            # The row could not be written. It stays unfinished, and the next start runs it again.
+            logger.exception("fit %s could not be brought to its end", fit_id)
+            if not is_disk_full(error):
+                raise
+
+    async def _attempt(self, fit_id: str) -> bool:
+        """Run a fit once; return whether it is over."""
+        async with self._slots:
+            row = await run_in_threadpool(self._store.start_fit, fit_id)
+            if row is None:
+                return True
+            self._tell(fit_id, 0.0)
+            task = FitTask(fit_id, self._store.blobs.path(row.measurement), from_wire(row.options))
+            outcome = await self._engine.run(task, lambda share: self._tell(fit_id, share))
+            return await run_in_threadpool(self._record, row, outcome)
+
+    def _record(self, row: FitRow, outcome: Outcome) -> bool:
+        """Write how an attempt ended; return whether the fit is over."""
+        if isinstance(outcome, Fitted):
+            self._store.complete_fit(row.id, outcome.document, outcome.metrics)
+            return True
+        if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:
+            logger.warning("fit %s runs again: %s", row.id, outcome.message)
+            return self._store.requeue_fit(row.id) is None
+        self._store.fail_fit(row.id, _error(outcome))
+        return True
+
+    def _tell(self, fit_id: str, share: float) -> None:
+        live = self._live.get(fit_id)
+        if live is not None and (share == 0.0 or share - live.progress >= _LEAST_CHANGE):
+            live.progress = share
+            live.tell()
+
+
+def _error(fault: Fault) -> dict[str, str]:
+    return {"origin": fault.origin, "type": fault.type, "message": fault.message}

@@ -1,0 +1,117 @@
+"""The models of finished fits, the last used ones kept in memory: evaluating one costs a look-up."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+
+from starlette.concurrency import run_in_threadpool
+
+from dsbrdf import DSBRDF, Decomposition, FitReport, InvalidArgumentError, decompose
+from dsbrdf.decomposition import LABELS
+from dsbrdf.serialize import from_json
+from service.problems import ProblemError
+from service.store import Store
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A fit's model and report."""
+
+    model: DSBRDF
+    report: FitReport | None
+
+    @cached_property
+    def decomposition(self) -> Decomposition:
+        """The model's components; they take some milliseconds once."""
+        return decompose(self.model)
+
+
+class Models:
+    """Models by fit id, in the order of their last use.
+
+    Parameters
+    ----------
+    store : Store
+    size : int
+        How many to keep.
+    """
+
+    def __init__(self, store: Store, size: int) -> None:
+        self._store = store
+        self._size = size
+        self._kept: OrderedDict[str, Loaded] = OrderedDict()
+        self._deletions = 0
+
+    async def get(self, fit_id: str) -> Loaded:
+        """Return the model of a fit.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such fit, or it has no result.
+        """
+        loaded = self._kept.get(fit_id)
+        if loaded is not None:
+            self._kept.move_to_end(fit_id)
+            return loaded
+        deletions = self._deletions
+        loaded = await run_in_threadpool(self._load, fit_id)
+        if deletions != self._deletions:  # perhaps of this fit, after it was read
+            return loaded
+        self._kept[fit_id] = loaded
+        while len(self._kept) > self._size:
+            self._kept.popitem(last=False)
+        return loaded
+
+    async def part(self, fit_id: str, label: str | None) -> DSBRDF:
+        """Return the model of a fit, or of one of its components.
+
+        Raises
+        ------
+        ProblemError
+            As `get`, or if there is no such label.
+        """
+        if label is None:
+            return (await self.get(fit_id)).model
+        decomposition = await self.decomposition(fit_id)
+        try:
+            return decomposition[label]
+        except InvalidArgumentError:
+            detail = f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}."
+            raise ProblemError("not-found", detail) from None
+
+    async def decomposition(self, fit_id: str) -> Decomposition:
+        """Return the components of a fit; raises as `get`."""
+        loaded = await self.get(fit_id)
+        return await run_in_threadpool(lambda: loaded.decomposition)
+
+    def forget(self, fit_id: str) -> None:
+        """Drop a model whose fit is deleted."""
+        self._deletions += 1
+        self._kept.pop(fit_id, None)
+
+    def _load(self, fit_id: str) -> Loaded:
+        document = self._store.result(fit_id)
+        if document is None:
+            raise self._problem(fit_id)
+        return Loaded(*from_json(document))
+
+    def _problem(self, fit_id: str) -> ProblemError:
+        row = self._store.fit(fit_id)
+        if row is None:
+            return no_such_fit(fit_id)
+        if not row.ended:
+            detail = f"The fit is {row.status}; its model exists when it has succeeded."
+            return ProblemError("fit-not-finished", detail, {"Retry-After": "1"})
+        return ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")
+
+
+def no_such_fit(fit_id: str) -> ProblemError:
+    """Return the problem of an unknown fit."""
+    return ProblemError("not-found", f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists those that there are.")
+
+
+def no_such_measurement(sha256: str) -> ProblemError:
+    """Return the problem of an unknown measurement."""
+    detail = f"There is no measurement {sha256[:64]!r}; upload it with POST /v1/measurements or POST /v1/fits."
+    return ProblemError("not-found", detail)

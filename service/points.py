@@ -1,0 +1,186 @@
+"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from starlette.datastructures import QueryParams
+
+from dsbrdf import DSBRDF, InvalidArgumentError
+
+Array = NDArray[np.float64]
+
+ANGLES = ("theta_half_deg", "theta_diff_deg")
+DIRECTIONS = ("omega_in", "omega_out")
+NPY = "application/x-npy"
+_KNOWN = (*ANGLES, *DIRECTIONS)
+_LONGEST_NPY_HEADER = 1024
+_CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Half and difference angles, shape (n,) each [rad]."""
+
+    theta_half: Array
+    theta_diff: Array
+
+    def __len__(self) -> int:
+        return len(self.theta_half)
+
+    def values(self, model: DSBRDF) -> Array:
+        """Return the model's values, shape (n, 3) [1/sr]."""
+        return model.evaluate(self.theta_half, self.theta_diff)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Pairs of unit vectors, shape (n, 3) each."""
+
+    omega_in: Array
+    omega_out: Array
+
+    def __len__(self) -> int:
+        return len(self.omega_in)
+
+    def values(self, model: DSBRDF) -> Array:
+        """Return the model's values, shape (n, 3) [1/sr]."""
+        return model.evaluate_directions(self.omega_in, self.omega_out)
+
+
+Points = Angles | Directions
+
+
+def from_query(parameters: QueryParams) -> Points:
+    """Return the points of a query, whose parameters repeat for several points.
+
+    Raises
+    ------
+    InvalidArgumentError
+        With one sentence that says what is wrong and what would be right.
+    """
+    given: dict[str, list[str]] = {}
+    for name, text in parameters.multi_items():
+        if name not in _KNOWN:
+            raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; known are {', '.join(_KNOWN)}.")
+        given.setdefault(name, []).append(text)
+    first, second = _pair(given)
+    if first == ANGLES[0]:
+        return from_angles([_number(first, t) for t in given[first]], [_number(second, t) for t in given[second]])
+    return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
+
+
+def from_angles(theta_half_deg: Sequence[float] | Array, theta_diff_deg: Sequence[float] | Array) -> Angles:
+    """Return the points of two equally long sequences of angles in degrees."""
+    _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
+    return Angles(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg))
+
+
+def from_directions(
+    omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
+) -> Directions:
+    """Return the points of two equally long sequences of unit vectors; the model checks the vectors."""
+    _check_count(DIRECTIONS, len(omega_in), len(omega_out))
+    for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
+        if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
+            raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
+    return Directions(np.asarray(omega_in, dtype=float), np.asarray(omega_out, dtype=float))
+
+
+def from_npy(data: bytes) -> Points:
+    """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the bytes are not such an array.
+    """
+    array = _read_npy(data)
+    if array.ndim == 2 and array.shape[1] == 2:
+        return from_angles(array[:, 0], array[:, 1])
+    if array.ndim == 2 and array.shape[1] == 6:
+        array = array.reshape(-1, 2, 3)
+    if array.ndim == 3 and array.shape[1:] == (2, 3):
+        return from_directions(array[:, 0], array[:, 1])
+    raise InvalidArgumentError(
+        f"The array has the shape {array.shape}; it must be (n, 2), theta_half and theta_diff in degrees, "
+        "or (n, 6) or (n, 2, 3), omega_in and omega_out."
+    )
+
+
+def to_npy(values: Array) -> bytes:
+    """Return an array as the bytes of a .npy file."""
+    from io import BytesIO
+
+    buffer = BytesIO()
+    np.save(buffer, values, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _read_npy(data: bytes) -> Array:
+    """Return the array of a .npy file without trusting its header."""
+    from io import BytesIO
+
+    stream = BytesIO(data)
+    try:
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, fortran_order, dtype = read(stream, max_header_size=_LONGEST_NPY_HEADER)
+    except (ValueError, KeyError, OverflowError, RecursionError, MemoryError):
+        raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
+    if dtype.kind != "f" or dtype.itemsize not in (4, 8):
+        raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
+    expected = math.prod(shape) * dtype.itemsize
+    rest = len(data) - stream.tell()
+    if min(shape, default=0) < 0 or expected != rest:
+        raise InvalidArgumentError(f"The array's header promises {expected} bytes of values, the body has {rest}.")
+    flat = np.frombuffer(data, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64, copy=False)
+
+
+def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
+    """Return the two names that are given, which have to belong together."""
+    names = set(given)
+    if names & set(ANGLES) and names & set(DIRECTIONS):
+        raise InvalidArgumentError(f"The query mixes angles and directions; {_CHOICE}.")
+    for pair in (ANGLES, DIRECTIONS):
+        if names == set(pair):
+            return pair
+    for first, second in (ANGLES, ANGLES[::-1], DIRECTIONS, DIRECTIONS[::-1]):
+        if names == {first}:
+            raise InvalidArgumentError(f"{first} is given without {second}; {_CHOICE}.")
+    raise InvalidArgumentError(f"The query names no point; {_CHOICE}.")
+
+
+def _check_count(names: tuple[str, str], first: int, second: int) -> None:
+    if first != second:
+        raise InvalidArgumentError(
+            f"There are {first} values of {names[0]} and {second} of {names[1]}; give as many of one as of the other."
+        )
+
+
+def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
+    angle = np.asarray(degrees, dtype=float)
+    outside = ~((angle >= 0.0) & (angle <= 90.0))
+    if outside.any():
+        worst = angle[outside][0]
+        raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {worst:g}.")
+    return np.radians(angle)
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidArgumentError(f"{name} must be a number of degrees, not {text[:40]!r}.") from None
+
+
+def _vector(name: str, text: str) -> list[float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
+    return [x, y, z]

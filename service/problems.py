@@ -1,0 +1,150 @@
+"""From exception to RFC 9457 problem document: one table, used for every status that is an error.
+
+A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one sentence for a person.
+"""
+
+import errno
+import logging
+import sqlite3
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+
+from dsbrdf import FitError, InvalidArgumentError, MeasurementFormatError
+
+MEDIA_TYPE = "application/problem+json"
+TYPE_PREFIX = "urn:dsbrdf:problem:"
+
+# kind -> (status, title)
+KINDS: dict[str, tuple[int, str]] = {
+    "bad-request": (400, "The request cannot be understood"),
+    "bad-encoding": (400, "The body does not decode"),
+    "not-found": (404, "There is no such resource"),
+    "method-not-allowed": (405, "The resource does not support this method"),
+    "not-acceptable": (406, "No acceptable representation"),
+    "measurement-in-use": (409, "Unfinished fits use the measurement"),
+    "fit-not-finished": (409, "The fit has not finished"),
+    "fit-without-result": (409, "The fit has no result"),
+    "too-large": (413, "The body is too large"),
+    "measurement-too-large": (413, "The file is longer than a MERL measurement"),
+    "unsupported-media-type": (415, "The body's type or encoding is not supported"),
+    "measurement-format": (422, "Not an acceptable measurement"),
+    "invalid-argument": (422, "An argument is not acceptable"),
+    "fit-impossible": (422, "The measurement cannot be fitted with these options"),
+    "internal": (500, "The service failed"),
+    "queue-full": (503, "Too many fits are waiting"),
+    "not-ready": (503, "The service is not ready"),
+    "disk-full": (507, "The service's disk is full"),
+}
+
+_KIND_OF_STATUS = {400: "bad-request", 404: "not-found", 405: "method-not-allowed", 413: "too-large"}
+_FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
+
+logger = logging.getLogger(__name__)
+
+
+class ProblemError(Exception):
+    """An error with a place in the table of problems.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `KINDS`.
+    detail : str
+        One sentence: what is wrong and what would be right.
+    headers : mapping, optional
+        Further headers of the response.
+    """
+
+    def __init__(self, kind: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(detail)
+        self.kind = kind
+        self.detail = detail
+        self.headers = headers
+
+
+def response(kind: str, detail: str, path: str, headers: Mapping[str, str] | None = None) -> Response:
+    """Return the problem document of `kind` as a response."""
+    status, title = KINDS[kind]
+    return _document(TYPE_PREFIX + kind, title, status, detail, path, headers)
+
+
+def install(app: FastAPI) -> None:
+    """Make `app` answer every exception with a problem document."""
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_validation_error)
+    # ServerErrorMiddleware logs what ends here and answers without the stack trace.
+    app.add_exception_handler(Exception, _on_exception)
+    for expected in (ProblemError, MeasurementFormatError, InvalidArgumentError, FitError, OSError):
+        app.add_exception_handler(expected, _on_exception)
+
+
+async def _on_exception(request: Request, error: Exception) -> Response:
+    path = request.url.path
+    if isinstance(error, ProblemError):
+        return response(error.kind, error.detail, path, error.headers)
+    if isinstance(error, MeasurementFormatError):
+        return response("measurement-format", str(error), path)
+    if isinstance(error, InvalidArgumentError):
+        return response("invalid-argument", str(error), path)
+    if isinstance(error, FitError):
+        return response("fit-impossible", str(error), path)
+    if is_disk_full(error):
+        detail = "The service has no disk space left for this request; try again when space has been freed."
+        return response("disk-full", detail, path, {"Retry-After": "30"})
+    logger.error("%s %s failed", request.method, path, exc_info=error)
+    return response("internal", "The service failed at this request; its log says why.", path)
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Return whether `error` says that the disk is full."""
+    if isinstance(error, OSError):
+        return error.errno in _FULL_DISK
+    return isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode == sqlite3.SQLITE_FULL
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 (registered for this type only)
+    path = request.url.path
+    if error.status_code == 404:
+        return response("not-found", f"There is nothing at {path}; GET /docs lists what there is.", path)
+    if error.status_code == 405:
+        allowed = (error.headers or {}).get("Allow", "")
+        detail = f"{request.method} is not supported at {path}; supported: {allowed}."
+        return response("method-not-allowed", detail, path, error.headers)
+    kind = _KIND_OF_STATUS.get(error.status_code)
+    if kind is not None:
+        return response(kind, f"{error.detail}.".replace("..", "."), path, error.headers)
+    title = HTTPStatus(error.status_code).phrase
+    return _document("about:blank", title, error.status_code, str(error.detail), path, error.headers)
+
+
+async def _on_validation_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 (registered for this type only)
+    path = request.url.path
+    if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
+        return response("not-found", f"There is nothing at {path}; GET /docs lists what there is.", path)
+    return response("invalid-argument", sentence(error.errors()), path)
+
+
+def sentence(errors: Sequence[Mapping[str, Any]]) -> str:
+    """Return pydantic's list of errors as one sentence."""
+    parts = []
+    for error in errors[:3]:
+        place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))
+        message = str(error["msg"])
+        parts.append(f"{place or 'the body'}: {message[:1].lower()}{message[1:]}")
+    more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
+    return "; ".join(parts) + more + "."
+
+
+def _document(
+    type_: str, title: str, status: int, detail: str, path: str, headers: Mapping[str, str] | None
+) -> Response:
+    content = {"type": type_, "title": title, "status": status, "detail": detail, "instance": path}
+    return JSONResponse(content, status, dict(headers or {}), media_type=MEDIA_TYPE)

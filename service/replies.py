@@ -1,0 +1,66 @@
+"""Responses: JSON documents with strong ETags, pages with links, and the waiting that a request prefers."""
+
+import hashlib
+import math
+from collections.abc import Mapping
+from urllib.parse import urlencode
+
+from pydantic import BaseModel
+from starlette.requests import Request
+from starlette.responses import Response
+
+JSON = "application/json"
+
+
+def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """Return `document` as a JSON response."""
+    return Response(document.model_dump_json(), status, dict(headers or {}), JSON)
+
+
+def tagged_reply(
+    request: Request,
+    content: bytes,
+    tag: str | None = None,
+    media_type: str = JSON,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Return `content` with a strong ETag, or 304 if the client has it; the tag is by default its hash."""
+    etag = f'"{tag or hashlib.sha256(content).hexdigest()[:32]}"'
+    every = {**(headers or {}), "ETag": etag}
+    if not_modified(request, etag):
+        return Response(None, 304, every)
+    return Response(content, 200, every, media_type)
+
+
+def not_modified(request: Request, etag: str) -> bool:
+    """Return whether the client already has what `etag` names."""
+    candidates = request.headers.get("if-none-match", "")
+    return candidates.strip() == "*" or etag in (part.strip().removeprefix("W/") for part in candidates.split(","))
+
+
+def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict[str, str]:
+    """Return the ``Link`` header to the page after one of `rows` rows that ends with the row number `last`."""
+    if last is None or rows < limit:
+        return {}
+    query = urlencode({"limit": limit, "cursor": last})
+    return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
+
+
+def preferred_wait(request: Request, default: float, longest: float) -> float:
+    """Return the time to wait that ``Prefer`` asks for (RFC 7240); what it says of other things is ignored."""
+    wait = default
+    for preference in ",".join(request.headers.getlist("prefer")).split(","):
+        name, _, value = preference.partition(";")[0].partition("=")
+        if name.strip().lower() == "respond-async":
+            return 0.0
+        if name.strip().lower() == "wait":
+            wait = _seconds(value.strip().strip('"'), wait)
+    return min(wait, longest)
+
+
+def _seconds(text: str, otherwise: float) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        return otherwise
+    return seconds if math.isfinite(seconds) and seconds >= 0 else otherwise

@@ -1,0 +1,1 @@
+"""HTTP routes, one file a noun: a route parses, makes one call and returns a document."""

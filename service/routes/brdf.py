@@ -1,0 +1,168 @@
+"""BRDF values of a fit and of its components."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse, Response
+
+from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf.decomposition import LABELS
+from service import examples, openapi
+from service.context import Context, context_of
+from service.points import NPY, Points, from_angles, from_directions, from_npy, from_query, to_npy
+from service.problems import ProblemError, sentence
+from service.routes.fits import FitId
+from service.schemas import AnglesRequest, DirectionsRequest, Values
+from service.uploads import receive_small
+
+router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"])
+Label = Annotated[
+    str,
+    Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
+]
+
+_JSON = "application/json"
+_INLINE_POINTS = 64  # evaluated faster than another thread is reached
+_JSON_BYTES_A_POINT = 160  # six numbers with all their digits
+_NPY_BYTES_A_POINT = 48
+_ASKED = openapi.example(examples.VALUES, "One RGB triple for each point.") | openapi.problems(
+    "not-found", "fit-not-finished", "invalid-argument"
+)
+_POSTED = openapi.batch_answer() | openapi.problems(
+    "not-found", "not-acceptable", "fit-not-finished", "too-large", "unsupported-media-type", "invalid-argument"
+)
+
+
+@router.get(
+    "/brdf",
+    response_model=Values,
+    summary="Values at some points",
+    responses=_ASKED,
+    openapi_extra=openapi.point_query(),
+)
+async def get_values(request: Request, fit_id: FitId) -> Response:
+    """Return the fit's values; parameters repeat for several points."""
+    return await _asked(request, fit_id, None)
+
+
+@router.get(
+    "/lobes/{label}/brdf",
+    response_model=Values,
+    summary="A component's values at some points",
+    responses=_ASKED,
+    openapi_extra=openapi.point_query(),
+)
+async def get_component_values(request: Request, fit_id: FitId, label: Label) -> Response:
+    """Return one component's values; the three components' values add up to the fit's."""
+    return await _asked(request, fit_id, label)
+
+
+@router.post(
+    "/brdf",
+    response_model=Values,
+    summary="Values at many points",
+    responses=_POSTED,
+    openapi_extra=openapi.point_batch(),
+)
+async def post_values(request: Request, fit_id: FitId) -> Response:
+    """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
+
+    A .npy array holds (n, 2) half and difference angles in degrees, or (n, 6) or (n, 2, 3) directions;
+    the answer is (n, 3) float64.
+    """
+    return await _posted(request, fit_id, None)
+
+
+@router.post(
+    "/lobes/{label}/brdf",
+    response_model=Values,
+    summary="A component's values at many points",
+    responses=_POSTED,
+    openapi_extra=openapi.point_batch(),
+)
+async def post_component_values(request: Request, fit_id: FitId, label: Label) -> Response:
+    """Return one component's values at a batch of points, as for the whole fit."""
+    return await _posted(request, fit_id, label)
+
+
+async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
+    points = from_query(request.query_params)
+    model = await context_of(request).models.part(fit_id, label)
+    if len(points) <= _INLINE_POINTS:
+        return JSONResponse({"values": points.values(model).tolist()})
+    return await run_in_threadpool(_json_values, model, points)
+
+
+async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
+    context = context_of(request)
+    as_npy = _wants_npy(request)
+    model = await context.models.part(fit_id, label)
+    points = await _batch(request, context)
+    if len(points) > context.settings.max_points:
+        detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
+        raise ProblemError("too-large", detail)
+    return await run_in_threadpool(_npy_values if as_npy else _json_values, model, points)
+
+
+async def _batch(request: Request, context: Context) -> Points:
+    """Return the points in the body."""
+    media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
+    most = context.settings.max_points
+    if media_type == NPY:
+        body = await receive_small(request, most * _NPY_BYTES_A_POINT + 4096)
+        return await run_in_threadpool(from_npy, body)
+    if media_type == _JSON:
+        body = await receive_small(request, most * _JSON_BYTES_A_POINT + 4096)
+        return await run_in_threadpool(_from_json, body)
+    detail = f"The content type {media_type[:60]!r} is not supported; send {_JSON} or {NPY}."
+    raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{_JSON}, {NPY}"})
+
+
+def _from_json(body: bytes) -> Points:
+    # Which of the two documents is meant shows in the message for one that is neither.
+    directions = b'"omega_' in body[:64]
+    try:
+        if directions:
+            vectors = DirectionsRequest.model_validate_json(body)
+            return from_directions(vectors.omega_in, vectors.omega_out)
+        angles = AnglesRequest.model_validate_json(body)
+    except ValidationError as error:
+        raise InvalidArgumentError(sentence(error.errors())) from None
+    return from_angles(angles.theta_half_deg, angles.theta_diff_deg)
+
+
+def _wants_npy(request: Request) -> bool:
+    """Return whether ``Accept`` prefers .npy to JSON."""
+    weights = {_JSON: 0.0, NPY: 0.0}
+    for entry in request.headers.get("accept", "*/*").split(","):
+        media_type, *parameters = (part.strip().lower() for part in entry.split(";"))
+        weight = _quality(parameters)
+        for name in weights:
+            if media_type in (name, "*/*", "application/*"):
+                # A range counts less than a type that is named, so that JSON is the default.
+                found = weight if media_type == name else weight * (0.5 if name == _JSON else 0.25)
+                weights[name] = max(weights[name], found)
+    if not any(weights.values()):
+        raise ProblemError("not-acceptable", f"The values can be had as {_JSON} or {NPY}; accept one of them.")
+    return weights[NPY] > weights[_JSON]
+
+
+def _quality(parameters: list[str]) -> float:
+    for parameter in parameters:
+        name, _, value = parameter.partition("=")
+        if name.strip() == "q":
+            try:
+                return min(max(float(value), 0.0), 1.0)
+            except ValueError:
+                return 1.0
+    return 1.0
+
+
+def _json_values(model: DSBRDF, points: Points) -> Response:
+    return JSONResponse({"values": points.values(model).tolist()})
+
+
+def _npy_values(model: DSBRDF, points: Points) -> Response:
+    return Response(to_npy(points.values(model)), media_type=NPY)

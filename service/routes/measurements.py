@@ -1,0 +1,113 @@
+"""Measurements: upload once, fit often."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import FileResponse, Response
+
+from service import examples, openapi
+from service.context import context_of
+from service.documents import measurement_document
+from service.models import no_such_measurement
+from service.problems import ProblemError
+from service.replies import json_reply, next_page, not_modified
+from service.rows import MeasurementRow
+from service.schemas import SHA256, MeasurementDocument, MeasurementList, Page
+from service.store import MeasurementInUseError
+from service.uploads import receive_measurement
+
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
+Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[examples.SHA256])]
+
+_RAW = "application/octet-stream"
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=MeasurementDocument,
+    summary="Upload a measurement",
+    responses=openapi.example(examples.MEASUREMENT, "The measurement is stored.", 201)
+    | openapi.example(examples.MEASUREMENT, "The measurement was stored before.")
+    | openapi.problems(
+        "bad-encoding", "measurement-too-large", "unsupported-media-type", "measurement-format", "disk-full"
+    ),
+    openapi_extra=openapi.raw_upload(),
+)
+async def upload_measurement(request: Request) -> Response:
+    """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
+    media_type = request.headers.get("content-type", _RAW).partition(";")[0].strip().lower()
+    if media_type != _RAW:
+        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {_RAW}."
+        raise ProblemError("unsupported-media-type", detail, {"Accept-Post": _RAW})
+    row, new = await receive_measurement(request, context_of(request).store)
+    headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
+    return json_reply(measurement_document(row), 201 if new else 200, headers)
+
+
+@router.get(
+    "",
+    response_model=MeasurementList,
+    summary="List the measurements",
+    responses=openapi.example(examples.MEASUREMENT_LIST, "Measurements, newest first.")
+    | openapi.problems("invalid-argument"),
+)
+async def list_measurements(request: Request, page: Annotated[Page, Query()]) -> Response:
+    """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
+    before = None if page.cursor is None else int(page.cursor)
+    rows = await run_in_threadpool(context_of(request).store.measurements, page.limit, before)
+    headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
+    return json_reply(MeasurementList(items=[measurement_document(row) for row in rows]), headers=headers)
+
+
+@router.get(
+    "/{sha256}",
+    response_class=FileResponse,
+    summary="Download a measurement",
+    responses=openapi.binary(_RAW, "The file, byte for byte as it was uploaded.") | openapi.problems("not-found"),
+)
+async def download_measurement(request: Request, sha256: Sha256) -> Response:
+    """Return the file as it was uploaded; its ETag is its sha256, ranges are supported."""
+    row = await _row(request, sha256)
+    headers = _headers(row)
+    if not_modified(request, headers["ETag"]):
+        return Response(None, 304, headers)
+    path = context_of(request).store.blobs.path(sha256)
+    return FileResponse(path, headers=headers, media_type=_RAW, filename=path.name)
+
+
+@router.head("/{sha256}", summary="Ask for a measurement", responses=openapi.problems("not-found"))
+async def probe_measurement(request: Request, sha256: Sha256) -> Response:
+    """Tell whether the measurement is stored, so that an upload can be spared."""
+    row = await _row(request, sha256)
+    return Response(None, 200, {**_headers(row), "Content-Length": str(row.size)}, _RAW)
+
+
+@router.delete(
+    "/{sha256}",
+    status_code=204,
+    summary="Delete a measurement",
+    responses=openapi.problems("not-found", "measurement-in-use"),
+)
+async def delete_measurement(request: Request, sha256: Sha256) -> Response:
+    """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
+    try:
+        removed = await run_in_threadpool(context_of(request).store.remove_measurement, sha256)
+    except MeasurementInUseError as error:
+        detail = f"{str(error).capitalize()}; cancel them or wait until they have ended."
+        raise ProblemError("measurement-in-use", detail) from None
+    if not removed:
+        raise no_such_measurement(sha256)
+    return Response(status_code=204)
+
+
+async def _row(request: Request, sha256: str) -> MeasurementRow:
+    row = await run_in_threadpool(context_of(request).store.measurement, sha256)
+    if row is None:
+        raise no_such_measurement(sha256)
+    return row
+
+
+def _headers(row: MeasurementRow) -> dict[str, str]:
+    return {"ETag": f'"{row.sha256}"', "Cache-Control": "private, max-age=31536000, immutable"}

@@ -1,0 +1,135 @@
+"""Request bodies: measurements that are checked and hashed while they are written, and small ones kept whole."""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+
+from dsbrdf import MeasurementFormatError
+from dsbrdf.merl import FILE_SIZE, MerlChecker, check_header, check_length
+from service.blobs import Incoming
+from service.decoding import decoder
+from service.problems import ProblemError
+from service.rows import MeasurementRow
+from service.store import Store
+
+_PIECE = 1 << 20
+_HEADER_SIZE = 12
+# Compressors add less than this to what they cannot compress.
+_LARGEST_ENCODED = FILE_SIZE + FILE_SIZE // 64
+
+
+async def receive_measurement(request: Request, store: Store) -> tuple[MeasurementRow, bool]:
+    """Store the MERL file that is the body of `request`; the flag says whether it is new.
+
+    The body is never held whole, and nothing of it stays if anything is wrong with it.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If it is not an acceptable measurement.
+    ProblemError
+        If it is too long, or its encoding is unknown or damaged.
+    """
+    pieces = _pieces(request)
+    encoding = request.headers.get("content-encoding")
+    declared = request.headers.get("content-length", "")
+    if encoding is None and declared.isdecimal() and int(declared) != FILE_SIZE:
+        await _refuse(pieces, int(declared))
+    incoming = await run_in_threadpool(store.blobs.incoming)
+    try:
+        receiver = _Receiver(incoming, encoding)
+        async for piece in pieces:
+            await run_in_threadpool(receiver.take, piece)
+        sha256, valid_nodes = await run_in_threadpool(receiver.finish)
+        return await run_in_threadpool(store.add_measurement, incoming, sha256, valid_nodes)
+    except ClientDisconnect:
+        raise ProblemError("bad-request", "The client went away before the end of the body.") from None
+    finally:
+        await asyncio.shield(run_in_threadpool(incoming.discard))
+
+
+async def receive_small(request: Request, limit: int) -> bytes:
+    """Return the decoded body of `request`, of at most `limit` bytes.
+
+    Raises
+    ------
+    ProblemError
+        If it is longer, or its encoding is unknown or damaged.
+    """
+    body = bytearray()
+
+    def keep(data: bytes) -> None:
+        if len(body) + len(data) > limit:
+            raise ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
+        body.extend(data)
+
+    encoded = decoder(request.headers.get("content-encoding"), keep)
+    declared = request.headers.get("content-length", "")
+    if declared.isdecimal() and int(declared) > limit:
+        raise ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
+    async for piece in request.stream():
+        encoded.feed(piece)
+    encoded.finish()
+    return bytes(body)
+
+
+class _Receiver:
+    """Takes the pieces of a body, in a worker thread, and checks what they decode to while writing it."""
+
+    def __init__(self, incoming: Incoming, encoding: str | None) -> None:
+        self._incoming = incoming
+        self._checker = MerlChecker()
+        self._decoder = decoder(encoding, self._write)
+        self._encoded = 0
+
+    def take(self, piece: bytes) -> None:
+        self._encoded += len(piece)
+        if self._encoded > _LARGEST_ENCODED:
+            detail = f"The body is longer than {_LARGEST_ENCODED} bytes, more than an encoded measurement takes."
+            raise ProblemError("too-large", detail)
+        self._decoder.feed(piece)
+
+    def finish(self) -> tuple[str, int]:
+        self._decoder.finish()
+        valid_nodes = int(self._checker.finish().sum())
+        return self._incoming.close(), valid_nodes
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._checker.update(data)
+        except MeasurementFormatError as error:
+            if self._checker.n_bytes > FILE_SIZE:
+                raise ProblemError("measurement-too-large", str(error)) from None
+            raise
+        self._incoming.write(data)
+
+
+async def _pieces(request: Request) -> AsyncIterator[bytes]:
+    """Yield the body in pieces that are worth a switch to another thread."""
+    parts: list[bytes] = []
+    size = 0
+    async for part in request.stream():
+        parts.append(part)
+        size += len(part)
+        if size >= _PIECE:
+            piece = b"".join(parts)
+            parts.clear()
+            size = 0
+            yield piece
+    if size:
+        yield b"".join(parts)
+
+
+async def _refuse(pieces: AsyncIterator[bytes], length: int) -> None:
+    """Refuse a body of a wrong length without reading all of it, with the sentence that the whole would get."""
+    async for piece in pieces:
+        check_header(piece)
+        break
+    try:
+        check_length(length)
+    except MeasurementFormatError as error:
+        if length > FILE_SIZE:
+            raise ProblemError("measurement-too-large", str(error)) from None
+        raise
