@@ -11,16 +11,17 @@ help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
 
 $(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dsbrdf needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
 demo: $(READY)  ## start the service, POST a measurement, print lobes and values, leave a picture
-	$(BIN)/dsbrdf demo
+	@$(BIN)/dsbrdf demo
 
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
-	$(BIN)/dsbrdf serve
+	@$(BIN)/dsbrdf serve
 
 test: $(READY)  ## run every test
 	$(BIN)/python -m pytest

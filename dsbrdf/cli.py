@@ -1,0 +1,326 @@
+"""The command ``dsbrdf``.
+
+Angles are in degrees here, BRDF values in 1/sr, colours in the order red, green, blue.  Exit codes: 0 fine;
+2 bad usage or bad input, with one sentence on stderr; 1 anything else; 130 interrupted.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dsbrdf
+from dsbrdf.batch import UNREADABLE, FileFit, fit_files, measurement_files
+from dsbrdf.decomposition import LABELS, decompose
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError
+from dsbrdf.export import FORMATS, export_model
+from dsbrdf.extras import MissingExtraError, require
+from dsbrdf.files import write_atomically
+from dsbrdf.fit import FitReport
+from dsbrdf.flags import add_fit_flags, fit_options
+from dsbrdf.measurement import CHANNELS
+from dsbrdf.model import DSBRDF
+from dsbrdf.progress import progress_bar
+from dsbrdf.serialize import from_json, from_npz, load, to_json
+from dsbrdf.summary import (
+    component_documents,
+    components_table,
+    headline,
+    lobes_document,
+    parameters_table,
+    result_text,
+)
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The words after ``dsbrdf``; by default those of the process.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    arguments = _parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+    try:
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+    except (DSBRDFError, *UNREADABLE) as error:
+        return _complain(error, BAD_INPUT)
+    except BrokenPipeError:
+        # The reader has left, as `head` does: nothing to tell, and nothing to flush at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (MissingExtraError, OSError) as error:
+        return _complain(error, 1)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+    return code
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    options = fit_options(arguments)
+    files = measurement_files(arguments.files)
+    done: list[FileFit] = []
+    with progress_bar(len(files), "files") as progress:
+        for item in fit_files(files, options, arguments.output, force=arguments.force, progress=progress):
+            done.append(item)
+            for line in (item.error, *item.warnings):
+                if line is not None:
+                    progress.write(f"dsbrdf: {item.file}: {line}", error=True)
+            if not arguments.json:
+                for line in _fit_lines(item):
+                    progress.write(line)
+    if arguments.json:
+        documents = [_fit_document(item) for item in done]
+        single = len(arguments.files) == 1 and not arguments.files[0].is_dir()
+        _print_json(documents[0] if single else {"items": documents})
+    return BAD_INPUT if any(item.error is not None for item in done) else 0
+
+
+def _fit_lines(item: FileFit) -> list[str]:
+    if item.result is None:
+        return []
+    if item.output is None:
+        return result_text(item.file, item.result)
+    return [f"{headline(item.file, item.result)} -> {item.output}{' (kept)' if item.resumed else ''}"]
+
+
+def _fit_document(item: FileFit) -> dict[str, Any]:
+    """Return the stored form of the model, which ``dsbrdf eval`` can read, and what happened beside it."""
+    about = {"file": str(item.file), "output": None if item.output is None else str(item.output)}
+    if item.result is None:
+        return about | {"status": "failed", "error": item.error}
+    result = item.result
+    return (
+        about
+        | {"status": "succeeded", "error": None, "resumed": item.resumed, "warnings": list(item.warnings)}
+        | {"metrics": result.report.metrics, "lobes": lobes_document(result.model)}
+        | {"components": component_documents(result.model)}
+        | json.loads(to_json(result.model, result.report))
+    )
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    model = _load(arguments.model, arguments.component)
+    if arguments.omega_in or arguments.omega_out:
+        if arguments.theta_half or arguments.theta_diff:
+            raise InvalidArgumentError("give either --theta-half and --theta-diff or --omega-in and --omega-out")
+        columns = {"omega_in": _given(arguments, "omega_in"), "omega_out": _given(arguments, "omega_out")}
+        points = _broadcast(columns)
+        values = model.evaluate_directions(points["omega_in"], points["omega_out"])
+    else:
+        columns = {"theta_half_deg": _given(arguments, "theta_half"), "theta_diff_deg": _given(arguments, "theta_diff")}
+        points = _broadcast(columns)
+        values = model.evaluate(*(np.radians(angles) for angles in points.values()))
+    if arguments.json:
+        _print_json({name: array.tolist() for name, array in points.items()} | {"values": values.tolist()})
+        return 0
+    print("".join(f"{name:>24}" for name in points) + "".join(f"{channel:>14}" for channel in CHANNELS))
+    for *point, value in zip(*points.values(), values, strict=True):
+        left = "".join(f"{','.join(f'{number:.6g}' for number in np.ravel(part)):>24}" for part in point)
+        print(left + "".join(f"{number:>14.6g}" for number in value))
+    return 0
+
+
+def _given(arguments: argparse.Namespace, name: str) -> NDArray[np.float64]:
+    values = getattr(arguments, name)
+    if not values:
+        raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both of its parts")
+    return np.array(values, dtype=np.float64)
+
+
+def _broadcast(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Repeat a part of the points that is given once, so that all have the same length."""
+    length = max(len(array) for array in columns.values())
+    if any(len(array) not in (1, length) for array in columns.values()):
+        counts = " and ".join(f"{len(array)} {name}" for name, array in columns.items())
+        raise InvalidArgumentError(f"{counts} do not pair up: give as many of one as of the other, or just one")
+    return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
+
+
+def _decompose(arguments: argparse.Namespace) -> int:
+    model = _load(arguments.model)
+    components = component_documents(model)
+    if arguments.json:
+        _print_json({"items": components})
+        return 0
+    for line in (*components_table(components), "", *parameters_table(model, channel=arguments.channel)):
+        print(line)
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    model = _load(arguments.model, arguments.component)
+    report = _report(arguments.model) if arguments.component is None else None
+    content = export_model(model, arguments.format, report)
+    write_atomically(arguments.output, [content])
+    if arguments.json:
+        _print_json({"output": str(arguments.output), "format": arguments.format, "bytes": len(content)})
+    return 0
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    require("service", "fastapi", "pebble", "pydantic_settings", "uvicorn", purpose="the HTTP service")
+    command = [sys.executable, "-m", "service"]
+    for name in ("host", "port", "data_dir", "workers"):
+        value = getattr(arguments, name)
+        if value is not None:
+            command += [f"--{name.replace('_', '-')}", str(value)]
+    command += ["--insecure"] if arguments.insecure else []
+    sys.stdout.flush()
+    os.execv(sys.executable, command)  # noqa: S606 (the service takes the place of this process, so signals reach it)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from dsbrdf.demo import run
+
+    run(arguments.output)
+    return 0
+
+
+def _load(path: Path, component: str | None = None) -> DSBRDF:
+    """Read a model, or one component of it; errors name the file."""
+    with _about(path):
+        model = load(path)
+    return model if component is None else decompose(model)[component]
+
+
+def _report(path: Path) -> FitReport | None:
+    """Read the report beside a model that `_load` has accepted."""
+    if path.suffix.lower() == ".npz":
+        return from_npz(path.read_bytes())[1]
+    return from_json(path.read_text(encoding="utf-8"))[1]
+
+
+@contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Put the file's name before the sentence of an error."""
+    try:
+        yield
+    except DSBRDFError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def _complain(error: BaseException | str, code: int) -> int:
+    if isinstance(error, OSError):
+        text = f"{error.filename}: {error.strerror}" if error.filename is not None else str(error)
+    else:
+        text = str(error)
+    print(f"dsbrdf: {text}", file=sys.stderr)
+    return code
+
+
+def _print_json(document: Any) -> None:
+    print(json.dumps(document, allow_nan=False))
+
+
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Join a direction to its flag: argparse would take ``-0.5,0,0.9`` for a flag of its own."""
+    words = list(argv)
+    for flag in ("--omega-in", "--omega-out"):
+        while flag in words[:-1]:
+            at = words.index(flag)
+            words[at : at + 2] = [f"{flag}={words[at + 1]}"]
+    return words
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one sentence instead of printing the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="dsbrdf", description="Directional Statistics BRDF models of measured reflectance.")
+    parser.add_argument("--version", action="version", version=f"dsbrdf {dsbrdf.__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_fit(commands)
+    _add_model_commands(commands)
+    _add_serve_and_demo(commands)
+    return parser
+
+
+def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
+    fit = commands.add_parser("fit", help="fit models to MERL .binary files")
+    fit.set_defaults(run=_fit)
+    fit.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a MERL .binary file, or a folder of them")
+    fit.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
+    fit.add_argument("--force", action="store_true", help="fit again what the folder holds already")
+    fit.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    add_fit_flags(fit)
+
+
+def _add_model_commands(commands: "argparse._SubParsersAction[_Parser]") -> None:
+    evaluate = commands.add_parser("eval", help="print values of a model")
+    evaluate.set_defaults(run=_eval)
+    for name in ("--theta-half", "--theta-diff"):
+        evaluate.add_argument(
+            name, nargs="+", action="extend", type=float, metavar="DEGREES", help="one or several angles"
+        )
+    for name in ("--omega-in", "--omega-out"):
+        evaluate.add_argument(
+            name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be repeated"
+        )
+
+    separate = commands.add_parser("decompose", help="print the specular spike, specular lobe and diffuse part")
+    separate.set_defaults(run=_decompose)
+    separate.add_argument("--channel", choices=CHANNELS, default="red", help="whose parameters the text shows")
+
+    export = commands.add_parser("export", help="write a model for other programs")
+    export.set_defaults(run=_export)
+    export.add_argument("--format", choices=FORMATS, required=True, help="merl is a table of values")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the file to write")
+
+    for command in (evaluate, separate, export):
+        command.add_argument("model", type=Path, metavar="MODEL", help="a .json or .npz file from dsbrdf fit")
+        command.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    for command in (evaluate, export):
+        command.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
+
+
+def _add_serve_and_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
+    serve = commands.add_parser("serve", help="run the HTTP service")
+    serve.set_defaults(run=_serve)
+    serve.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
+    serve.add_argument("--port", type=int, help="port to listen on (default: 8000)")
+    serve.add_argument("--data-dir", type=Path, metavar="DIR", help="folder of the database and the measurements")
+
+    serve.add_argument("--workers", type=int, metavar="N", help="fits that run at once (default: one for each core)")
+    serve.add_argument("--insecure", action="store_true", help="allow an address other than loopback without API keys")
+
+    demo = commands.add_parser("demo", help="start the service, fit a generated measurement, leave a picture")
+    demo.set_defaults(run=_demo)
+    demo.add_argument(
+        "-o", "--output", type=Path, default=Path("out"), metavar="DIR", help="folder of the picture (default: out)"
+    )
+
+
+def _direction(text: str) -> list[float]:
+    parts = text.split(",")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3:
+        raise argparse.ArgumentTypeError(f"must be three numbers x,y,z, not {text!r}")
+    return numbers
+
+
+if __name__ == "__main__":
+    sys.exit(main())
