@@ -63,7 +63,7 @@ def lobe_derivatives(
     Returns
     -------
     value, by_log_kappa, by_log_gamma, by_center : ndarray
-        The last one per radian.  At ``theta - center = +-pi/2`` the derivatives are their limits, 0.
+        The last one per radian.  From ``theta - center = +-pi/2`` on, where the lobe is 0, they are 0.
     """
     kappa, gamma = _check_parameters(kappa, gamma)
     offset = np.asarray(theta, float) - np.asarray(center, float)
