@@ -34,7 +34,7 @@ _UPPER = np.log([KAPPA_BOUNDS[1], GAMMA_BOUNDS[1]])
 EM_TOLERANCE = 1e-4
 """A slice has converged when an iteration changes its curve by less than this share of the data's norm."""
 M_STEP_TOLERANCE = 1e-9
-M_STEP_ITERATIONS = 50
+M_STEP_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +151,9 @@ def e_step(curves: Array) -> Array:
 
 def huber_weights(residual: Array, weight: Array) -> Array:
     """Huber's weights for residuals of shape (slices, N), their scale from the median of |residual|."""
-    size = np.where(weight > 0, np.abs(residual), np.nan)
-    scale = 1.345 * 1.4826 * np.nanmedian(size, axis=1, keepdims=True)
-    return np.minimum(1.0, scale / np.maximum(np.abs(residual), np.maximum(scale, np.finfo(float).tiny)))
+    size = np.abs(residual)
+    scale = 1.345 * 1.4826 * np.nanmedian(np.where(weight > 0, size, np.nan), axis=1, keepdims=True)
+    return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
 
 
 def m_step(log_cos: Array, targets: Array, weights: Array, start: Array) -> Array:
@@ -185,7 +185,7 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array) -> Arra
     for _ in range(M_STEP_ITERATIONS):
         old = parameters[active]
         cost = np.einsum("pn,pn->p", residual, residual)
-        step = _damped_step(jacobian, residual, damping[active])
+        step = _damped_step(jacobian, residual, damping[active], old)
         new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER, _UPPER)
         new_residual, new_jacobian = _residuals(log_cos, target[active], root[active], new)
         better = np.einsum("pn,pn->p", new_residual, new_residual) <= cost
@@ -211,14 +211,20 @@ def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) ->
     return root * (value - target), np.stack([by_log_kappa, by_log_kappa * log_power], axis=1)
 
 
-def _damped_step(jacobian: Array, residual: Array, damping: Array) -> Array:
-    """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form."""
+def _damped_step(jacobian: Array, residual: Array, damping: Array, parameters: Array) -> Array:
+    """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form.
+
+    A parameter that stands at a bound and would leave it is held, and the other one steps alone: clipping the joint
+    step instead would make the other one creep.
+    """
     normal = jacobian @ np.swapaxes(jacobian, 1, 2)
     gradient = np.einsum("pin,pn->pi", jacobian, residual)
+    held = ((parameters <= _LOWER) & (gradient > 0)) | ((parameters >= _UPPER) & (gradient < 0))
+    gradient = np.where(held, 0.0, gradient)
     floor = np.finfo(float).tiny
     a = normal[:, 0, 0] * (1.0 + damping) + floor
     b = normal[:, 1, 1] * (1.0 + damping) + floor
-    c = normal[:, 0, 1]
+    c = np.where(held.any(axis=1), 0.0, normal[:, 0, 1])
     determinant = np.maximum(a * b - c * c, floor)
     step_kappa = (c * gradient[:, 1] - b * gradient[:, 0]) / determinant
     step_gamma = (c * gradient[:, 0] - a * gradient[:, 1]) / determinant
