@@ -92,7 +92,8 @@ def fit_slices(
     parameters = initialize(theta_half, mean, weight, n_lobes)
     used = np.zeros(len(mean), np.int64)
     converged = np.zeros(len(mean), bool)
-    norm = np.sqrt(np.sum(weight * mean**2, axis=1))
+    # Lobes at the lower bound of kappa stand for nothing: a slice of zeros must not wait until they stop moving.
+    still = EM_TOLERANCE * np.sqrt(np.sum(weight * mean**2, axis=1)) + KAPPA_BOUNDS[0] * np.sqrt(weight.sum(axis=1))
     active = np.arange(len(mean))
     for iteration in range(1, iterations + 1):
         data, weights, old = mean[active], weight[active], parameters[active]
@@ -104,7 +105,7 @@ def fit_slices(
         change = np.sqrt(np.sum(weights * (lobe_curves(log_cos, new) - curves).sum(1) ** 2, axis=1))
         parameters[active] = new
         used[active] = iteration
-        done = change <= EM_TOLERANCE * norm[active]
+        done = change <= still[active]
         converged[active[done]] = True
         active = active[~done]
         if on_iteration is not None:
