@@ -92,8 +92,8 @@ class FitReport:
     Attributes
     ----------
     metrics : dict
-        ``relative_rms``, ``floor``, ``excess`` (None without a floor) and ``male`` (None where only the profiles were
-        given); see `dsbrdf.metrics`.
+        ``relative_rms``, ``floor``, ``excess`` (None without a floor) and ``male``; see `dsbrdf.metrics`.  Where only
+        the profiles were given ``male`` is None, and all of them are if those were weighted.
     slices : dict
         ``theta_diff`` (D) [rad] and, for each channel and knot (3, D), ``fitted`` (False: no data, parameters of the
         nearest fitted slice), ``converged``, ``iterations`` and ``bounds_hit``.
@@ -272,6 +272,8 @@ def _metrics(
     model: DSBRDF, measurement: Measurement | Profiles, data: Profiles, options: FitOptions
 ) -> dict[str, float | None]:
     if isinstance(measurement, Profiles):
+        if data.weighting != "plain" or data.robust:
+            return dict.fromkeys(("relative_rms", "floor", "excess", "male"))
         return relative_errors(model, data) | {"male": None}
     if data.weighting != "plain" or data.robust:
         data = profiles(measurement, horizon_cutoff=options.horizon_cutoff)
