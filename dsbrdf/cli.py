@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 import dsbrdf
 from dsbrdf.batch import UNREADABLE, FileFit, fit_files, measurement_files
 from dsbrdf.decomposition import LABELS, decompose
-from dsbrdf.errors import DSBRDFError, InvalidArgumentError
+from dsbrdf.errors import DSBRDFError
 from dsbrdf.export import FORMATS, export_model
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.files import write_atomically
@@ -27,6 +26,7 @@ from dsbrdf.fit import FitReport
 from dsbrdf.flags import add_fit_flags, fit_options
 from dsbrdf.measurement import CHANNELS
 from dsbrdf.model import DSBRDF
+from dsbrdf.point_flags import add_point_flags, given_points, join_directions
 from dsbrdf.progress import progress_bar
 from dsbrdf.serialize import from_json, from_npz, load, to_json
 from dsbrdf.summary import (
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    arguments = _parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+    arguments = _parser().parse_args(join_directions(sys.argv[1:] if argv is None else argv))
     try:
         code: int = arguments.run(arguments)
         sys.stdout.flush()
@@ -117,15 +117,10 @@ def _fit_document(item: FileFit) -> dict[str, Any]:
 
 def _eval(arguments: argparse.Namespace) -> int:
     model = _load(arguments.model, arguments.component)
-    if arguments.omega_in or arguments.omega_out:
-        if arguments.theta_half or arguments.theta_diff:
-            raise InvalidArgumentError("give either --theta-half and --theta-diff or --omega-in and --omega-out")
-        columns = {"omega_in": _given(arguments, "omega_in"), "omega_out": _given(arguments, "omega_out")}
-        points = _broadcast(columns)
+    points = given_points(arguments)
+    if "omega_in" in points:
         values = model.evaluate_directions(points["omega_in"], points["omega_out"])
     else:
-        columns = {"theta_half_deg": _given(arguments, "theta_half"), "theta_diff_deg": _given(arguments, "theta_diff")}
-        points = _broadcast(columns)
         values = model.evaluate(*(np.radians(angles) for angles in points.values()))
     if arguments.json:
         _print_json({name: array.tolist() for name, array in points.items()} | {"values": values.tolist()})
@@ -135,22 +130,6 @@ def _eval(arguments: argparse.Namespace) -> int:
         left = "".join(f"{','.join(f'{number:.6g}' for number in np.ravel(part)):>24}" for part in point)
         print(left + "".join(f"{number:>14.6g}" for number in value))
     return 0
-
-
-def _given(arguments: argparse.Namespace, name: str) -> NDArray[np.float64]:
-    values = getattr(arguments, name)
-    if not values:
-        raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both of its parts")
-    return np.array(values, dtype=np.float64)
-
-
-def _broadcast(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Repeat a part of the points that is given once, so that all have the same length."""
-    length = max(len(array) for array in columns.values())
-    if any(len(array) not in (1, length) for array in columns.values()):
-        counts = " and ".join(f"{len(array)} {name}" for name, array in columns.items())
-        raise InvalidArgumentError(f"{counts} do not pair up: give as many of one as of the other, or just one")
-    return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
 
 
 def _decompose(arguments: argparse.Namespace) -> int:
@@ -229,16 +208,6 @@ def _print_json(document: Any) -> None:
     print(json.dumps(document, allow_nan=False))
 
 
-def _joined(argv: Sequence[str]) -> list[str]:
-    """Join a direction to its flag: argparse would take ``-0.5,0,0.9`` for a flag of its own."""
-    words = list(argv)
-    for flag in ("--omega-in", "--omega-out"):
-        while flag in words[:-1]:
-            at = words.index(flag)
-            words[at : at + 2] = [f"{flag}={words[at + 1]}"]
-    return words
-
-
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one sentence instead of printing the whole usage."""
 
@@ -269,14 +238,7 @@ def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
 def _add_model_commands(commands: "argparse._SubParsersAction[_Parser]") -> None:
     evaluate = commands.add_parser("eval", help="print values of a model")
     evaluate.set_defaults(run=_eval)
-    for name in ("--theta-half", "--theta-diff"):
-        evaluate.add_argument(
-            name, nargs="+", action="extend", type=float, metavar="DEGREES", help="one or several angles"
-        )
-    for name in ("--omega-in", "--omega-out"):
-        evaluate.add_argument(
-            name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be repeated"
-        )
+    add_point_flags(evaluate)
 
     separate = commands.add_parser("decompose", help="print the specular spike, specular lobe and diffuse part")
     separate.set_defaults(run=_decompose)
@@ -309,17 +271,6 @@ def _add_serve_and_demo(commands: "argparse._SubParsersAction[_Parser]") -> None
     demo.add_argument(
         "-o", "--output", type=Path, default=Path("out"), metavar="DIR", help="folder of the picture (default: out)"
     )
-
-
-def _direction(text: str) -> list[float]:
-    parts = text.split(",")
-    try:
-        numbers = [float(part) for part in parts]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3:
-        raise argparse.ArgumentTypeError(f"must be three numbers x,y,z, not {text!r}")
-    return numbers
 
 
 if __name__ == "__main__":

@@ -109,12 +109,17 @@ def running_service(folder: Path) -> Iterator[str]:
             raise RuntimeError(f"the service did not start; its log:\n{log.read_text(errors='replace')[-2000:]}")
         yield url
     finally:
-        process.terminate()
-        try:
-            process.wait(STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        stop(process)
+
+
+def stop(process: "subprocess.Popen[bytes]") -> None:
+    """Ask a process to end, and end it if it does not."""
+    process.terminate()
+    try:
+        process.wait(STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _becomes_ready(process: "subprocess.Popen[bytes]", url: str) -> bool:

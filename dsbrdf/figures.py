@@ -192,7 +192,9 @@ def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequ
 
 
 def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
-    """Legend label, colour, line style and model of each lobe; the delta term goes with the first."""
+    """Legend label, colour, line style and model of each lobe; the delta term goes with the first, if there is one."""
+    if not component.lobes and np.any(component.delta):
+        yield "delta term", LOBE_COLOURS[component.label], LINE_STYLES[0], component
     widths = np.degrees(lobe_widths(model)[0])
     for number, lobe in enumerate(component.lobes):
         label = f"{component.label.replace('_', ' ')}, half width {widths[lobe]:.2g}°"
@@ -213,7 +215,7 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
     total = fitted.reshape(CURVE.size, -1).sum(axis=1)
-    half_width = CURVE[np.argmax(total < 0.5 * total[0])]
+    half_width = CURVE[np.flatnonzero(total >= 0.5 * total.max())[-1]]
     reach = float(np.degrees(np.clip(4.0 * half_width, np.radians(3.0), np.pi / 2)))
     everything, peak = pair
     everything.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
@@ -264,8 +266,9 @@ def _canvas(slices: int, *, height: float) -> Figure:
     """Return an empty figure as wide as two panels for each slice."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(5.4 * slices, height), layout="constrained")
+    return Figure(figsize=(5.5 * slices, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
 
 
 def _pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:

@@ -29,7 +29,7 @@ def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return one line for each component document: lobes, half width, albedo and margin."""
     lines = [f"{'component':<16}{'lobes':<9}{'half width':>10}   {'albedo red, green, blue':<24}{'margin':>8}"]
     for component in components:
-        lobes = ", ".join(str(lobe + 1) for lobe in component["lobes"]) or "none"
+        lobes = ", ".join(str(lobe) for lobe in component["lobes"]) or "none"
         width = "" if component["half_width_deg"] is None else f"{component['half_width_deg']:.2f}°"
         albedo = "  ".join(f"{value:.4f}" for value in component["albedo"])
         margin = "" if component["margin"] is None else f"{component['margin']:.2f}"
@@ -48,7 +48,7 @@ def parameters_table(
     for lobe, width in enumerate(np.degrees(lobe_widths(model)[0])):
         for name, values in (("kappa", kappa), ("gamma", gamma)):
             cells = "".join(f"{value:>11.4g}" for value in values[:, column, lobe])
-            lead = f"lobe {lobe + 1}, {width:.2f}°" if name == "kappa" else ""
+            lead = f"lobe {lobe}, {width:.2f}°" if name == "kappa" else ""
             lines.append(f"{lead:<18}{name:<8}{cells}")
     return lines
 
