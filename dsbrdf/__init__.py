@@ -26,6 +26,7 @@ from dsbrdf.measurement import Measurement
 from dsbrdf.merl import parse_merl, read_merl, write_merl
 from dsbrdf.model import DSBRDF
 from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.serialize import load, save
 
 __all__ = [
     "ALGORITHM_VERSION",
@@ -45,8 +46,10 @@ __all__ = [
     "Profiles",
     "decompose",
     "fit",
+    "load",
     "parse_merl",
     "profiles",
     "read_merl",
+    "save",
     "write_merl",
 ]
