@@ -237,7 +237,7 @@ def _fit_paper(
 
 
 def _nearest_fitted(fitted: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Index, shape (3, D), of the fitted slice nearest to each slice of its channel."""
+    """Index, shape (3, D), of the fitted slice nearest to each slice of its channel; 0 if there is none."""
     index = np.arange(fitted.shape[1])
     distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
     return np.argmin(distance, axis=2)
@@ -251,7 +251,7 @@ def _spread(values: NDArray[Any], fitted: NDArray[np.bool_], nearest: NDArray[np
 
 
 def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -> Array:
-    """Weighted mean residual where theta_half < 1 degree, shape (3, D); 0 without data there.
+    """Weighted mean residual where theta_half < 1 degree, shape (3, D); without data there that of the nearest slice.
 
     It never takes away more than the lobes put there, so that the model stays positive.
     """
@@ -260,6 +260,7 @@ def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -
     lobes = lobe(THETA_HALF[center], kappa[..., None], gamma[..., None]).sum(axis=2)
     total = weight.sum(-1)
     residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)
+    residual = np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1)
     return np.maximum(residual, -lobes.min(axis=-1))
 
 
