@@ -27,7 +27,7 @@ Fitted = tuple[Profiles, DSBRDF]
 def fitted(plastic: Measurement) -> Fitted:
     summary = profiles(plastic)
     # A delta term and two lobes of one component: what a picture must not lose.
-    model = fit(summary, FitOptions(n_lobes=3)).model
+    model = fit(summary, FitOptions(n_lobes=3, method="paper")).model
     return summary, DSBRDF(model.theta_diff, model.kappa, model.gamma, model.center, np.full_like(model.delta, 0.25))
 
 
