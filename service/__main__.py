@@ -9,9 +9,10 @@ import uvicorn
 from pydantic import ValidationError
 
 from service.app import create_app
+from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
-from service.store import DataFolderInUseError
+from service.store import Store
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,6 +26,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{settings.host} can be reached from other machines and no API keys are set: "
             "listen on 127.0.0.1, or add --insecure to let everyone in."
         )
+    try:
+        Store(settings.data_dir).close()
+    except (DataFolderError, OSError) as error:
+        return _refuse(str(error))
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
@@ -35,11 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         server_header=False,
         ws="none",
     )
-    try:
-        server = uvicorn.Server(config)
-        server.run()
-    except DataFolderInUseError as error:
-        return _refuse(str(error))
+    server = uvicorn.Server(config)
+    server.run()
     return 0 if server.started else 1
 
 

@@ -33,7 +33,7 @@ def create_app(settings: Settings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         store = await run_in_threadpool(Store, settings.data_dir)
         try:
-            engine = LocalEngine(settings.fit_seconds, settings.fit_memory_mb)
+            engine = LocalEngine(settings.workers, settings.fit_seconds, settings.fit_memory_mb)
             jobs = Jobs(store, engine, settings)
             models = Models(store, settings.model_cache)
             app.state.context = Context(settings, store, engine, jobs, models)
@@ -48,7 +48,9 @@ def create_app(settings: Settings) -> FastAPI:
         finally:
             store.close()
 
-    app = FastAPI(title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan)
+    app = FastAPI(
+        title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan, redoc_url=None
+    )
     problems.install(app)
     for routes in (fits, brdf, lobes, exports, measurements, health):
         app.include_router(routes.router)

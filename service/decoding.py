@@ -77,7 +77,7 @@ class _Gzip:
             self._feed(data[start : start + PIECE // 16])
 
     def finish(self) -> None:
-        if self._started or self._members == 1:
+        if self._started:
             raise _damaged("gzip", "it is cut off")
 
     def _feed(self, data: bytes) -> None:

@@ -39,17 +39,21 @@ STEPS = (
 )
 
 
+class DataFolderError(RuntimeError):
+    """A data folder cannot be opened; the message says why."""
+
+
 def migrate(connection: sqlite3.Connection) -> None:
     """Bring the database to the newest version, each step in a transaction of its own.
 
     Raises
     ------
-    RuntimeError
+    DataFolderError
         If the database was written by a newer release.
     """
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version > len(STEPS):
-        raise RuntimeError(
+        raise DataFolderError(
             f"the database has schema version {version}, but this release knows versions up to {len(STEPS)}; "
             "run the newer release that wrote it"
         )

@@ -1,5 +1,6 @@
 """Parts of the OpenAPI document that FastAPI cannot derive: raw bodies, problems, examples."""
 
+import json
 from typing import Any
 
 from fastapi import FastAPI
@@ -13,6 +14,8 @@ from service.schemas import AnglesRequest, DirectionsRequest, FitRequest, Option
 _COMPONENTS = "#/components/schemas/"
 _BODIES = (Problem, FitRequest, AnglesRequest, DirectionsRequest, OptionsDocument)
 _BINARY = {"type": "string", "contentMediaType": "application/octet-stream", "maxLength": 34_992_012}
+
+_KEPT = "example:"
 
 Responses = dict[int | str, dict[str, Any]]
 
@@ -32,37 +35,31 @@ def install(app: FastAPI) -> None:
                 schemas[model.__name__] = schema
             for path in document["paths"].values():
                 for operation in path.values():
-                    operation["responses"].update(_every_problem("internal"))
+                    answers = operation["responses"]
+                    # What FastAPI adds of its own accord: a bad id is answered with 404 here.
+                    if "HTTPValidationError" in str(answers.get("422")):
+                        del answers["422"]
+                    answers.update({str(status): entry for status, entry in problems("internal").items()})
+            _restore_examples(document["paths"])
+            schemas.pop("HTTPValidationError", None)
+            schemas.pop("ValidationError", None)
             app.openapi_schema = document
         return app.openapi_schema
 
     app.openapi = describe  # type: ignore[method-assign]
 
 
-def problems(*kinds: str) -> Responses:
-    """Return the responses for problems of these kinds."""
-    return _every_problem(*kinds)
-
-
-def example(content: dict[str, Any], description: str, status: int = 200) -> Responses:
-    """Return a JSON response with an example."""
-    return {status: {"description": description, "content": {"application/json": {"example": content}}}}
+def example(content: dict[str, Any], description: str, status: int = 200, schema: str | None = None) -> Responses:
+    """Return a JSON response with an example; `schema` names its type unless it is that of the route."""
+    shown = {"example": _kept(content)} | ({} if schema is None else {"schema": _ref(schema)})
+    return {status: {"description": description, "content": {"application/json": shown}}}
 
 
 def submitted() -> Responses:
     """Return the answers to a submission."""
-    fit = {"schema": _ref("FitDocument")}
-    return {
-        201: {"description": "The fit has ended.", "content": {"application/json": {"example": examples.FIT}}},
-        200: {
-            "description": "The same request was made before; its fit has ended.",
-            "content": {"application/json": {**fit, "example": examples.FIT}},
-        },
-        202: {
-            "description": "The fit has not ended; ask again at `Location`.",
-            "content": {"application/json": {**fit, "example": examples.RUNNING_FIT}},
-        },
-    } | _every_problem("invalid-argument")
+    known = example(examples.FIT, "The same request was made before; its fit has ended.", 200, "FitDocument")
+    later = example(examples.RUNNING_FIT, "The fit has not ended; ask again at `Location`.", 202, "FitDocument")
+    return example(examples.FIT, "The fit has ended.", 201) | known | later | problems("invalid-argument")
 
 
 def fit_submission() -> dict[str, Any]:
@@ -163,7 +160,26 @@ def health(status: str) -> Responses:
     return example({"status": status, "version": examples.FIT["library"]}, f"The service is {status}.")
 
 
-def _every_problem(*kinds: str) -> Responses:
+def _kept(content: dict[str, Any]) -> str:
+    """Return an example as text, because FastAPI drops what is null from the document."""
+    return _KEPT + json.dumps(content)
+
+
+def _restore_examples(node: Any) -> None:
+    """Put the examples that `_kept` has wrapped back in place."""
+    if isinstance(node, list):
+        for part in node:
+            _restore_examples(part)
+    elif isinstance(node, dict):
+        for key, value in node.items():
+            if isinstance(value, str) and value.startswith(_KEPT):
+                node[key] = json.loads(value.removeprefix(_KEPT))
+            else:
+                _restore_examples(value)
+
+
+def problems(*kinds: str) -> Responses:
+    """Return the responses for problems of these kinds."""
     responses: Responses = {}
     for kind in kinds:
         status, title = KINDS[kind]

@@ -14,6 +14,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 
 from dsbrdf import FitError, InvalidArgumentError, MeasurementFormatError
 
@@ -114,9 +115,9 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     if error.status_code == 404:
         return response("not-found", f"There is nothing at {path}; GET /docs lists what there is.", path)
     if error.status_code == 405:
-        allowed = (error.headers or {}).get("Allow", "")
+        allowed = ", ".join(_methods(request))
         detail = f"{request.method} is not supported at {path}; supported: {allowed}."
-        return response("method-not-allowed", detail, path, error.headers)
+        return response("method-not-allowed", detail, path, {"Allow": allowed})
     kind = _KIND_OF_STATUS.get(error.status_code)
     if kind is not None:
         return response(kind, f"{error.detail}.".replace("..", "."), path, error.headers)
@@ -132,13 +133,24 @@ async def _on_validation_error(request: Request, error: Exception) -> Response:
     return response("invalid-argument", sentence(error.errors()), path)
 
 
+def _methods(request: Request) -> list[str]:
+    """Return what the routes of the request's path support, each route being one method."""
+    return [
+        method
+        for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
+        if any(
+            route.matches({**request.scope, "method": method})[0] is Match.FULL for route in request.app.router.routes
+        )
+    ]
+
+
 def sentence(errors: Sequence[Mapping[str, Any]]) -> str:
     """Return pydantic's list of errors as one sentence."""
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))
         message = str(error["msg"])
-        parts.append(f"{place or 'the body'}: {message[:1].lower()}{message[1:]}")
+        parts.append(f"{place}: {message[:1].lower()}{message[1:]}" if place else message)
     more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
     return "; ".join(parts) + more + "."
 

@@ -3,7 +3,8 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic_core import PydanticCustomError
 
 from service.options import DEFAULTS, WIRE_TYPES
 
@@ -20,6 +21,17 @@ class _Input(BaseModel):
     """A document that clients send: what it does not know is an error, not ignored."""
 
     model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_what_is_unknown(cls, given: Any) -> Any:
+        unknown = [] if not isinstance(given, dict) else [name for name in given if name not in cls.model_fields]
+        if unknown:
+            known = ", ".join(cls.model_fields)
+            raise PydanticCustomError(
+                "unknown", "Unknown {name}; known are {known}", {"name": repr(str(unknown[0])[:60]), "known": known}
+            )
+        return given
 
 
 _option_fields: dict[str, Any] = {name: (hint, DEFAULTS[name]) for name, hint in WIRE_TYPES.items()}

@@ -29,7 +29,7 @@ class Settings(BaseSettings):
     workers: int = Field(default_factory=available_cores, ge=1, description="Fits that run at once.")
     queue_limit: int = Field(1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
     fit_seconds: float = Field(600.0, gt=0, description="Time limit of one fit [s].")
-    fit_memory_mb: int = Field(4096, ge=256, description="Address space limit of one fit's process [MB].")
+    fit_memory_mb: int = Field(4096, ge=128, description="Address space limit of one fit's process [MB].")
     fit_attempts: int = Field(2, ge=1, description="Attempts at a fit whose process was lost to no fault of its own.")
 
     default_wait: float = Field(30.0, ge=0, description="Time that a POST waits for its fit [s].")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from service.blobs import Blobs, Incoming
-from service.migrations import migrate
+from service.migrations import DataFolderError, migrate
 from service.rows import UNFINISHED, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
@@ -24,7 +24,7 @@ _SELECT_FIT = f"SELECT {FitRow.COLUMNS} FROM fits"  # noqa: S608 (constants only
 _SELECT_MEASUREMENT = f"SELECT {MeasurementRow.COLUMNS} FROM measurements"  # noqa: S608
 
 
-class DataFolderInUseError(RuntimeError):
+class DataFolderInUseError(DataFolderError):
     """Another process has opened the data folder."""
 
 
@@ -50,8 +50,8 @@ class Store:
 
     Raises
     ------
-    DataFolderInUseError
-        If another process has the folder open.
+    DataFolderError
+        If another process has the folder open, or a newer release has written it.
     """
 
     def __init__(self, folder: Path) -> None:

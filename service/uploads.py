@@ -8,6 +8,7 @@ from starlette.requests import ClientDisconnect, Request
 
 from dsbrdf import MeasurementFormatError
 from dsbrdf.merl import FILE_SIZE, MerlChecker, check_header, check_length
+from dsbrdf.merl_check import HEADER_SIZE
 from service.blobs import Incoming
 from service.decoding import decoder
 from service.problems import ProblemError
@@ -15,7 +16,6 @@ from service.rows import MeasurementRow
 from service.store import Store
 
 _PIECE = 1 << 20
-_HEADER_SIZE = 12
 # Compressors add less than this to what they cannot compress.
 _LARGEST_ENCODED = FILE_SIZE + FILE_SIZE // 64
 
@@ -32,15 +32,14 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
     ProblemError
         If it is too long, or its encoding is unknown or damaged.
     """
-    pieces = _pieces(request)
     encoding = request.headers.get("content-encoding")
     declared = request.headers.get("content-length", "")
     if encoding is None and declared.isdecimal() and int(declared) != FILE_SIZE:
-        await _refuse(pieces, int(declared))
+        await _refuse(request, int(declared))
     incoming = await run_in_threadpool(store.blobs.incoming)
     try:
         receiver = _Receiver(incoming, encoding)
-        async for piece in pieces:
+        async for piece in _pieces(request):
             await run_in_threadpool(receiver.take, piece)
         sha256, valid_nodes = await run_in_threadpool(receiver.finish)
         return await run_in_threadpool(store.add_measurement, incoming, sha256, valid_nodes)
@@ -122,11 +121,14 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
         yield b"".join(parts)
 
 
-async def _refuse(pieces: AsyncIterator[bytes], length: int) -> None:
-    """Refuse a body of a wrong length without reading all of it, with the sentence that the whole would get."""
-    async for piece in pieces:
-        check_header(piece)
-        break
+async def _refuse(request: Request, length: int) -> None:
+    """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
+    start = b""
+    async for part in request.stream():
+        start += part
+        if len(start) >= HEADER_SIZE:
+            check_header(start)
+            break
     try:
         check_length(length)
     except MeasurementFormatError as error:

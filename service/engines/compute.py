@@ -46,10 +46,12 @@ def compute(task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
     return Fitted(document, dict(result.report.metrics))
 
 
-def compute_in_child(task: FitTask, progress: connection.Connection, memory_bytes: int) -> Outcome:
-    """Fit in a process of its own, which ends with its parent and cannot take more than `memory_bytes`."""
-    # The default action ends the process at once, also in the middle of a long call into C.
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+def compute_in_child(task: FitTask, pipe: connection.Connection, memory_bytes: int) -> None:
+    """Fit in a process of its own, which ends with its parent and cannot take more than `memory_bytes`.
+
+    The pipe gets the progress as floats and, last, the outcome.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # typed at a terminal it is meant for the parent
     _end_with_parent()
     _limit_memory(memory_bytes)
     sent = 0.0
@@ -57,10 +59,10 @@ def compute_in_child(task: FitTask, progress: connection.Connection, memory_byte
     def report(share: float) -> None:
         nonlocal sent
         if share - sent >= _SMALLEST_STEP:
-            sent = share
-            progress.send(share)
+            sent = float(share)
+            pipe.send(sent)
 
-    return compute(task, report)
+    pipe.send(compute(task, report))
 
 
 def _end_with_parent() -> None:

@@ -27,6 +27,7 @@ _FORMATS: dict[str, tuple[str, str, Callable[[DSBRDF, FitReport | None], bytes]]
 
 @router.get(
     "",
+    response_class=Response,
     summary="A fit for another program",
     responses=openapi.binary("application/octet-stream", "The file.")
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),

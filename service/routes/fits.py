@@ -14,7 +14,7 @@ from service import examples, openapi
 from service.context import Context, context_of
 from service.documents import fit_document, fit_progress, fit_summary
 from service.models import no_such_fit, no_such_measurement
-from service.options import from_query, from_wire
+from service.option_parsing import parse_options, parse_query
 from service.problems import ProblemError, sentence
 from service.replies import json_reply, next_page, preferred_wait, tagged_reply
 from service.rows import FitRow
@@ -57,7 +57,7 @@ async def submit_fit(request: Request) -> Response:
     context = context_of(request)
     media_type = request.headers.get("content-type", _RAW).partition(";")[0].strip().lower()
     if media_type == _RAW:
-        options = from_query(request.query_params.multi_items())
+        options = parse_query(request.query_params.multi_items())
         row, _ = await receive_measurement(request, context.store)
         measurement = row.sha256
     elif media_type == "application/json":
@@ -153,7 +153,7 @@ async def _stored_submission(request: Request) -> tuple[str, FitOptions]:
         document = FitRequest.model_validate_json(body)
     except ValidationError as error:
         raise InvalidArgumentError(sentence(error.errors())) from None
-    return document.measurement, from_wire(document.options)
+    return document.measurement, parse_options(document.options)
 
 
 async def _submit(context: Context, measurement: str, options: FitOptions) -> tuple[FitRow, bool]:

@@ -29,7 +29,7 @@ _RAW = "application/octet-stream"
     response_model=MeasurementDocument,
     summary="Upload a measurement",
     responses=openapi.example(examples.MEASUREMENT, "The measurement is stored.", 201)
-    | openapi.example(examples.MEASUREMENT, "The measurement was stored before.")
+    | openapi.example(examples.MEASUREMENT, "The measurement was stored before.", 200, "MeasurementDocument")
     | openapi.problems(
         "bad-encoding", "measurement-too-large", "unsupported-media-type", "measurement-format", "disk-full"
     ),
@@ -77,7 +77,9 @@ async def download_measurement(request: Request, sha256: Sha256) -> Response:
     return FileResponse(path, headers=headers, media_type=_RAW, filename=path.name)
 
 
-@router.head("/{sha256}", summary="Ask for a measurement", responses=openapi.problems("not-found"))
+@router.head(
+    "/{sha256}", response_class=Response, summary="Ask for a measurement", responses=openapi.problems("not-found")
+)
 async def probe_measurement(request: Request, sha256: Sha256) -> Response:
     """Tell whether the measurement is stored, so that an upload can be spared."""
     row = await _row(request, sha256)
@@ -87,6 +89,7 @@ async def probe_measurement(request: Request, sha256: Sha256) -> Response:
 @router.delete(
     "/{sha256}",
     status_code=204,
+    response_class=Response,
     summary="Delete a measurement",
     responses=openapi.problems("not-found", "measurement-in-use"),
 )

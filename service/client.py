@@ -1,0 +1,256 @@
+"""Client of the service for Python: the same objects and the same errors as the library, over HTTP.
+
+with Client("http://127.0.0.1:8000") as client:
+fit = client.fit("nickel.binary")
+fit.model.evaluate(theta_half, theta_diff)
+dsbrdf.decompose(fit.model).diffuse
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import httpx
+
+from dsbrdf import DSBRDF, FitError, FitOptions, FitReport, InvalidArgumentError, Measurement, MeasurementFormatError
+from dsbrdf.merl import encode_merl, parse_merl
+from dsbrdf.serialize import from_json
+from service.options import from_wire, to_wire
+
+Source = str | os.PathLike[str] | bytes | Measurement
+
+_RAW = "application/octet-stream"
+_POLL = 20.0  # seconds that one request waits for a fit
+_LIBRARY_ERRORS: dict[str, type[Exception]] = {
+    "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
+    "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
+    "urn:dsbrdf:problem:invalid-argument": InvalidArgumentError,
+    "urn:dsbrdf:problem:fit-impossible": FitError,
+}
+
+
+class ServiceError(Exception):
+    """The service could not do what was asked, and it is not for the measurement or the options.
+
+    Attributes
+    ----------
+    problem : dict
+        The problem document, or what is known of the fault in the same members.
+    """
+
+    def __init__(self, problem: Mapping[str, Any]) -> None:
+        super().__init__(problem.get("detail") or problem.get("title") or "the service failed")
+        self.problem = dict(problem)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fit of the service, as it was when it was asked for.
+
+    Attributes
+    ----------
+    id, status, measurement : str
+        Identity, state, and the sha256 of the measurement.
+    progress : float
+        Finished share, 0 to 1.
+    options : FitOptions
+    metrics : dict or None
+        As in the library's report, once the fit has succeeded.
+    error : dict or None
+        ``origin``, ``type`` and ``message`` if it has failed.
+    """
+
+    id: str
+    status: str
+    progress: float
+    measurement: str
+    options: FitOptions
+    metrics: dict[str, float | None] | None
+    error: dict[str, str] | None
+    _export: Callable[[str], str] = field(repr=False, compare=False)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the fit is over, well or not."""
+        return self.status not in ("accepted", "running")
+
+    @property
+    def model(self) -> DSBRDF:
+        """The fitted model, bit for bit as the library fits it."""
+        return self._result[0]
+
+    @property
+    def report(self) -> FitReport | None:
+        """The library's report of the fit."""
+        return self._result[1]
+
+    @cached_property
+    def _result(self) -> tuple[DSBRDF, FitReport | None]:
+        return from_json(self._export(self.id))
+
+
+class Client:
+    """Connection to a service.
+
+    Parameters
+    ----------
+    base_url : str
+        Address of the service.
+    timeout : float
+        Longest silence of the service that is not waiting for a fit [s].
+    """
+
+    def __init__(self, base_url: str = "http://127.0.0.1:8000", *, timeout: float = 30.0) -> None:
+        self._http = httpx.Client(base_url=base_url, timeout=httpx.Timeout(timeout, read=timeout + _POLL))
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._http.close()
+
+    def fit(
+        self,
+        measurement: Source,
+        options: FitOptions | None = None,
+        *,
+        progress: Callable[[float], None] | None = None,
+    ) -> Fit:
+        """Fit a measurement and return when the fit has succeeded.
+
+        Parameters
+        ----------
+        measurement : path-like, bytes or Measurement
+            A MERL file, its bytes, or a measurement. It is sent only if the service does not have it.
+        options : FitOptions, optional
+            Defaults to ``FitOptions()``.
+        progress : callable, optional
+            Called with the finished share, 0 to 1, about twice a second.
+
+        Raises
+        ------
+        MeasurementFormatError, InvalidArgumentError, FitError
+            As the library does, with the same sentence.
+        ServiceError
+            If the service failed, or the fit was cancelled.
+        """
+        fit = self.submit(measurement, options)
+        while not fit.ended:
+            if progress is not None:
+                progress(fit.progress)
+            fit = self.get(fit.id, wait=_POLL if progress is None else 0.5)
+        if fit.status == "succeeded":
+            if progress is not None:
+                progress(1.0)
+            return fit
+        error = fit.error or {"origin": "system", "type": "Cancelled", "message": "The fit was cancelled."}
+        if error["origin"] == "input":
+            raise FitError(error["message"])
+        raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
+
+    def submit(self, measurement: Source, options: FitOptions | None = None) -> Fit:
+        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
+        document = {"measurement": self.upload(measurement), "options": to_wire(options or FitOptions())}
+        answer = self._call("POST", "/v1/fits", json=document, headers={"Prefer": "respond-async"})
+        return self._fit(answer.json())
+
+    def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
+        """Return a fit, after at most `wait` seconds or when it has ended."""
+        return self._fit(self._call("GET", f"/v1/fits/{fit_id}", params={"wait": wait}).json())
+
+    def fits(self) -> Iterator[Fit]:
+        """Yield the service's fits, newest first."""
+        url: str | None = "/v1/fits"
+        while url is not None:
+            answer = self._call("GET", url)
+            for document in answer.json()["items"]:
+                yield self._fit(document)
+            url = answer.links.get("next", {}).get("url")
+
+    def delete(self, fit_id: str) -> None:
+        """Cancel an unfinished fit, or delete one that has ended."""
+        self._call("DELETE", f"/v1/fits/{fit_id}")
+
+    def upload(self, measurement: Source) -> str:
+        """Make sure that the service has a measurement, and return its sha256; errors as `fit`."""
+        if isinstance(measurement, Measurement):
+            measurement = encode_merl(measurement)
+        sha256 = _sha256(measurement)
+        if self._http.head(f"/v1/measurements/{sha256}").status_code == 200:
+            return sha256
+        headers = {"Content-Type": _RAW}
+        if isinstance(measurement, bytes):
+            self._call("POST", "/v1/measurements", content=measurement, headers=headers)
+        else:
+            with Path(measurement).open("rb") as file:
+                self._call("POST", "/v1/measurements", content=file, headers=headers)
+        return sha256
+
+    def measurement(self, sha256: str) -> Measurement:
+        """Return a measurement that the service has."""
+        return parse_merl(self._call("GET", f"/v1/measurements/{sha256}").content, sha256)
+
+    def delete_measurement(self, sha256: str) -> None:
+        """Delete a measurement; its finished fits stay."""
+        self._call("DELETE", f"/v1/measurements/{sha256}")
+
+    def wait_until_ready(self, seconds: float = 30.0) -> None:
+        """Return when the service can take work.
+
+        Raises
+        ------
+        ServiceError
+            If it cannot after `seconds`.
+        """
+        last = "it does not answer"
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            try:
+                answer = self._http.get("/health/ready")
+            except httpx.TransportError as error:
+                last = str(error)
+            else:
+                if answer.status_code == 200:
+                    return
+                last = answer.json().get("detail", answer.reason_phrase)
+            time.sleep(0.1)
+        raise ServiceError({"detail": f"the service at {self._http.base_url} is not ready: {last}"})
+
+    def _call(self, method: str, url: str, **arguments: Any) -> httpx.Response:
+        answer = self._http.request(method, url, **arguments)
+        if answer.is_success:
+            return answer
+        try:
+            problem = answer.json()
+        except json.JSONDecodeError:  # from a proxy, or the server before it knew the request
+            problem = {"status": answer.status_code, "title": answer.reason_phrase}
+        kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
+        raise ServiceError(problem) if kind is None else kind(problem["detail"])
+
+    def _fit(self, document: Mapping[str, Any]) -> Fit:
+        names = ("id", "status", "progress", "measurement", "metrics", "error")
+        plain = {name: document[name] for name in names}
+        return Fit(**plain, options=from_wire(document["options"]), _export=self._export)
+
+    def _export(self, fit_id: str) -> str:
+        return self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"}).text
+
+
+def _sha256(measurement: str | os.PathLike[str] | bytes) -> str:
+    if isinstance(measurement, bytes):
+        return hashlib.sha256(measurement).hexdigest()
+    with Path(measurement).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,58 @@
+"""Services to test against, one shared and others for one test alone."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.service.running import Server
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service that tests share: they must not rely on what else is in it."""
+    running = Server(tmp_path_factory.mktemp("service") / "data")
+    try:
+        yield running.start()
+    finally:
+        running.close()
+
+
+@pytest.fixture
+def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
+    """Start services that one test has for itself, with settings of its own."""
+    started: list[Server] = []
+
+    def start(**environment: str) -> Server:
+        started.append(Server(tmp_path / f"data{len(started)}", **environment))
+        return started[-1].start()
+
+    try:
+        yield start
+    finally:
+        for running in started:
+            running.close()
+
+
+@pytest.fixture(scope="session")
+def data(plastic_file: Path) -> bytes:
+    """The bytes of an acceptable measurement."""
+    return plastic_file.read_bytes()
+
+
+@pytest.fixture(scope="session")
+def stored(server: Server, data: bytes) -> str:
+    """The sha256 of a measurement that the shared service has."""
+    answer = server.http.post("/v1/measurements", content=data)
+    assert answer.status_code in (200, 201)
+    sha256: str = answer.json()["sha256"]
+    return sha256
+
+
+@pytest.fixture(scope="session")
+def fitted(server: Server, stored: str) -> str:
+    """The id of a fit with two lobes that has succeeded."""
+    answer = server.submit(stored, n_lobes=2, em_iterations=20)
+    assert answer.json()["status"] == "succeeded", answer.text
+    fit_id: str = answer.json()["id"]
+    return fit_id

@@ -1,0 +1,146 @@
+"""The real service as a process of its own, and what tests want to know of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from service.client import Client
+
+QUICK: dict[str, Any] = {"n_lobes": 1, "em_iterations": 3}  # options of a fit that takes no time
+SLOW: dict[str, Any] = {"n_lobes": 8, "robust": "true", "em_iterations": 10_000}  # of one that takes a second or more
+
+
+class Server:
+    """One service process; `stop` and `start` keep its data folder."""
+
+    def __init__(self, data_dir: Path, **environment: str) -> None:
+        self.data_dir = data_dir
+        self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
+        self.log = data_dir.parent / f"{data_dir.name}.log"
+        self.http = httpx.Client()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def process(self) -> "subprocess.Popen[bytes]":
+        assert self._process is not None
+        return self._process
+
+    def start(self) -> "Server":
+        with self.log.open("ab") as log:
+            before = log.tell()
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(self.data_dir)],
+                env={**os.environ, **self.environment},
+                stdout=log,
+                stderr=log,
+            )
+        address = self._address(before)
+        self.http.close()
+        self.http = httpx.Client(base_url=address, timeout=60.0)
+        with Client(address) as client:
+            client.wait_until_ready()
+        return self
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.process.wait(timeout=20)
+
+    def close(self) -> None:
+        self.http.close()
+        if self._process is not None:
+            self.stop(signal.SIGKILL)
+
+    def _address(self, start: int) -> str:
+        """Find the address in the log, which says it when the server listens."""
+        mark = "Uvicorn running on "
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline:
+            text = self.log.read_bytes()[start:].decode()
+            if mark in text:
+                return text.partition(mark)[2].split()[0]
+            if self.process.poll() is not None:
+                break
+            time.sleep(0.02)
+        raise AssertionError(f"the server did not start:\n{self.log.read_text()}")
+
+    def files(self) -> list[Path]:
+        """Every stored or half-received measurement."""
+        return [path for part in ("blobs", "tmp") for path in (self.data_dir / part).rglob("*") if path.is_file()]
+
+    def helpers(self) -> set[int]:
+        """Process ids of what runs beside the server as long as it does."""
+        return {pid for pid in children(self.process.pid) if b"multiprocessing" in command(pid)}
+
+    def workers(self) -> set[int]:
+        """Process ids of the fits that are being computed."""
+        return {pid for helper in self.helpers() for pid in children(helper)}
+
+    def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
+        document = {"measurement": measurement, "options": options}
+        return self.http.post("/v1/fits", json=document, headers={"Prefer": prefer})
+
+    def status(self, fit_id: str) -> str:
+        status: str = self.http.get(f"/v1/fits/{fit_id}").json()["status"]
+        return status
+
+    def until_running(self, fit_id: str) -> None:
+        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.workers()))
+        assert self.status(fit_id) == "running"
+
+
+def children(parent: int) -> list[int]:
+    """Process ids whose parent is `parent`."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(fields[1]) == parent and fields[0] != "Z":
+            found.append(int(folder.name))
+    return found
+
+
+def command(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+def alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 15.0) -> float:
+    """Return how long it took until the condition held."""
+    start = time.monotonic()
+    while not condition():
+        assert time.monotonic() - start < seconds, "it did not happen in time"
+        time.sleep(0.005)
+    return time.monotonic() - start
+
+
+def assert_problem(response: httpx.Response, status: int, kind: str | None = None) -> str:
+    """Check a problem document (RFC 9457) and return its sentence."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
+    assert set(problem) == {"type", "title", "status", "detail", "instance"}
+    assert problem["status"] == status
+    if kind is not None:
+        assert problem["type"] == f"urn:dsbrdf:problem:{kind}"
+    assert "Traceback" not in response.text
+    detail: str = problem["detail"]
+    assert detail
+    return detail

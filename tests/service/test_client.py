@@ -1,0 +1,90 @@
+"""The Python client gives the library's objects and raises the library's errors."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from service.client import Client, ServiceError
+from tests.service.running import SLOW, Server
+
+pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+OPTIONS = dsbrdf.FitOptions(n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
+
+
+@pytest.fixture
+def client(server: Server) -> Client:
+    """A client of the shared service."""
+    return Client(str(server.http.base_url))
+
+
+def test_a_fit_is_the_library_s_bit_for_bit(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
+    expected = dsbrdf.fit(plastic, OPTIONS)
+    with client:
+        for source in (plastic_file, str(plastic_file), plastic_file.read_bytes(), plastic):
+            fit = client.fit(source, OPTIONS)
+            assert fit.status == "succeeded"
+            assert fit.options == OPTIONS
+            assert fit.measurement == plastic.sha256
+            for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
+                np.testing.assert_array_equal(getattr(fit.model, name), getattr(expected.model, name))
+            assert fit.report is not None
+            assert fit.report.metrics == fit.metrics == expected.report.metrics
+        back = client.measurement(fit.measurement)
+        np.testing.assert_array_equal(back.stored, plastic.stored)
+
+
+def test_progress_is_told(client: Client, plastic: dsbrdf.Measurement) -> None:
+    seen: list[float] = []
+    with client:
+        client.fit(plastic, dsbrdf.FitOptions(n_lobes=8, mask=0.31), progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+
+
+def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
+    with client:
+        for content in (b"", plastic_file.read_bytes()[:-1], plastic_file.read_bytes() + b"\0"):
+            with pytest.raises(dsbrdf.MeasurementFormatError) as expected:
+                dsbrdf.parse_merl(content)
+            with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
+                client.fit(content)
+            assert str(raised.value) == str(expected.value)
+        impossible = dsbrdf.FitOptions(n_lobes=8, mask=10, horizon_cutoff=0.03)
+        with pytest.raises(dsbrdf.FitError) as expected_fit:
+            dsbrdf.fit(plastic, impossible)
+        with pytest.raises(dsbrdf.FitError) as raised_fit:
+            client.fit(plastic, impossible)
+        assert str(raised_fit.value) == str(expected_fit.value)
+        with pytest.raises(ServiceError, match="There is no fit") as missing:
+            client.get("0" * 32)
+        assert missing.value.problem["status"] == 404
+
+
+def test_fits_can_be_followed_listed_and_deleted(own_server: Callable[..., Server], plastic_file: Path) -> None:
+    server = own_server(workers="1")
+    with Client(str(server.http.base_url)) as client:
+        slow = dsbrdf.FitOptions(n_lobes=8, robust=True, em_iterations=SLOW["em_iterations"])
+        first = client.submit(plastic_file, slow)
+        second = client.submit(plastic_file)
+        assert not first.ended
+        assert [fit.id for fit in client.fits()] == [second.id, first.id]
+        client.delete(first.id)
+        assert client.get(first.id).status == "cancelled"
+        client.delete(first.id)
+        assert client.get(second.id, wait=30).status == "succeeded"
+        assert [fit.id for fit in client.fits()] == [second.id]
+        client.delete_measurement(second.measurement)
+        with pytest.raises(ServiceError, match="no measurement"):
+            client.measurement(second.measurement)
+
+
+def test_a_service_that_is_not_there_is_named() -> None:
+    with Client("http://127.0.0.1:9") as client:
+        start = time.monotonic()
+        with pytest.raises(ServiceError, match=r"127\.0\.0\.1:9 is not ready"):
+            client.wait_until_ready(0.3)
+        assert time.monotonic() - start < 3

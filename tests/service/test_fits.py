@@ -1,0 +1,312 @@
+"""The main job: a measurement goes in, a fit comes out, once."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.merl import encode_merl
+from tests.service.running import QUICK, SLOW, Server, alive, assert_problem, wait_until
+
+
+@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+def test_a_raw_file_is_fitted_in_one_call(server: Server, data: bytes, plastic_file: Path) -> None:
+    answer = server.http.post(
+        "/v1/fits",
+        params={"n_lobes": 2, "em_iterations": 7},
+        content=data,
+        headers={"Content-Type": "application/octet-stream"},
+    )
+    assert answer.status_code == 201
+    fit = answer.json()
+    assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
+    assert fit["status"] == "succeeded"
+    assert fit["progress"] == 1.0
+    assert fit["measurement"] == hashlib.sha256(data).hexdigest()
+    assert fit["options"]["n_lobes"] == 2
+    assert fit["error"] is None
+    assert fit["created"] <= fit["started"] <= fit["finished"]
+
+    expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(n_lobes=2, em_iterations=7))
+    assert fit["metrics"] == expected.report.metrics
+    lobes = fit["lobes"]
+    for name in ("kappa", "gamma", "delta"):
+        np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
+    np.testing.assert_allclose(np.radians(lobes["theta_diff_deg"]), expected.model.theta_diff, atol=1e-11)
+    np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
+
+
+def test_the_defaults_are_the_library_s(server: Server, stored: str) -> None:
+    options = server.submit(stored, prefer="respond-async").json()["options"]
+    defaults = dsbrdf.FitOptions()
+    assert options["n_lobes"] == defaults.n_lobes
+    assert options["method"] == defaults.method
+    assert defaults.horizon_cutoff is not None
+    assert options["horizon_cutoff_deg"] == pytest.approx(np.degrees(defaults.horizon_cutoff), abs=1e-9)
+
+
+def test_the_same_request_finds_the_same_fit_and_computes_nothing(server: Server, data: bytes, stored: str) -> None:
+    first = server.submit(stored, n_lobes=1, em_iterations=4)
+    assert first.status_code == 201
+    spelled_otherwise = {"n_lobes": "1", "em_iterations": "4", "horizon_cutoff_deg": "80.0", "mask": "none"}
+    for again in (
+        server.submit(stored, n_lobes=1, em_iterations=4, horizon_cutoff_deg=80, mask=None),
+        server.http.post("/v1/fits", params=spelled_otherwise, content=data),
+        server.submit(stored, prefer="respond-async", n_lobes=1, em_iterations=4),
+    ):
+        assert again.status_code == 200
+        assert again.json() == first.json()  # with the times of the first computation
+    assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
+
+
+def test_clients_with_one_file_cause_one_measurement_and_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
+    content = encode_merl(metal)
+
+    def post(_: int) -> httpx.Response:
+        return httpx.post(server.http.base_url.join("/v1/fits"), params=QUICK, content=content, timeout=60)
+
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(post, range(6)))
+    assert sorted(answer.status_code for answer in answers) == [200] * 5 + [201]
+    assert len({answer.text for answer in answers}) == 1
+    sha256 = answers[0].json()["measurement"]
+    assert [path.stem for path in server.files() if path.stem == sha256] == [sha256]
+    assert not [path for path in server.files() if path.parent.name == "tmp"]
+
+
+def test_a_client_that_does_not_wait_gets_202_and_a_place_to_ask(server: Server, stored: str) -> None:
+    answer = server.submit(stored, prefer="respond-async", mask=0.11, **SLOW)
+    assert answer.status_code == 202
+    fit = answer.json()
+    assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
+    assert int(answer.headers["retry-after"]) >= 1
+    assert fit["status"] in ("accepted", "running")
+    assert fit["lobes"] is None
+    assert fit["metrics"] is None
+
+    same = server.submit(stored, prefer="wait=0", mask=0.11, **SLOW)
+    assert same.status_code == 202
+    assert same.json()["id"] == fit["id"]
+
+    ended = server.http.get(f"/v1/fits/{fit['id']}", params={"wait": 60})
+    assert ended.status_code == 200
+    assert ended.json()["status"] == "succeeded"
+    assert "retry-after" not in ended.headers
+
+
+def test_the_wait_is_bounded(server: Server, stored: str) -> None:
+    start = time.monotonic()
+    answer = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.12, **SLOW)
+    assert answer.status_code == 202
+    assert 0.15 < time.monotonic() - start < 1.0
+    start = time.monotonic()
+    assert server.http.get(f"/v1/fits/{answer.json()['id']}", params={"wait": 0.1}).json()["status"] == "running"
+    assert time.monotonic() - start < 1.0
+    server.http.delete(f"/v1/fits/{answer.json()['id']}")
+
+
+def test_a_fit_that_cannot_be_is_data(server: Server, stored: str) -> None:
+    options: dict[str, Any] = {"n_lobes": 8, "mask": 10, "horizon_cutoff_deg": 2}
+    answer = server.submit(stored, **options)
+    assert answer.status_code == 201
+    fit = answer.json()
+    assert fit["status"] == "failed"
+    assert fit["error"]["origin"] == "input"
+    assert fit["error"]["type"] == "FitError"
+    assert fit["error"]["message"]
+    assert fit["lobes"] is None
+    again = server.submit(stored, **options)
+    assert again.status_code == 200
+    assert again.json() == fit
+    points = server.http.get(f"/v1/fits/{fit['id']}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
+    assert_problem(points, 409, "fit-without-result")
+
+
+def test_cancelling_frees_the_processor_at_once(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **SLOW).json()["id"]
+    server.until_running(fit_id)
+    (worker,) = server.workers()
+    start = time.monotonic()
+    answer = server.http.delete(f"/v1/fits/{fit_id}")
+    assert answer.status_code == 200
+    assert answer.json()["status"] == "cancelled"
+    wait_until(lambda: not alive(worker))
+    assert time.monotonic() - start < 1.0
+
+    points = server.http.get(f"/v1/fits/{fit_id}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
+    assert_problem(points, 409, "fit-without-result")
+    again = server.submit(stored, mask=0.13, **SLOW)
+    assert again.status_code == 201
+    assert again.json()["status"] == "succeeded"
+
+
+def test_cancelling_and_asking_again_many_times(server: Server, stored: str) -> None:
+    for turn in range(6):
+        fit_id = server.submit(stored, prefer="respond-async", mask=0.14, **SLOW).json()["id"]
+        time.sleep(0.05 * turn)
+        assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
+    assert server.submit(stored, mask=0.14, **SLOW).json()["status"] == "succeeded"
+    wait_until(lambda: not server.workers())
+
+
+def test_a_deleted_fit_is_gone_and_can_be_made_again(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, n_lobes=1, em_iterations=6).json()["id"]
+    url = f"/v1/fits/{fit_id}"
+    points = {"theta_half_deg": 1, "theta_diff_deg": 1}
+    assert server.http.get(f"{url}/brdf", params=points).status_code == 200
+    deleted = server.http.delete(url)
+    assert (deleted.status_code, deleted.content) == (204, b"")
+    for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
+        assert_problem(gone, 404, "not-found")
+    assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
+
+
+def test_events_tell_of_progress_and_of_the_end(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", n_lobes=8, mask=0.15).json()["id"]
+    with server.http.stream("GET", f"/v1/fits/{fit_id}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        lines = list(stream.iter_lines())
+    names = [line.removeprefix("event: ") for line in lines if line.startswith("event: ")]
+    events = [json.loads(line.removeprefix("data: ")) for line in lines if line.startswith("data: ")]
+    assert names == [event["status"] for event in events]
+    assert names[-1] == "succeeded"
+    progress = [event["progress"] for event in events]
+    assert progress == sorted(progress)
+    assert progress[-1] == 1.0
+    assert len({share for share in progress if 0 < share < 1}) > 3
+    assert_problem(server.http.get(f"/v1/fits/{'0' * 32}/events"), 404, "not-found")
+
+
+def test_events_of_a_fit_that_ended_are_its_end(server: Server, fitted: str) -> None:
+    text = server.http.get(f"/v1/fits/{fitted}/events").text
+    assert text.count("event:") == 1
+    assert "event: succeeded" in text
+
+
+def test_a_fit_has_a_tag_until_it_changes(server: Server, fitted: str) -> None:
+    first = server.http.get(f"/v1/fits/{fitted}")
+    tag = first.headers["etag"]
+    assert tag.startswith('"')
+    same = server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": tag})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
+    assert server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"nlobes": 3}, ["Unknown option 'nlobes'", "n_lobes", "horizon_cutoff_deg"]),
+        ({"horizon_cutoff": 1.4}, ["Unknown option 'horizon_cutoff'", "horizon_cutoff_deg"]),
+        ({"n_lobes": 0}, ["n_lobes", "1", "8"]),
+        ({"n_lobes": 9}, ["n_lobes", "9"]),
+        ({"n_lobes": "many"}, ["n_lobes must be an integer", "many"]),
+        ({"n_lobes": 2.5}, ["n_lobes must be an integer", "2.5"]),
+        ({"n_lobes": True}, ["n_lobes must be an integer"]),
+        ({"method": "magic"}, ["method must be", "'paper'", "magic"]),
+        ({"horizon_cutoff_deg": 0}, ["horizon", "90"]),
+        ({"horizon_cutoff_deg": 91}, ["horizon", "91"]),
+        ({"horizon_cutoff_deg": "nan"}, ["horizon"]),
+        ({"horizon_cutoff_deg": "wide"}, ["horizon_cutoff_deg must be a number or none", "wide"]),
+        ({"mask": -1}, ["mask"]),
+        ({"robust": "perhaps"}, ["robust must be true or false", "perhaps"]),
+        ({"em_iterations": 10**30}, ["em_iterations"]),
+    ],
+)
+def test_bad_options_are_named(
+    server: Server, stored: str, data: bytes, options: dict[str, Any], words: list[str]
+) -> None:
+    before = server.http.get("/v1/fits").json()
+    detail = assert_problem(server.submit(stored, **options), 422, "invalid-argument")
+    query = {name: str(value) for name, value in options.items()}
+    raw = assert_problem(server.http.post("/v1/fits", params=query, content=data), 422, "invalid-argument")
+    for word in words:
+        assert word in detail
+        assert word in raw
+    assert server.http.get("/v1/fits").json() == before
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"{}",
+        b'{"measurement": 3}',
+        b'{"measurement": "../../etc/passwd"}',
+        b'{"measurement": "' + b"0" * 63 + b'"}',
+        b'{"measurement": "' + b"0" * 64 + b'", "options": []}',
+        b'{"measurement": "' + b"0" * 64 + b'", "option": {}}',
+        b"\xff\xfe",
+        b"[" * 20_000,
+    ],
+)
+def test_bad_documents_are_named(server: Server, body: bytes) -> None:
+    answer = server.http.post("/v1/fits", content=body, headers={"Content-Type": "application/json"})
+    assert_problem(answer, 422, "invalid-argument")
+
+
+def test_what_is_not_there_is_404(server: Server) -> None:
+    assert_problem(server.submit("0" * 64), 404, "not-found")
+    for path in (
+        f"/v1/fits/{'0' * 32}",
+        "/v1/fits/nonsense",
+        f"/v1/fits/{'0' * 32}/brdf?theta_half_deg=1&theta_diff_deg=1",
+        f"/v1/fits/{'0' * 32}/lobes",
+        f"/v1/fits/{'0' * 32}/export?format=json",
+        f"/v1/fits/{'A' * 32}",
+        "/v1/fits/..%2f..%2fetc%2fpasswd",
+        f"/v1/measurements/{'0' * 64}",
+        "/v1/measurements/nonsense",
+        "/v2/fits",
+    ):
+        assert_problem(server.http.get(path), 404, "not-found")
+
+
+def test_a_method_that_is_not_supported_names_those_that_are(server: Server) -> None:
+    for path, allowed in (
+        ("/v1/fits", "GET, POST"),
+        (f"/v1/fits/{'0' * 32}", "GET, DELETE"),
+        (f"/v1/measurements/{'0' * 64}", "GET, HEAD, DELETE"),
+        ("/health/live", "GET"),
+    ):
+        answer = server.http.put(path)
+        assert allowed in assert_problem(answer, 405, "method-not-allowed")
+        assert answer.headers["allow"] == allowed
+
+
+def test_content_types_are_checked(server: Server, data: bytes) -> None:
+    for path in ("/v1/fits", "/v1/measurements"):
+        answer = server.http.post(path, content=data, headers={"Content-Type": "text/plain"})
+        assert "application/octet-stream" in assert_problem(answer, 415, "unsupported-media-type")
+        assert "application/octet-stream" in answer.headers["accept-post"]
+
+
+def test_options_of_a_stored_measurement_belong_into_the_document(server: Server, stored: str) -> None:
+    answer = server.http.post("/v1/fits?n_lobes=2", json={"measurement": stored})
+    assert "'options'" in assert_problem(answer, 422, "invalid-argument")
+
+
+def test_a_full_queue_says_so_and_loses_nothing(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", queue_limit="2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    answers = [server.submit(sha256, prefer="respond-async", n_lobes=8, em_iterations=i + 20) for i in range(6)]
+    accepted = [answer.json()["id"] for answer in answers if answer.status_code == 202]
+    refused = [answer for answer in answers if answer.status_code != 202]
+    assert 2 <= len(accepted) <= 4
+    assert refused
+    for answer in refused:
+        assert_problem(answer, 503, "queue-full")
+        assert int(answer.headers["retry-after"]) >= 1
+    for fit_id in accepted:
+        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == set(accepted)

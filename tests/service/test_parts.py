@@ -1,0 +1,182 @@
+"""Parts of the service on their own: decoders, options, store, preferences."""
+
+import gzip
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from starlette.requests import Request
+
+import dsbrdf
+from service.blobs import Blobs
+from service.decoding import PIECE, decoder
+from service.jobs import fit_identity
+from service.migrations import STEPS
+from service.option_parsing import parse_options, parse_query
+from service.options import DEFAULTS, from_wire, to_wire
+from service.problems import ProblemError
+from service.replies import preferred_wait
+from service.store import DataFolderInUseError, MissingMeasurementError, Store
+
+
+def decode(encoding: str | None, body: bytes, step: int) -> bytes:
+    parts: list[bytes] = []
+    stage = decoder(encoding, parts.append)
+    for start in range(0, len(body), step):
+        stage.feed(body[start : start + step])
+    stage.finish()
+    assert all(len(part) <= PIECE for part in parts) or encoding is None
+    return b"".join(parts)
+
+
+@given(st.lists(st.binary(max_size=200).map(lambda b: b * 50), max_size=4), st.integers(1, 5000), st.sampled_from("gz"))
+def test_members_on_end_decode_whatever_the_pieces(contents: list[bytes], step: int, kind: str) -> None:
+    if kind == "g":
+        body = b"".join(gzip.compress(content) for content in contents)
+        assert decode("gzip", body, step) == b"".join(contents)
+    else:
+        body = b"".join(zstandard.ZstdCompressor().compress(content) for content in contents)
+        assert decode("zstd", body, step) == b"".join(contents)
+
+
+@pytest.mark.parametrize("size", [PIECE - 1, PIECE, PIECE + 1, 3 * PIECE, 10 * PIECE])
+def test_large_members_come_out_whole(size: int) -> None:
+    content = np.random.default_rng(0).integers(0, 4, size, dtype=np.uint8).tobytes()
+    for flat in (bytes(size), content):
+        assert decode("gzip", gzip.compress(flat), 1 << 20) == flat
+        assert decode("zstd", zstandard.ZstdCompressor().compress(flat), 1 << 20) == flat
+
+
+@given(st.binary(max_size=300), st.integers(1, 400))
+def test_noise_is_refused_or_decodes_as_zlib_does(noise: bytes, step: int) -> None:
+    try:
+        expected = gzip.decompress(noise) if noise else b""
+    except (OSError, EOFError, zlib.error):
+        with pytest.raises(ProblemError, match="not valid gzip"):
+            decode("gzip", noise, step)
+    else:
+        assert decode("gzip", noise, step) == expected
+
+
+def test_a_large_window_is_refused() -> None:
+    parameters = zstandard.ZstdCompressionParameters(window_log=27, enable_ldm=True)
+    body = zstandard.ZstdCompressor(compression_params=parameters).compressobj().compress(bytes(1000))
+    body += b"\0"
+    with pytest.raises(ProblemError, match="not valid zstd"):
+        decode("zstd", body or b"\0", 100)
+
+
+def test_options_keep_their_values_on_the_wire() -> None:
+    for options in (
+        dsbrdf.FitOptions(),
+        dsbrdf.FitOptions(horizon_cutoff=None, n_lobes=8, robust=True),
+        dsbrdf.FitOptions(horizon_cutoff=float(np.radians(71.3))),
+    ):
+        wire = to_wire(options)
+        assert to_wire(from_wire(wire)) == wire
+        assert parse_options(wire) == from_wire(wire)
+    assert from_wire({}) == dsbrdf.FitOptions()
+    assert from_wire(DEFAULTS) == dsbrdf.FitOptions()
+    assert parse_query([("horizon_cutoff_deg", "None")]).horizon_cutoff is None
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="more than once"):
+        parse_query([("n_lobes", "2"), ("n_lobes", "2")])
+
+
+def test_a_fit_s_identity_is_of_its_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = fit_identity("a" * 64, dsbrdf.FitOptions())
+    assert base == fit_identity("a" * 64, dsbrdf.FitOptions(horizon_cutoff=float(np.radians(80)) + 1e-14))
+    others = {fit_identity("b" * 64, dsbrdf.FitOptions()), fit_identity("a" * 64, dsbrdf.FitOptions(n_lobes=2))}
+    monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
+    others.add(fit_identity("a" * 64, dsbrdf.FitOptions()))
+    assert len(others | {base}) == 4
+
+
+def test_a_row_that_has_ended_cannot_change(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    incoming = store.blobs.incoming()
+    incoming.write(b"content")
+    sha256 = incoming.close()
+    store.add_measurement(incoming, sha256, 1)
+    arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
+    with pytest.raises(MissingMeasurementError):
+        store.add_fit("f", "other", {}, ("1", "0"), 10)
+    row, new = store.add_fit("f", *arguments)
+    assert (row.status, new) == ("accepted", True)
+    assert store.complete_fit("f", "document", {}) is None  # it does not run
+    assert store.start_fit("f") is not None
+    assert store.start_fit("f") is None
+    assert not store.remove_fit("f")
+    assert store.complete_fit("f", "document", {"male": 0.5}) is not None
+    for refused in (store.cancel_fit("f"), store.fail_fit("f", {}), store.requeue_fit("f"), store.start_fit("f")):
+        assert refused is None
+    row, new = store.add_fit("f", *arguments)
+    assert (row.status, new, row.metrics, store.result("f")) == ("succeeded", False, {"male": 0.5}, "document")
+    assert store.remove_fit("f")
+    assert store.fit("f") is None
+    store.close()
+
+
+@pytest.mark.parametrize(("origin", "repeats"), [("input", False), ("compute", True), ("system", True)])
+def test_failures_that_are_not_the_input_s_run_again(tmp_path: Path, origin: str, repeats: bool) -> None:
+    store = Store(tmp_path)
+    incoming = store.blobs.incoming()
+    sha256 = incoming.close()
+    store.add_measurement(incoming, sha256, 1)
+    arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
+    store.add_fit("f", *arguments)
+    store.start_fit("f")
+    store.fail_fit("f", {"origin": origin, "type": "T", "message": "M"})
+    assert store.add_fit("f", *arguments)[1] is repeats
+    store.close()
+
+
+def test_a_folder_is_opened_once_and_again_after_it_is_closed(tmp_path: Path) -> None:
+    first = Store(tmp_path)
+    with pytest.raises(DataFolderInUseError, match="in use"):
+        Store(tmp_path)
+    first.close()
+    Store(tmp_path).close()
+    assert len(STEPS) >= 1
+
+
+def test_a_discarded_file_is_gone_and_a_placed_one_stays(tmp_path: Path) -> None:
+    blobs = Blobs(tmp_path)
+    dropped, kept = blobs.incoming(), blobs.incoming()
+    dropped.write(b"a")
+    dropped.discard()
+    dropped.discard()
+    kept.write(b"b")
+    sha256 = kept.close()
+    blobs.place(kept, sha256)
+    kept.discard()
+    assert list(blobs.all()) == [sha256]
+    assert blobs.path(sha256).read_bytes() == b"b"
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [
+        (None, 30.0),
+        ("wait=5", 5.0),
+        ('wait="5"', 5.0),
+        ("WAIT = 5", 5.0),
+        ("return=minimal, wait=5; x=y", 5.0),
+        ("respond-async", 0.0),
+        ("wait=5, respond-async", 0.0),
+        ("wait=1000", 60.0),
+        ("wait=x", 30.0),
+        ("wait=-1", 30.0),
+        ("wait=nan", 30.0),
+        ("wait", 30.0),
+        ("=;,,", 30.0),
+    ],
+)
+def test_the_preferred_wait(header: str | None, seconds: float) -> None:
+    headers = [] if header is None else [(b"prefer", header.encode())]
+    request = Request({"type": "http", "headers": headers})
+    assert preferred_wait(request, 30.0, 60.0) == seconds
