@@ -1,9 +1,10 @@
 """Which lobes are the specular spike, the specular lobe and the diffuse part.
 
 A lobe is labelled by its angular half width at half maximum, not by its index: a spike is as narrow as the
-instrument's and the coating's spread, a diffuse part is wide.  One label holds for a lobe over all theta_diff and
-all channels.  The half width of a lobe is its median over channels and knots, weighted by the power that the
-lobe has there, so that a lobe is judged where it can be seen.
+instrument's and the coating's spread, a diffuse part is wide.  A ring lobe reaches from the normal to beyond its
+center, so its center counts as width.  One label holds for a lobe over all theta_diff and all channels.  The half
+width of a lobe is its median over channels and knots, weighted by the power that the lobe has there, so that a lobe
+is judged where it can be seen.
 """
 
 from collections.abc import Iterator
@@ -119,7 +120,7 @@ def decompose(
                 part.interpolation,
                 label=label,
                 lobes=lobes,
-                half_width=_weighted_median(chosen, powers[list(lobes)]) if lobes else None,
+                half_width=weighted_median(chosen, powers[list(lobes)]) if lobes else None,
                 albedo=part.directional_albedo(0.0),
                 margin=float(np.abs(np.log2(chosen[:, None] / thresholds)).min()) if lobes else None,
             )
@@ -129,16 +130,22 @@ def decompose(
 
 def lobe_widths(model: DSBRDF) -> tuple[Array, Array]:
     """Half width [rad] and power of each lobe, shapes (K,), over all channels and knots."""
-    angle = np.radians(np.linspace(0.0, 90.0, 181))
-    value = model.kappa[..., None] * np.maximum(np.cos(angle - model.center[..., None]), 0.0) ** model.gamma[..., None]
-    power = np.expm1(value) @ np.sin(angle)
-    widths = half_width(model.kappa, model.gamma)
+    extent, power = lobe_extents(model)
     lobes = range(model.n_lobes)
-    medians = [_weighted_median(widths[:, :, k].ravel(), power[:, :, k].ravel()) for k in lobes]
+    medians = [weighted_median(extent[:, :, k].ravel(), power[:, :, k].ravel()) for k in lobes]
     return np.array(medians), power.sum(axis=(0, 1))
 
 
-def _weighted_median(values: Array, weights: Array) -> float:
+def lobe_extents(model: DSBRDF) -> tuple[Array, Array]:
+    """Center plus half width [rad], and integral over theta_half, of each lobe at each knot, shapes (3, D, K)."""
+    angle = np.radians(np.linspace(0.0, 90.0, 181))
+    cosine = np.maximum(np.cos(angle - model.center[..., None]), 0.0)
+    power = np.expm1(model.kappa[..., None] * cosine ** model.gamma[..., None]) @ np.sin(angle)
+    return model.center + half_width(model.kappa, model.gamma), power
+
+
+def weighted_median(values: Array, weights: Array) -> float:
+    """Smallest value that has at least half of the weight at or below it; shapes (n,)."""
     order = np.argsort(values)
     share = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(share, 0.5 * share[-1])])

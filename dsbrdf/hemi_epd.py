@@ -31,6 +31,9 @@ from dsbrdf.errors import InvalidArgumentError
 
 Array = NDArray[np.float64]
 
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_RING_PANELS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
+
 
 def lobe(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike, center: ArrayLike = 0.0) -> Array:
     """Value of the unnormalised lobe (Nishino 2009, eq. 3 without C).
@@ -78,13 +81,15 @@ def lobe_derivatives(
     return value, by_log_kappa, by_log_gamma, by_center
 
 
-def energy(kappa: ArrayLike, gamma: ArrayLike) -> Array:
+def energy(kappa: ArrayLike, gamma: ArrayLike, center: ArrayLike = 0.0) -> Array:
     """Energy 1/C of the lobe on the hemisphere: the integral of `lobe` over solid angle.
 
     Parameters
     ----------
     kappa, gamma : array_like
         Scale, > 0, and shape, 0 (Lambertian) to infinity (mirror: energy 0).
+    center : array_like, optional
+        Angle of the ring [rad].  A ring lobe has no such series; it is integrated numerically.
 
     Returns
     -------
@@ -93,11 +98,33 @@ def energy(kappa: ArrayLike, gamma: ArrayLike) -> Array:
         itself is above the largest double.
     """
     kappa, gamma = _check_parameters(kappa, gamma)
-    total = np.zeros(np.broadcast_shapes(kappa.shape, gamma.shape))
+    kappa, gamma, center = np.broadcast_arrays(kappa, gamma, np.asarray(center, float))
+    result = np.asarray(_series_energy(kappa, gamma))
+    rings = center > 0
+    if rings.any():
+        result[rings] = _ring_energy(kappa[rings], gamma[rings], center[rings])
+    return result
+
+
+def _series_energy(kappa: Array, gamma: Array) -> Array:
+    total = np.zeros(kappa.shape)
     for n, weight in _poisson_terms(kappa):
         total += weight / (n * gamma + 1.0)
     with np.errstate(over="ignore", divide="ignore"):
         return 2.0 * np.pi * np.exp(kappa + np.log(total))
+
+
+def _ring_energy(kappa: Array, gamma: Array, center: Array) -> Array:
+    """Gauss-Legendre on panels that scale with the half width of the lobe, for arrays of shape (n,)."""
+    reach = half_width(kappa, gamma)[:, None] * _RING_PANELS
+    ends = np.clip(center[:, None] + np.concatenate([-reach[:, ::-1], reach[:, 1:]], axis=1), 0.0, np.pi / 2)
+    ends = np.concatenate([np.zeros((kappa.size, 1)), ends, np.full((kappa.size, 1), np.pi / 2)], axis=1)
+    length = np.diff(ends, axis=1)[..., None]
+    theta = ends[:, :-1, None] + 0.5 * length * (1.0 + _NODES)
+    value = lobe(theta, *(a[:, None, None] for a in (kappa, gamma, center)))
+    return np.asarray(
+        2.0 * np.pi * np.einsum("npq,npq,q->n", value * np.sin(theta), 0.5 * length + 0.0 * value, _WEIGHTS)
+    )
 
 
 def cdf(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike) -> Array:

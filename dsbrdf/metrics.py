@@ -11,18 +11,23 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
 The first three need the `Profiles` only; male needs the samples.
 """
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.geometry import incident_cosines
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
+from dsbrdf.measurement import CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
 from dsbrdf.model import DSBRDF
 from dsbrdf.profiles import CENTER_CUTOFF, Profiles, used_nodes
 
 Array = NDArray[np.float64]
 
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
+BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
+"""Bands of theta_diff that errors are reported for [rad]."""
 OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 """Nodes of the theta_half axis that the metrics, and the fit of the lobes, use; shape (90,)."""
 
@@ -53,7 +58,42 @@ def relative_errors(model: DSBRDF, profiles: Profiles) -> dict[str, float | None
     """
     if profiles.weighting != "plain" or profiles.robust:
         raise InvalidArgumentError("the metrics are defined on plain profiles without outlier weights")
-    return _relative_errors(on_grid(model), profiles, np.ones(THETA_DIFF.size, bool))
+    every = np.ones(THETA_DIFF.size, bool)
+    errors = _relative_errors(on_grid(model), profiles, slice(None), every)
+    if errors is None:
+        raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
+    return errors
+
+
+def error_tables(model: DSBRDF, profiles: Profiles) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Squared-error metrics of each channel and of bands of theta_diff.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    profiles : Profiles
+        Plain, as for `relative_errors`.
+
+    Returns
+    -------
+    by_channel : list of dict
+        ``channel`` and the metrics, for channels that are not black.
+    by_theta_diff : list of dict
+        ``theta_diff``: first and last angle of the band [rad], the last one excluded, and the metrics, for bands with
+        data.
+    """
+    fit, every = on_grid(model), np.ones(THETA_DIFF.size, bool)
+    by_channel = []
+    for index, channel in enumerate(CHANNELS):
+        errors = _relative_errors(fit, profiles, slice(index, index + 1), every)
+        if errors is not None:
+            by_channel.append({"channel": channel} | errors)
+    by_theta_diff = []
+    for first, last in pairwise(BANDS):
+        errors = _relative_errors(fit, profiles, slice(None), (THETA_DIFF >= first - 1e-9) & (THETA_DIFF < last - 1e-9))
+        if errors is not None:
+            by_theta_diff.append({"theta_diff": [float(first), float(last)]} | errors)
+    return by_channel, by_theta_diff
 
 
 def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> float:
@@ -84,12 +124,15 @@ def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cut
     return total / count
 
 
-def _relative_errors(fit: Array, profiles: Profiles, rows: NDArray[np.bool_]) -> dict[str, float | None]:
-    part = np.ix_(np.arange(3), rows, OUTSIDE_CENTER)
+def _relative_errors(
+    fit: Array, profiles: Profiles, channels: slice, rows: NDArray[np.bool_]
+) -> dict[str, float | None] | None:
+    """Metrics of some channels and rows; None where there is nothing but zeros."""
+    part = np.ix_(np.arange(3)[channels], rows, OUTSIDE_CENTER)
     mean, weight, within = profiles.mean[part], profiles.weight[part], profiles.within[part]
     power = float(np.sum(weight * mean**2 + within))
     if power == 0.0:
-        raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
+        return None
     scatter = float(within.sum())
     error = float(np.sum(weight * (mean - fit[part]) ** 2)) + scatter
     relative_rms, floor = float(np.sqrt(error / power)), float(np.sqrt(scatter / power))

@@ -4,25 +4,31 @@
                                 + delta [theta_half < 1 degree]
 
 for each colour channel, where kappa, gamma, center and delta are interpolated in theta_diff between knots and
-held beyond the first and the last (Nishino 2009, eq. 5 and section 6).
+held beyond the first and the last (Nishino 2009, eq. 5 and section 6).  delta runs linearly; the others either do
+too (the paper), or log kappa, log gamma and center follow a natural cubic spline, which needs fewer knots.  Where no
+data held the spline, in a gap between knots, it is kept near the values at the knots.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
 
 from dsbrdf.albedo import directional_albedo
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.geometry import check_directions, half_difference
+from dsbrdf.knots import parameter_spline
 from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
 from dsbrdf.profiles import CENTER_CUTOFF
 
 Array = NDArray[np.float64]
 
-INTERPOLATIONS = ("linear",)
-"""How parameters run between knots: ``linear`` in kappa and gamma (the paper)."""
+INTERPOLATIONS = ("linear", "cubic")
+"""How parameters run between knots: linear in kappa and gamma, or a cubic spline in their logarithms."""
 
+_OVERSHOOT = np.log(2.0)  # how far a spline may leave the range of its knots, in log kappa and log gamma
 _CHUNK = 8192  # points evaluated at a time, so that the intermediate arrays stay in the cache
 
 
@@ -139,10 +145,14 @@ class DSBRDF:
         kappa, gamma, center : ndarray, shape (..., 3, K)
         delta : ndarray, shape (..., 3)
         """
-        low, share = self._bracket(_check_angle("theta_diff", theta_diff))
+        theta_diff = _check_angle("theta_diff", theta_diff)
+        low, share = self._bracket(theta_diff)
+        delta = _between(self.delta.T, low, share[..., None])
+        if self.interpolation == "cubic":
+            return *self._spline_parameters(theta_diff), delta
         parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
         kappa, gamma, center = (_between(p, low, share[..., None, None]) for p in parameters)
-        return kappa, gamma, center, _between(self.delta.T, low, share[..., None])
+        return kappa, gamma, center, delta
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
         """Return the part of the model made of some of its lobes, with or without the delta term."""
@@ -169,7 +179,7 @@ class DSBRDF:
         ndarray, shape (..., 3)
             ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
-        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out))
+        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out), self.theta_diff)
 
     def _bracket(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
         """Index of the knot below, and the share of the way to the next one; held at both ends."""
@@ -179,6 +189,19 @@ class DSBRDF:
         low = np.clip(np.searchsorted(knots, theta_diff, side="right") - 1, 0, knots.size - 2)
         share = (theta_diff - knots[low]) / (knots[low + 1] - knots[low])
         return low, np.clip(share, 0.0, 1.0)
+
+    @cached_property
+    def _spline(self) -> tuple[CubicSpline, Array, Array]:
+        """Spline of log kappa, log gamma and center, shape (3 kinds, 3, K), and the range it is kept to."""
+        values = np.stack([np.log(self.kappa), np.log(self.gamma), self.center])
+        slack = np.array([_OVERSHOOT, _OVERSHOOT, 0.0])[:, None, None]
+        low, high = values.min(axis=2) - slack, values.max(axis=2) + slack
+        return parameter_spline(self.theta_diff, np.moveaxis(values, 2, 0)), low, high
+
+    def _spline_parameters(self, theta_diff: Array) -> tuple[Array, Array, Array]:
+        spline, low, high = self._spline
+        values = np.clip(spline(np.clip(theta_diff, self.theta_diff[0], self.theta_diff[-1])), low, high)
+        return np.exp(values[..., 0, :, :]), np.exp(values[..., 1, :, :]), values[..., 2, :, :]
 
     def _evaluate(self, theta_half: Array, theta_diff: Array) -> Array:
         kappa, gamma, center, delta = self.parameters_at(theta_diff)
@@ -219,6 +242,10 @@ def _check_model(model: DSBRDF) -> None:
         raise InvalidArgumentError("every kappa must be positive, every gamma zero or positive, and both finite")
     if not (np.all((model.center >= 0) & (model.center <= np.pi / 2)) and np.all(np.isfinite(model.delta))):
         raise InvalidArgumentError("every center must lie between 0 and pi/2, and every delta must be finite")
+    if model.interpolation == "cubic" and not np.all(model.gamma > 0):
+        raise InvalidArgumentError(
+            "every gamma must be positive for cubic interpolation, which is one of its logarithm"
+        )
     if model.interpolation not in INTERPOLATIONS:
         known = ", ".join(INTERPOLATIONS)
         raise InvalidArgumentError(f"interpolation must be one of {known}, not {model.interpolation!r}")
