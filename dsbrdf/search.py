@@ -158,7 +158,7 @@ def _add_rings(
         larger = grow(problem, mixture, ring=True, tick=tick)
         larger_error = _error(problem, larger)
         gain = error - larger_error
-        pays = gain > RING_PAYS * (error + problem.floor.sum()) + NEGLIGIBLE * float(problem.signal.sum())
+        pays = bool(gain > RING_PAYS * (error + problem.floor.sum()) + NEGLIGIBLE * problem.signal.sum())
         table.append({"ring_lobes": number, "squared_error": larger_error + float(problem.floor.sum()), "pays": pays})
         if ring_lobes == "auto" and not pays:
             break

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from dsbrdf import em
 from dsbrdf.errors import ConvergenceWarning, FitError, InvalidArgumentError
-from dsbrdf.fit import ALGORITHM_VERSION, PAPER_SLICES, FitOptions, FitResult, fit
+from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitResult, fit
+from dsbrdf.slicewise import PAPER_SLICES
 from dsbrdf.hemi_epd import energy
 from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement
 from dsbrdf.model import DSBRDF
