@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from dsbrdf.albedo import directional_albedo
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.geometry import check_directions, half_difference
+from dsbrdf.hemi_epd import half_width
 from dsbrdf.knots import parameter_spline
 from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
 from dsbrdf.profiles import CENTER_CUTOFF
@@ -88,11 +89,16 @@ class DSBRDF:
         Raises
         ------
         InvalidArgumentError
-            If an angle is not a number or out of range.
+            If an angle is not a number or out of range, or the shapes do not broadcast.
         """
-        theta_half, theta_diff = np.broadcast_arrays(
-            _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
-        )
+        theta_half, theta_diff = _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
+        try:
+            theta_half, theta_diff = np.broadcast_arrays(theta_half, theta_diff)
+        except ValueError:
+            shapes = f"{theta_half.shape} and {theta_diff.shape}"
+            raise InvalidArgumentError(
+                f"theta_half and theta_diff must broadcast together, not have {shapes}"
+            ) from None
         flat_half, flat_diff = theta_half.ravel(), theta_diff.ravel()
         values = np.empty((flat_half.size, 3))
         for start in range(0, flat_half.size, _CHUNK):
@@ -179,7 +185,9 @@ class DSBRDF:
         ndarray, shape (..., 3)
             ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
-        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out), self.theta_diff)
+        widths = half_width(self.kappa, self.gamma)[self.center > 0.0]
+        narrowest = float(widths.min(initial=np.pi / 2))
+        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out), self.theta_diff, narrowest)
 
     def _bracket(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
         """Index of the knot below, and the share of the way to the next one; held at both ends."""
