@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.hemi_epd import half_width
+from dsbrdf.hemi_epd import energy, half_width
 from dsbrdf.model import DSBRDF
 
 Array = NDArray[np.float64]
@@ -137,11 +137,9 @@ def lobe_widths(model: DSBRDF) -> tuple[Array, Array]:
 
 
 def lobe_extents(model: DSBRDF) -> tuple[Array, Array]:
-    """Center plus half width [rad], and integral over theta_half, of each lobe at each knot, shapes (3, D, K)."""
-    angle = np.radians(np.linspace(0.0, 90.0, 181))
-    cosine = np.maximum(np.cos(angle - model.center[..., None]), 0.0)
-    power = np.expm1(model.kappa[..., None] * cosine ** model.gamma[..., None]) @ np.sin(angle)
-    return model.center + half_width(model.kappa, model.gamma), power
+    """Center plus half width [rad], and energy on the hemisphere, of each lobe at each knot, shapes (3, D, K)."""
+    extent = model.center + half_width(model.kappa, model.gamma)
+    return extent, energy(model.kappa, model.gamma, model.center)
 
 
 def weighted_median(values: Array, weights: Array) -> float:

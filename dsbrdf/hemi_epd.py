@@ -119,12 +119,10 @@ def _ring_energy(kappa: Array, gamma: Array, center: Array) -> Array:
     reach = half_width(kappa, gamma)[:, None] * _RING_PANELS
     ends = np.clip(center[:, None] + np.concatenate([-reach[:, ::-1], reach[:, 1:]], axis=1), 0.0, np.pi / 2)
     ends = np.concatenate([np.zeros((kappa.size, 1)), ends, np.full((kappa.size, 1), np.pi / 2)], axis=1)
-    length = np.diff(ends, axis=1)[..., None]
-    theta = ends[:, :-1, None] + 0.5 * length * (1.0 + _NODES)
+    half_length = 0.5 * np.diff(ends, axis=1)
+    theta = ends[:, :-1, None] + half_length[..., None] * (1.0 + _NODES)
     value = lobe(theta, *(a[:, None, None] for a in (kappa, gamma, center)))
-    return np.asarray(
-        2.0 * np.pi * np.einsum("npq,npq,q->n", value * np.sin(theta), 0.5 * length + 0.0 * value, _WEIGHTS)
-    )
+    return np.asarray(2.0 * np.pi * np.einsum("npq,np,q->n", value * np.sin(theta), half_length, _WEIGHTS))
 
 
 def cdf(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike) -> Array:

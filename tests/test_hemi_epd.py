@@ -20,6 +20,8 @@ Number = Any  # mpmath has no types
 
 mp = mpmath.MPContext()
 mp.dps = 60
+QUICK = mpmath.MPContext()
+QUICK.dps = 20
 
 KAPPAS = [1e-6, 1e-4, 0.01, 0.3, 1.0, 3.0, 8.0, 20.0, 50.0]
 GAMMAS = [0.0, 1e-4, 0.03, 0.5, 1.0, 2.0, 7.0, 50.0, 1e3, 1e4, 1e5, 1e6, 1e7]
@@ -196,3 +198,28 @@ def test_gamma_must_not_be_negative(gamma: float) -> None:
 def test_cdf_is_defined_on_the_hemisphere(theta: float) -> None:
     with pytest.raises(InvalidArgumentError, match="theta must lie between 0 and pi/2"):
         cdf(theta, 1.0, 1.0)
+
+
+# Ring lobes
+
+
+@pytest.mark.parametrize("center", [0.01, 0.5, np.pi / 2])
+def test_energy_of_a_ring_lobe_is_its_integral_over_the_hemisphere(center: float) -> None:
+    for kappa in (1e-3, 3.0, 30.0):
+        for gamma in (1.0, 60.0, 1e5):
+            width = float(half_width(kappa, gamma))
+            steps = [center + side * width * x for side in (-1, 1) for x in (0.0, 0.2, 0.5, 1.0, 2.0, 4.0, 8.0)]
+            ends = sorted({0.0, np.pi / 2, *(min(max(end, 0.0), np.pi / 2) for end in steps)})
+            fine = [mp.mpf(end) for end in ends]
+            integral = QUICK.quad(
+                lambda t, k=kappa, g=gamma: QUICK.expm1(k * QUICK.cos(t - center) ** g) * QUICK.sin(t), fine
+            )
+            assert float(energy(kappa, gamma, center)) == pytest.approx(float(2 * QUICK.pi * integral), rel=1e-7)
+
+
+def test_energy_takes_rings_and_centred_lobes_together() -> None:
+    center = np.array([0.0, 0.4, 0.0])
+    found = energy([[1.0], [5.0]], 30.0, center)
+    assert found.shape == (2, 3)
+    np.testing.assert_allclose(found[:, [0, 2]], np.tile(energy([[1.0], [5.0]], 30.0), 2), rtol=1e-15)
+    assert found[1, 1] == pytest.approx(float(energy(5.0, 30.0, 0.4)), rel=1e-14)

@@ -266,9 +266,10 @@ def natural_spline(x: Array, y: Array, at: Array) -> Array:
         matrix[i, i - 1 : i + 2] = h[i - 1], 2 * (h[i - 1] + h[i]), h[i]
         right[i] = 6 * ((y[i + 1] - y[i]) / h[i] - (y[i] - y[i - 1]) / h[i - 1])
     second = np.linalg.solve(matrix, right)
-    i = np.clip(np.searchsorted(x, at, side="right") - 1, 0, n - 2)
-    a, b = (x[i + 1] - at) / h[i], (at - x[i]) / h[i]
-    return a * y[i] + b * y[i + 1] + ((a**3 - a) * second[i] + (b**3 - b) * second[i + 1]) * h[i] ** 2 / 6
+    low = np.clip(np.searchsorted(x, at, side="right") - 1, 0, n - 2)
+    a, b = (x[low + 1] - at) / h[low], (at - x[low]) / h[low]
+    bend = (a**3 - a) * second[low] + (b**3 - b) * second[low + 1]
+    return a * y[low] + b * y[low + 1] + bend * h[low] ** 2 / 6
 
 
 def test_cubic_interpolation_does_not_overshoot_far() -> None:
