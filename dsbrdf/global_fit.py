@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 N_KNOTS = 14
 """Knots placed by default; cubic interpolation needs a quarter fewer than the paper's 18 slices."""
+CENTER_SHARE = 1e-4
+"""What theta_half < 1 degree counts in a row, beside the rest."""
 TOLERANCE = 1e-5
 MAX_ITERATIONS = 150
 _ROBUST_ROUNDS = 3
@@ -88,21 +90,22 @@ def fit_global(
 
 
 def _select(data: Profiles, options: FitOptions) -> FitData:
-    """Leave out theta_half < 1 degree and what is masked."""
+    """Mask what is masked, and keep theta_half < 1 degree from deciding.
+
+    Values there are unreliable for shiny materials (Nishino 2009, section 6), but without them nothing tells a spike
+    from one that is a thousand times as high.  So they count, together, `CENTER_SHARE` of the row's signal.
+    """
     mask = 0.0 if options.mask is None else options.mask
-    kept = OUTSIDE_CENTER & (THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9)
+    kept = THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9
     weight = np.where(kept, data.weight, 0.0)
-    within = np.where(kept, data.within, 0.0)
-    if not (weight > 0).any():
+    if not (weight[:, :, OUTSIDE_CENTER] > 0).any():
         raise FitError("the mask and the horizon cutoff leave no valid samples: raise the cutoff or lower the mask")
-    columns = np.flatnonzero(OUTSIDE_CENTER)
-    return FitData(
-        mean=data.mean[:, :, columns],
-        weight=weight[:, :, columns],
-        within=within[:, :, columns],
-        theta_half=THETA_HALF[columns],
-        peak=np.where(data.weight > 0, data.mean, 0.0).max(axis=2),
-    )
+    signal = weight * data.mean**2
+    inside, outside = signal[:, :, ~OUTSIDE_CENTER].sum(axis=2), signal[:, :, OUTSIDE_CENTER].sum(axis=2)
+    share = np.minimum(CENTER_SHARE * outside / np.where(inside > 0, inside, np.inf), 1.0)
+    weight[:, :, ~OUTSIDE_CENTER] *= share[:, :, None]
+    within = np.where(kept & OUTSIDE_CENTER, data.within, 0.0)
+    return FitData(data.mean, weight, within, np.where(weight > 0, data.mean, 0.0).max(axis=2))
 
 
 def _knots(used: FitData, options: FitOptions) -> NDArray[np.intp]:

@@ -21,7 +21,8 @@ from dsbrdf.refine import Lobes, ProfileProblem, minimize
 Array = NDArray[np.float64]
 
 _HALF_WIDTHS = np.radians([0.7, 1.2, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0])
-_RING_CENTERS = np.radians([4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0])
+_RING_HALF_WIDTHS = np.radians([0.3, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0])
+_RING_CENTERS = np.radians([1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0])
 _TRIES = 3
 _ITERATIONS = 25
 _TOLERANCE = 1e-4
@@ -75,9 +76,9 @@ def _promising(problem: ProfileProblem, residual: Array, *, ring: bool) -> list[
     """Widths and centers of the lobes that promise the largest gain, the best first, no two alike."""
     scored = []
     for center in _RING_CENTERS if ring else (0.0,):
-        for width in _HALF_WIDTHS:
-            if ring and not max(0.1 * center, np.radians(1.5)) <= width <= np.radians(40.0):
-                continue
+        for width in _RING_HALF_WIDTHS if ring else _HALF_WIDTHS:
+            if width < max(0.1 * center, 0.3 * min(center, np.radians(5.0))):
+                continue  # narrower than the steps of the grid there
             along, size = _project(problem, residual, _shape(problem.theta_half, width, center))
             gain = np.maximum(along, 0.0) ** 2 / np.where(size > 0, size, np.inf)
             scored.append((float(gain.sum()), float(width), float(center)))
@@ -89,7 +90,7 @@ def _promising(problem: ProfileProblem, residual: Array, *, ring: bool) -> list[
 
 
 def _differ(width: float, center: float, other_width: float, other_center: float) -> bool:
-    apart = 0.45 * max(center, other_center, np.radians(5.0))
+    apart = 0.45 * max(center, other_center, np.radians(2.0))
     return abs(np.log(width / other_width)) > 0.6 or abs(center - other_center) > apart
 
 

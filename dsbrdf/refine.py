@@ -8,9 +8,8 @@ analytic derivatives J of the lobes with respect to the parameters of a row,
 
 so that a whole measurement costs one small product per row.  Each channel is a problem of its own; they iterate
 together.  The method is Levenberg-Marquardt with the damping update of Nielsen (1999, IMM-REP-1999-05) and bounds:
-an unknown that stands at a bound and is pushed outwards is held.  No lobe may peak higher than twice the largest value
-measured around its knot: theta_half < 1 degree is left out of the fit, and what a narrow lobe does there would be
-anybody's guess.
+an unknown that stands at a bound and is pushed outwards is held.  No lobe may peak higher than four times the largest
+value measured around its knot.
 
 A little smoothing over the knots, `SMOOTHING` times the squared signal for each squared second difference, decides
 what the data leave open: the shape of a lobe where it is invisible.
@@ -24,13 +23,14 @@ from numpy.typing import NDArray
 
 from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
 from dsbrdf.knots import roughness, spline_basis
-from dsbrdf.measurement import THETA_DIFF
+from dsbrdf.measurement import THETA_DIFF, THETA_HALF
 
 Array = NDArray[np.float64]
 
 SMOOTHING = 1e-7
 CENTER_BOUNDS = (0.0, np.pi / 2)
 _LARGEST_EXPONENT = 60.0  # a spline may overshoot kappa's bound between knots: keep squares finite
+_PEAK_ROOM = 4.0
 _LARGEST_STEP = 2.0  # in log parameters and radians
 _LARGEST_DAMPING = 1e8
 
@@ -72,21 +72,19 @@ class Lobes:
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Profiles without the columns theta_half < 1 degree, and what is masked with weight 0.
+    """Profiles with the weights that the fit gives them.
 
     Attributes
     ----------
-    mean, weight, within : ndarray, shape (3, 90, N)
-    theta_half : ndarray, shape (N,)
-        [rad].
+    mean, weight, within : ndarray, shape (3, 90, 90)
+        As in `Profiles`; weight 0 for what is masked.
     peak : ndarray, shape (3, 90)
-        Largest value of each row [1/sr], theta_half < 1 degree included; bounds kappa.
+        Largest value of each row [1/sr]; bounds kappa.
     """
 
     mean: Array
     weight: Array
     within: Array
-    theta_half: Array
     peak: Array
 
 
@@ -113,7 +111,7 @@ class ProfileProblem:
         smoothing: float = SMOOTHING,
     ) -> None:
         mean, weight, within = (array[:, rows, columns] for array in (data.mean, data.weight, data.within))
-        self.theta_half = data.theta_half[columns]
+        self.theta_half = THETA_HALF[columns]
         self.log_cos = np.log(np.cos(self.theta_half))
         self.knots, self.rows = knots, rows
         self.mean, self.weight = mean, weight
@@ -288,13 +286,13 @@ def _predicted_gain(step: Array, normal: Array, gradient: Array) -> Array:
 
 
 def _largest_kappa(peak: Array, knots: NDArray[np.intp]) -> Array:
-    """Kappa whose lobe peaks at twice the largest value of the rows around each knot, shape (3, D)."""
+    """Kappa whose lobe peaks at `_PEAK_ROOM` times the largest value of the rows around each knot, shape (3, D)."""
     first = np.concatenate([[0], knots[:-1]])
     last = np.concatenate([knots[1:], [peak.shape[1] - 1]])
     around = np.stack([peak[:, a : b + 1].max(axis=1) for a, b in zip(first, last, strict=True)], axis=1)
     # Where there are no data around a knot those of the whole channel must do.
     around = np.where(around > 0, around, peak.max(axis=1, keepdims=True))
-    return np.clip(np.log1p(2.0 * around), 10.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1])
+    return np.clip(np.log1p(_PEAK_ROOM * around), 10.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1])
 
 
 def _slices(lobes: Lobes) -> tuple[slice, slice, slice]:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from dsbrdf.growth import Mixture, grow
 from dsbrdf.options import MAX_RING_LOBES
+from dsbrdf.profiles import CENTER_CUTOFF
 from dsbrdf.refine import FitData, ProfileProblem
 from dsbrdf.selection import bic, williams_test
 
@@ -133,11 +134,12 @@ def choose_n_lobes(
 
 
 def expected_negative_log_probability(problem: ProfileProblem, mixture: Mixture) -> Array:
-    """E_p of each (channel, row), flattened; NaN without data (Nishino 2009, section 5)."""
+    """E_p over theta_half >= 1 degree of each (channel, row), flattened; NaN without data (Nishino 2009, section 5)."""
     residual = problem.residuals(mixture.lobes, mixture.unknowns)
     positive = problem.root > 0
     model = np.where(positive, residual / np.where(positive, problem.root, 1.0), 0.0) + problem.mean
-    solid_angle = positive * np.sin(problem.theta_half) * np.gradient(problem.theta_half)
+    outside = problem.theta_half >= CENTER_CUTOFF
+    solid_angle = positive * outside * np.sin(problem.theta_half) * np.gradient(problem.theta_half)
     total = np.sum(solid_angle * problem.mean, axis=2, keepdims=True)
     model_total = np.sum(solid_angle * model, axis=2, keepdims=True)
     area = solid_angle.sum(axis=2, keepdims=True)
