@@ -39,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
         ws="none",
+        access_log=settings.access_log,
     )
     server = uvicorn.Server(config)
     server.run()

@@ -52,7 +52,8 @@ def create_app(settings: Settings) -> FastAPI:
         title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan, redoc_url=None
     )
     problems.install(app)
-    for routes in (fits, brdf, lobes, exports, measurements, health):
+    # Routes are tried in this order, so the ones that have to be quick come first.
+    for routes in (brdf, fits, lobes, exports, measurements, health):
         app.include_router(routes.router)
     openapi.install(app)
     return app

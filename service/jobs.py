@@ -8,8 +8,10 @@ import asyncio
 import hashlib
 import json
 import logging
-from collections.abc import AsyncIterator
+import sqlite3
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
+from typing import ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 
@@ -23,6 +25,10 @@ from service.store import Store
 
 logger = logging.getLogger(__name__)
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_FULL_DISK_PAUSE = 5.0  # seconds between attempts to write
 _LEAST_CHANGE = 0.01  # of progress, that is worth telling
 
 
@@ -151,22 +157,21 @@ class Jobs:
         try:
             while not await self._attempt(fit_id):
                 pass
-        except Exception as error:
-            # The row could not be written. It stays unfinished, and the next start runs it again.
+        except Exception:
+            # The row stays unfinished, and the next start of the service runs the fit again.
             logger.exception("fit %s could not be brought to its end", fit_id)
-            if not is_disk_full(error):
-                raise
+            raise
 
     async def _attempt(self, fit_id: str) -> bool:
         """Run a fit once; return whether it is over."""
         async with self._slots:
-            row = await run_in_threadpool(self._store.start_fit, fit_id)
+            row = await _once_there_is_room(self._store.start_fit, fit_id)
             if row is None:
                 return True
             self._tell(fit_id, 0.0)
             task = FitTask(fit_id, self._store.blobs.path(row.measurement), from_wire(row.options))
             outcome = await self._engine.run(task, lambda share: self._tell(fit_id, share))
-            return await run_in_threadpool(self._record, row, outcome)
+            return await _once_there_is_room(self._record, row, outcome)
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
@@ -184,6 +189,18 @@ class Jobs:
         if live is not None and (share == 0.0 or share - live.progress >= _LEAST_CHANGE):
             live.progress = share
             live.tell()
+
+
+async def _once_there_is_room(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call `write` in a thread, again and again while the disk is full: a computed fit is not thrown away."""
+    while True:
+        try:
+            return await run_in_threadpool(write, *args, **kwargs)
+        except (OSError, sqlite3.OperationalError) as error:
+            if not is_disk_full(error):
+                raise
+            logger.warning("the disk is full; trying again in %g s", _FULL_DISK_PAUSE)
+            await asyncio.sleep(_FULL_DISK_PAUSE)
 
 
 def _error(fault: Fault) -> dict[str, str]:

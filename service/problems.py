@@ -81,7 +81,14 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     # ServerErrorMiddleware logs what ends here and answers without the stack trace.
     app.add_exception_handler(Exception, _on_exception)
-    for expected in (ProblemError, MeasurementFormatError, InvalidArgumentError, FitError, OSError):
+    for expected in (
+        ProblemError,
+        MeasurementFormatError,
+        InvalidArgumentError,
+        FitError,
+        OSError,
+        sqlite3.OperationalError,
+    ):
         app.add_exception_handler(expected, _on_exception)
 
 

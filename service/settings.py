@@ -20,26 +20,31 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="DSBRDF_", frozen=True)
 
-    host: str = Field("127.0.0.1", description="Address to listen on.")
-    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
-    data_dir: Path = Field(Path("dsbrdf-data"), description="Folder of the database and the measurements.")
+    host: str = Field(default="127.0.0.1", description="Address to listen on.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    data_dir: Path = Field(default=Path("dsbrdf-data"), description="Folder of the database and the measurements.")
     insecure: bool = Field(default=False, description="Allow an address other than loopback without API keys.")
-    log_level: str = Field("info", description="Level of the server's log.")
+    log_level: str = Field(default="info", description="Level of the server's log.")
+    access_log: bool = Field(default=False, description="Log every request; costs a fifth of the request rate.")
 
     workers: int = Field(default_factory=available_cores, ge=1, description="Fits that run at once.")
-    queue_limit: int = Field(1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
-    fit_seconds: float = Field(600.0, gt=0, description="Time limit of one fit [s].")
-    fit_memory_mb: int = Field(4096, ge=128, description="Address space limit of one fit's process [MB].")
-    fit_attempts: int = Field(2, ge=1, description="Attempts at a fit whose process was lost to no fault of its own.")
+    queue_limit: int = Field(default=1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
+    fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")
+    fit_memory_mb: int = Field(default=4096, ge=128, description="Address space limit of one fit's process [MB].")
+    fit_attempts: int = Field(
+        default=2, ge=1, description="Attempts at a fit whose process was lost to no fault of its own."
+    )
 
-    default_wait: float = Field(30.0, ge=0, description="Time that a POST waits for its fit [s].")
-    max_wait: float = Field(300.0, ge=0, description="Longest time that any request may wait [s].")
-    max_points: int = Field(1_000_000, ge=1, description="Points that one request may evaluate.")
-    model_cache: int = Field(256, ge=1, description="Models kept in memory for evaluation.")
-    min_free_mb: int = Field(256, ge=0, description="Free disk space below which the service is not ready [MB].")
+    default_wait: float = Field(default=30.0, ge=0, description="Time that a POST waits for its fit [s].")
+    max_wait: float = Field(default=300.0, ge=0, description="Longest time that any request may wait [s].")
+    max_points: int = Field(default=1_000_000, ge=1, description="Points that one request may evaluate.")
+    model_cache: int = Field(default=256, ge=1, description="Models kept in memory for evaluation.")
+    min_free_mb: int = Field(
+        default=256, ge=0, description="Free disk space below which the service is not ready [MB]."
+    )
 
-    limit_concurrency: int = Field(512, ge=1, description="Connections served at once; further ones get 503.")
-    shutdown_seconds: int = Field(4, ge=1, description="Time that open requests are given at shutdown [s].")
+    limit_concurrency: int = Field(default=512, ge=1, description="Connections served at once; further ones get 503.")
+    shutdown_seconds: int = Field(default=4, ge=1, description="Time that open requests are given at shutdown [s].")
 
     @property
     def loopback(self) -> bool:

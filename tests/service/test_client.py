@@ -12,7 +12,7 @@ from service.client import Client, ServiceError
 from tests.service.running import SLOW, Server
 
 pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
-OPTIONS = dsbrdf.FitOptions(n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
+OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_a_fit_is_the_library_s_bit_for_bit(client: Client, plastic: dsbrdf.Meas
 def test_progress_is_told(client: Client, plastic: dsbrdf.Measurement) -> None:
     seen: list[float] = []
     with client:
-        client.fit(plastic, dsbrdf.FitOptions(n_lobes=8, mask=0.31), progress=seen.append)
+        client.fit(plastic, dsbrdf.FitOptions(method="paper", n_lobes=8, mask=0.31), progress=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
@@ -53,7 +53,7 @@ def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, p
             with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
                 client.fit(content)
             assert str(raised.value) == str(expected.value)
-        impossible = dsbrdf.FitOptions(n_lobes=8, mask=10, horizon_cutoff=0.03)
+        impossible = dsbrdf.FitOptions(method="paper", n_lobes=8, mask=10, horizon_cutoff=0.03)
         with pytest.raises(dsbrdf.FitError) as expected_fit:
             dsbrdf.fit(plastic, impossible)
         with pytest.raises(dsbrdf.FitError) as raised_fit:
@@ -67,9 +67,9 @@ def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, p
 def test_fits_can_be_followed_listed_and_deleted(own_server: Callable[..., Server], plastic_file: Path) -> None:
     server = own_server(workers="1")
     with Client(str(server.http.base_url)) as client:
-        slow = dsbrdf.FitOptions(n_lobes=8, robust=True, em_iterations=SLOW["em_iterations"])
+        slow = dsbrdf.FitOptions(method="paper", n_lobes=8, robust=True, em_iterations=SLOW["em_iterations"])
         first = client.submit(plastic_file, slow)
-        second = client.submit(plastic_file)
+        second = client.submit(plastic_file, OPTIONS)
         assert not first.ended
         assert [fit.id for fit in client.fits()] == [second.id, first.id]
         client.delete(first.id)

@@ -122,7 +122,8 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any], ser
         for parameter in document["paths"]["/v1/fits"]["post"]["parameters"]
         if parameter["in"] == "query"
     }
-    assert described == server.submit(stored, prefer="respond-async").json()["options"]
+    fit = server.http.post("/v1/fits", json={"measurement": stored}, headers={"Prefer": "respond-async"})
+    assert described == fit.json()["options"]
 
 
 def test_health(server: Server) -> None:

@@ -75,6 +75,7 @@ def test_options_keep_their_values_on_the_wire() -> None:
         dsbrdf.FitOptions(),
         dsbrdf.FitOptions(horizon_cutoff=None, n_lobes=8, robust=True),
         dsbrdf.FitOptions(horizon_cutoff=float(np.radians(71.3))),
+        dsbrdf.FitOptions(method="global", knots=tuple(np.radians([0.0, 17.0, 60.0, 80.0]).tolist())),
     ):
         wire = to_wire(options)
         assert to_wire(from_wire(wire)) == wire
@@ -82,6 +83,9 @@ def test_options_keep_their_values_on_the_wire() -> None:
     assert from_wire({}) == dsbrdf.FitOptions()
     assert from_wire(DEFAULTS) == dsbrdf.FitOptions()
     assert parse_query([("horizon_cutoff_deg", "None")]).horizon_cutoff is None
+    assert parse_query([("knots_deg", "0,30,60.0")]).knots == tuple(np.radians([0.0, 30.0, 60.0]).tolist())
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="increasing"):
+        parse_query([("knots_deg", "30,20")])
     with pytest.raises(dsbrdf.InvalidArgumentError, match="more than once"):
         parse_query([("n_lobes", "2"), ("n_lobes", "2")])
 

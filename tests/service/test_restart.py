@@ -45,11 +45,11 @@ def test_accepted_fits_finish_after_a_restart(
 
 def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
-    first = server.http.post("/v1/fits?n_lobes=1", content=data)
+    first = server.http.post("/v1/fits?method=paper&n_lobes=1", content=data)
     assert first.status_code == 201
     server.stop(signal.SIGKILL)
     server.start()
-    again = server.http.post("/v1/fits?n_lobes=1", content=data)
+    again = server.http.post("/v1/fits?method=paper&n_lobes=1", content=data)
     assert again.status_code == 200
     assert again.json() == first.json()
 

@@ -1,6 +1,7 @@
 """What comes in: checked while it is written, never held whole, and nothing stays of what is not acceptable."""
 
-import contextlib
+import asyncio
+import errno
 import gzip
 import hashlib
 import io
@@ -19,6 +20,9 @@ import zstandard
 
 import dsbrdf
 from dsbrdf.merl import FILE_SIZE, encode_merl
+from service.app import create_app
+from service.blobs import Incoming
+from service.settings import Settings
 from tests.service.running import QUICK, Server, assert_problem, wait_until
 
 HEADER = struct.pack("<3i", 90, 90, 180)
@@ -87,12 +91,12 @@ def test_malformed_files_get_the_library_s_sentence_and_leave_nothing(
     kind, status = ("measurement-format", 422)
     if "longer than" in str(raised.value):
         kind, status = ("measurement-too-large", 413)
-    for path in ("/v1/fits", "/v1/measurements"):
-        for body in (content, in_pieces(content)):  # with and without Content-Length
-            start = time.monotonic()
-            answer = server.http.post(path, content=body)
-            assert assert_problem(answer, status, kind) == str(raised.value)
-            assert time.monotonic() - start < 5
+    # With a Content-Length and without one.
+    for path, body in (("/v1/fits", content), ("/v1/measurements", in_pieces(content))):
+        start = time.monotonic()
+        answer = server.http.post(path, content=body)
+        assert assert_problem(answer, status, kind) == str(raised.value)
+        assert time.monotonic() - start < 5
     assert sorted(server.files()) == files
     assert [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")] == rows
 
@@ -273,15 +277,44 @@ def test_bodies_of_other_requests_are_bounded(server: Server, fitted: str) -> No
     assert_problem(answer, 413, "too-large")
 
 
-def test_nothing_is_lost_when_the_file_cannot_be_written(own_server: Callable[..., Server], data: bytes) -> None:
+def test_a_folder_that_has_gone_is_a_fault_of_the_service(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     folder = server.data_dir / "tmp"
     folder.rmdir()
-    try:
-        answer = server.http.post("/v1/measurements", content=data)
-        assert "log" in assert_problem(answer, 500, "internal")
-        assert str(folder) not in answer.text
-    finally:
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir()
+    answer = server.http.post("/v1/measurements", content=data)
+    assert "log" in assert_problem(answer, 500, "internal")
+    assert str(folder) not in answer.text
+    assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+    assert server.http.get("/health/live").status_code == 200
+    folder.mkdir()
+    assert server.http.get("/health/ready").status_code == 200
     assert server.http.post("/v1/measurements", content=data).status_code == 201
+
+
+def test_a_full_disk_is_507_and_recovers(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = {"at": 20_000_000}
+    write = Incoming.write
+
+    def write_until_full(incoming: Incoming, content: bytes | memoryview) -> None:
+        if incoming.size + len(content) > full["at"]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(incoming, content)
+
+    monkeypatch.setattr(Incoming, "write", write_until_full)
+    app = create_app(Settings(data_dir=tmp_path / "data", workers=1))
+
+    async def post_twice() -> tuple[httpx.Response, list[Path], httpx.Response]:
+        transport = httpx.ASGITransport(app)
+        async with (
+            app.router.lifespan_context(app),
+            httpx.AsyncClient(transport=transport, base_url="http://test", timeout=60) as http,
+        ):
+            first = await http.post("/v1/fits", params=QUICK, content=data)
+            left = list((tmp_path / "data").glob("tmp/*"))
+            full["at"] = FILE_SIZE
+            return first, left, await http.post("/v1/fits", params=QUICK, content=data)
+
+    first, left, second = asyncio.run(post_twice())
+    assert_problem(first, 507, "disk-full")
+    assert left == []
+    assert second.json()["status"] == "succeeded"
