@@ -15,7 +15,7 @@ from service.problems import ProblemError
 from service.rows import MeasurementRow
 from service.store import Store
 
-_PIECE = 1 << 20
+_PIECE = 1 << 18  # worth a switch to another thread, small enough for many uploads at once
 # Compressors add less than this to what they cannot compress.
 _LARGEST_ENCODED = FILE_SIZE + FILE_SIZE // 64
 
