@@ -3,8 +3,8 @@
 A lobe is labelled by its angular half width at half maximum, not by its index: a spike is as narrow as the
 instrument's and the coating's spread, a diffuse part is wide.  A ring lobe reaches from the normal to beyond its
 center, so its center counts as width.  One label holds for a lobe over all theta_diff and all channels.  The half
-width of a lobe is its median over channels and knots, weighted by the power that the lobe has there, so that a lobe
-is judged where it can be seen.
+width of a lobe is its median over channels and knots, weighted by the share of the energy that the lobe has there, so
+that a lobe is judged where it can be seen.
 """
 
 from collections.abc import Iterator
@@ -129,11 +129,18 @@ def decompose(
 
 
 def lobe_widths(model: DSBRDF) -> tuple[Array, Array]:
-    """Half width [rad] and power of each lobe, shapes (K,), over all channels and knots."""
+    """Half width [rad] and weight of each lobe, shapes (K,), over all channels and knots.
+
+    A knot counts for a lobe by the lobe's share of the energy there and by the range of theta_diff that it stands for:
+    values near grazing are so large that they would decide alone otherwise.
+    """
     extent, power = lobe_extents(model)
+    total = power.sum(axis=2, keepdims=True)
+    span = np.gradient(model.theta_diff) if model.theta_diff.size > 1 else np.ones(1)
+    weight = power / np.where(total > 0, total, 1.0) * span[:, None]
     lobes = range(model.n_lobes)
-    medians = [weighted_median(extent[:, :, k].ravel(), power[:, :, k].ravel()) for k in lobes]
-    return np.array(medians), power.sum(axis=(0, 1))
+    medians = [weighted_median(extent[:, :, k].ravel(), weight[:, :, k].ravel()) for k in lobes]
+    return np.array(medians), weight.sum(axis=(0, 1))
 
 
 def lobe_extents(model: DSBRDF) -> tuple[Array, Array]:

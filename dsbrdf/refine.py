@@ -11,8 +11,10 @@ together.  The method is Levenberg-Marquardt with the damping update of Nielsen 
 an unknown that stands at a bound and is pushed outwards is held.  No lobe may peak higher than four times the largest
 value measured around its knot.
 
-A little smoothing over the knots, `SMOOTHING` times the squared signal for each squared second difference, decides
-what the data leave open: the shape of a lobe where it is invisible.
+Two weak pulls decide what the data leave open, the shape of a lobe where it is hardly visible: smoothing over the knots,
+`SMOOTHING` times the squared signal for each squared second difference, and agreement between the channels, `COUPLING`
+times the squared signal for each squared distance of log gamma and center from the channels' mean at the start.  The
+second keeps a lobe the same lobe in every channel, so that components have a colour.
 """
 
 from collections.abc import Callable
@@ -28,6 +30,7 @@ from dsbrdf.measurement import THETA_DIFF, THETA_HALF
 Array = NDArray[np.float64]
 
 SMOOTHING = 1e-7
+COUPLING = 1e-6
 CENTER_BOUNDS = (0.0, np.pi / 2)
 _LARGEST_EXPONENT = 60.0  # a spline may overshoot kappa's bound between knots: keep squares finite
 _PEAK_ROOM = 4.0
@@ -136,8 +139,13 @@ class ProfileProblem:
         residual = self.residuals(lobes, unknowns)
         return np.asarray(np.einsum("crn,crn->c", residual, residual))
 
-    def linearize(self, lobes: Lobes, unknowns: Array, channels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Cost (C,), normal matrix (C, D P, D P) and gradient (C, D P) of the smoothed problem."""
+    def linearize(
+        self, lobes: Lobes, unknowns: Array, anchor: Array, channels: NDArray[np.intp]
+    ) -> tuple[Array, Array, Array]:
+        """Cost (C,), normal matrix (C, D P, D P) and gradient (C, D P), with the pulls towards smoothness and anchor.
+
+        The anchor (D, P) counts for log gamma and center.
+        """
         residual, jacobian = self._evaluate(lobes, unknowns, channels, derivatives=True)
         c, d, p = unknowns.shape
         rows = residual.shape[1]
@@ -150,6 +158,13 @@ class ProfileProblem:
         gradient = np.einsum("rd,crp->cdp", self.basis, (jacobian @ residual[..., None])[..., 0])
         pull = smoothing @ unknowns
         cost = np.einsum("crn,crn->c", residual, residual) + np.einsum("cdp,cdp->c", unknowns, pull)
+        strength = COUPLING * self.signal[channels]
+        shape = slice(lobes.count, None)
+        apart = unknowns[:, :, shape] - anchor[:, shape]
+        cost += strength * np.einsum("cdp,cdp->c", apart, apart)
+        pull[:, :, shape] += strength[:, None, None] * apart
+        for k in range(lobes.count, p):
+            normal[:, np.arange(d), k, np.arange(d), k] += strength[:, None]
         return cost, normal.reshape(c, d * p, d * p), (gradient + pull).reshape(c, d * p)
 
     def _evaluate(
@@ -228,8 +243,9 @@ def minimize(
     """
     low, high = lobes.bounds(problem.largest_kappa)
     unknowns = np.clip(start, low, high)
+    anchor = unknowns.mean(axis=0)
     channels = len(unknowns)
-    cost, normal, gradient = problem.linearize(lobes, unknowns, np.arange(channels))
+    cost, normal, gradient = problem.linearize(lobes, unknowns, anchor, np.arange(channels))
     damping, growth = np.full(channels, 1e-3), np.full(channels, 2.0)
     small, used, active = np.zeros(channels, int), np.zeros(channels, np.int64), np.arange(channels)
     for iteration in range(1, iterations + 1):
@@ -237,7 +253,7 @@ def minimize(
         least, most = low[active], high[active]
         step = _step(old, least, most, normal[active], gradient[active], damping[active], problem.signal[active])
         new = np.clip(old + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP), least, most)
-        new_cost, new_normal, new_gradient = problem.linearize(lobes, new, active)
+        new_cost, new_normal, new_gradient = problem.linearize(lobes, new, anchor, active)
         gain = cost[active] - new_cost
         ratio = gain / np.maximum(_predicted_gain(new - old, normal[active], gradient[active]), 1e-300)
         better = gain > 0
