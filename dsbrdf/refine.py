@@ -11,7 +11,7 @@ together.  The method is Levenberg-Marquardt with the damping update of Nielsen 
 an unknown that stands at a bound and is pushed outwards is held.  No lobe may peak higher than four times the largest
 value measured around its knot.
 
-Two weak pulls decide what the data leave open, the shape of a lobe where it is hardly visible: smoothing over the knots,
+Two weak pulls decide what the data leave open, the shape of a lobe where it is hardly visible: smoothing over knots,
 `SMOOTHING` times the squared signal for each squared second difference, and agreement between the channels, `COUPLING`
 times the squared signal for each squared distance of log gamma and center from the channels' mean at the start.  The
 second keeps a lobe the same lobe in every channel, so that components have a colour.
