@@ -21,10 +21,12 @@ from dsbrdf.profiles import CENTER_CUTOFF
 Array = NDArray[np.float64]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_AZIMUTH_NODES, _AZIMUTH_WEIGHTS = np.polynomial.legendre.leggauss(10)
 # Panel ends that resolve a spike a hundredth of a degree wide, and the edge of the delta term.
 _FINE = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
-_WIDTHS = np.radians([0.4, 4.0])  # of the other panels, from narrow ring lobes to none
-_AZIMUTH_PANELS = 4  # at least, in the part of the circle where omega_in is above the horizon
+_WIDTHS = np.radians([0.8, 4.0])  # of the other panels, from narrow ring lobes to none
+# Panel ends in the part of the circle where omega_in is above the horizon; theta_diff turns fastest near azimuth 0.
+_AZIMUTH_ENDS = np.array([0.0, 0.2, 1.0])
 
 
 def directional_albedo(
@@ -97,12 +99,11 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[ND
     along = np.cos(theta_out) * np.cos(theta_half)[:, None]
     cos_phi = (np.cos(knots) - along) / np.where(across > 0, across, 1.0)
     crossing = np.minimum(np.arccos(np.clip(cos_phi, -1.0, 1.0)), last)
-    even = last * np.linspace(0.0, 1.0, _AZIMUTH_PANELS + 1)
-    ends = np.sort(np.concatenate([even, crossing], axis=1), axis=1)
+    ends = np.sort(np.concatenate([last * _AZIMUTH_ENDS, crossing], axis=1), axis=1)
     length = np.diff(ends, axis=1)
     row, panel = np.nonzero(length > 1e-12)
     start, length = ends[row, panel, None], length[row, panel, None]
-    return row, start + 0.5 * length * (1.0 + _NODES), 0.5 * length * _WEIGHTS
+    return row, start + 0.5 * length * (1.0 + _AZIMUTH_NODES), 0.5 * length * _AZIMUTH_WEIGHTS
 
 
 def _last_azimuth(theta_half: Array, theta_out: float) -> Array:
