@@ -1,8 +1,11 @@
 """``python -m service``: run the HTTP service."""
 
 import argparse
+import signal
 import sys
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -13,6 +16,8 @@ from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
 from service.store import Store
+
+_LONGEST_SOCKET_FOLDER = 75  # a socket's path has at most 107 characters, of which multiprocessing takes 32
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         access_log=settings.access_log,
     )
     server = uvicorn.Server(config)
-    server.run()
+    # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    _keep_temporary_files_in(settings.data_dir)
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        return 0
     return 0 if server.started else 1
 
 
@@ -62,6 +73,13 @@ def _settings(arguments: Sequence[str] | None) -> Settings:
         name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None
     }
     return Settings(**given)
+
+
+def _keep_temporary_files_in(data_dir: Path) -> None:
+    """Let the fork server have its socket where the next start removes what a killed server has left."""
+    folder = data_dir.resolve() / "tmp"
+    if len(str(folder)) <= _LONGEST_SOCKET_FOLDER:
+        tempfile.tempdir = str(folder)
 
 
 def _refuse(reason: str) -> int:

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -91,9 +92,12 @@ class Blobs:
             yield path.name.removesuffix(_SUFFIX)
 
     def clear_temporary(self) -> None:
-        """Remove what an earlier process was receiving when it ended."""
+        """Remove what an earlier process was receiving, or has left otherwise, when it ended."""
         for path in self._temporary.iterdir():
-            path.unlink()
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
     def check(self) -> None:
         """Raise OSError unless a file can be written."""

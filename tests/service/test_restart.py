@@ -1,16 +1,18 @@
 """Ends and beginnings of the server: nothing accepted is lost, nothing stays behind."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.service.running import SLOW, Server, alive, assert_problem, wait_until
+from tests.service.running import QUICK, SLOW, Server, alive, assert_problem, wait_until
 
 
 def submit_some(server: Server, data: bytes, count: int) -> list[str]:
@@ -41,6 +43,28 @@ def test_accepted_fits_finish_after_a_restart(
         assert fit["status"] == "succeeded"
         assert fit["lobes"] is not None
     assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == set(fits)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    short = Path(tempfile.mkdtemp())  # a socket has to fit into the data folder's path
+    server = Server(short / "data", workers="1")
+    server.environment["TMPDIR"] = str(elsewhere)
+    try:
+        server.start()
+        assert server.http.post("/v1/fits", params=QUICK, content=data).json()["status"] == "succeeded"
+        code = server.stop(number)
+        assert code == (-number if number == signal.SIGKILL else 0)
+        server.start()
+        server.stop(signal.SIGTERM)
+        assert not list(elsewhere.iterdir())
+        assert not list((server.data_dir / "tmp").iterdir())
+        assert "Traceback" not in server.log.read_text()
+    finally:
+        server.close()
+        shutil.rmtree(short)
 
 
 def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[..., Server], data: bytes) -> None:
