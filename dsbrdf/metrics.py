@@ -109,6 +109,11 @@ def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cut
     Returns
     -------
     float
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the cutoff leaves no samples.
     """
     fit = np.maximum(on_grid(model), 0.0)
     total, count = 0.0, 0
@@ -121,6 +126,8 @@ def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cut
         difference = np.log1p(samples * cosine) - np.log1p(fit[:, row, i] * cosine)
         total += float(np.abs(difference).sum())
         count += difference.size
+    if count == 0:
+        raise InvalidArgumentError("there are no data to compare with: the horizon cutoff leaves no valid sample")
     return total / count
 
 
