@@ -131,11 +131,11 @@ def decompose(
 def lobe_widths(model: DSBRDF) -> tuple[Array, Array]:
     """Half width [rad] and weight of each lobe, shapes (K,), over all channels and knots.
 
-    A knot counts for a lobe by the lobe's share of the energy there and by the range of theta_diff that it stands for:
-    values near grazing are so large that they would decide alone otherwise.
+    A knot counts by the share that the lobe has, in a channel, of all energy there, and by the range of theta_diff that
+    the knot stands for: values near grazing are so large that they would decide alone otherwise.
     """
     extent, power = lobe_extents(model)
-    total = power.sum(axis=2, keepdims=True)
+    total = power.sum(axis=(0, 2), keepdims=True)
     span = np.gradient(model.theta_diff) if model.theta_diff.size > 1 else np.ones(1)
     weight = power / np.where(total > 0, total, 1.0) * span[:, None]
     lobes = range(model.n_lobes)

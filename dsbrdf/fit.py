@@ -179,7 +179,7 @@ def _metrics(
 
 
 def _energy(model: DSBRDF) -> dict[str, list[Any]]:
-    theta_out = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+    theta_out = np.radians([0.0, 30.0, 60.0, 75.0])
     return {
         "theta_out": theta_out.tolist(),
         "albedo": model.directional_albedo(theta_out).tolist(),

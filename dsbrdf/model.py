@@ -155,7 +155,8 @@ class DSBRDF:
         low, share = self._bracket(theta_diff)
         delta = _between(self.delta.T, low, share[..., None])
         if self.interpolation == "cubic":
-            return *self._spline_parameters(theta_diff), delta
+            log_kappa, log_gamma, center = self._spline_parameters(theta_diff)
+            return np.exp(log_kappa), np.exp(log_gamma), center, delta
         parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
         kappa, gamma, center = (_between(p, low, share[..., None, None]) for p in parameters)
         return kappa, gamma, center, delta
@@ -199,23 +200,58 @@ class DSBRDF:
         return low, np.clip(share, 0.0, 1.0)
 
     @cached_property
+    def _rings(self) -> NDArray[np.intp]:
+        """Indices of the lobes that are not about the normal."""
+        return np.flatnonzero(np.any(self.center > 0, axis=(0, 1)))
+
+    @cached_property
     def _spline(self) -> tuple[CubicSpline, Array, Array]:
-        """Spline of log kappa, log gamma and center, shape (3 kinds, 3, K), and the range it is kept to."""
-        values = np.stack([np.log(self.kappa), np.log(self.gamma), self.center])
-        slack = np.array([_OVERSHOOT, _OVERSHOOT, 0.0])[:, None, None]
-        low, high = values.min(axis=2) - slack, values.max(axis=2) + slack
-        return parameter_spline(self.theta_diff, np.moveaxis(values, 2, 0)), low, high
+        """Spline of log kappa, log gamma and the rings' center, (3, 2 K + rings), and the range it is kept to."""
+        values = np.concatenate([np.log(self.kappa), np.log(self.gamma), self.center[:, :, self._rings]], axis=2)
+        slack = np.full(values.shape[2], _OVERSHOOT)
+        slack[2 * self.n_lobes :] = 0.0
+        low, high = values.min(axis=1) - slack, values.max(axis=1) + slack
+        return parameter_spline(self.theta_diff, np.moveaxis(values, 1, 0)), low, high
 
     def _spline_parameters(self, theta_diff: Array) -> tuple[Array, Array, Array]:
+        """Logarithms of kappa and gamma, and center, each (..., 3, K)."""
         spline, low, high = self._spline
-        values = np.clip(spline(np.clip(theta_diff, self.theta_diff[0], self.theta_diff[-1])), low, high)
-        return np.exp(values[..., 0, :, :]), np.exp(values[..., 1, :, :]), values[..., 2, :, :]
+        values = spline(np.clip(theta_diff, self.theta_diff[0], self.theta_diff[-1]))
+        np.clip(values, low, high, out=values)
+        k = self.n_lobes
+        center = np.zeros((*theta_diff.shape, 3, k))
+        center[..., self._rings] = values[..., 2 * k :]
+        return values[..., :k], values[..., k : 2 * k], center
 
     def _evaluate(self, theta_half: Array, theta_diff: Array) -> Array:
-        kappa, gamma, center, delta = self.parameters_at(theta_diff)
-        cosine = np.cos(theta_half[:, None, None] - center)
-        lobes = np.expm1(kappa * np.maximum(cosine, 0.0) ** gamma).sum(-1)
-        return lobes + np.where(theta_half < CENTER_CUTOFF, delta.T, 0.0).T
+        """Values at points (n,); written with logarithms, which costs two exponentials a lobe instead of a power."""
+        low, share = self._bracket(theta_diff)
+        if self.interpolation == "cubic":
+            log_kappa, log_gamma, center = self._spline_parameters(theta_diff)
+            exponent = np.exp(log_gamma)
+            exponent *= self._log_cosines(theta_half, center)
+            exponent += log_kappa
+            np.exp(exponent, out=exponent)
+        else:
+            parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
+            kappa, gamma, center = (_between(p, low, share[:, None, None]) for p in parameters)
+            exponent = kappa * np.exp(gamma * self._log_cosines(theta_half, center))
+        values = np.expm1(exponent, out=exponent).sum(axis=2)
+        inside = theta_half < CENTER_CUTOFF
+        if inside.any():
+            values[inside] += _between(self.delta.T, low[inside], share[inside, None])
+        return values
+
+    def _log_cosines(self, theta_half: Array, center: Array) -> Array:
+        """Logarithm of cos(theta_half - center), broadcasting to (n, 3, K)."""
+        tiny = np.finfo(float).tiny
+        about_normal = np.log(np.maximum(np.cos(theta_half), tiny))[:, None, None]
+        if self._rings.size == 0:
+            return about_normal
+        result = np.repeat(np.repeat(about_normal, 3, axis=1), self.n_lobes, axis=2)
+        offset = theta_half[:, None, None] - center[:, :, self._rings]
+        result[:, :, self._rings] = np.log(np.maximum(np.cos(offset), tiny))
+        return result
 
 
 def _between(values: Array, low: NDArray[np.intp], share: Array) -> Array:
