@@ -1,6 +1,7 @@
 """``python -m service``: run the HTTP service."""
 
 import argparse
+import shutil
 import signal
 import sys
 import tempfile
@@ -77,7 +78,10 @@ def _settings(arguments: Sequence[str] | None) -> Settings:
 
 def _keep_temporary_files_in(data_dir: Path) -> None:
     """Let the fork server have its socket where the next start removes what a killed server has left."""
-    folder = data_dir.resolve() / "tmp"
+    folder = data_dir.resolve() / "run"
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir()
     if len(str(folder)) <= _LONGEST_SOCKET_FOLDER:
         tempfile.tempdir = str(folder)
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -92,12 +91,9 @@ class Blobs:
             yield path.name.removesuffix(_SUFFIX)
 
     def clear_temporary(self) -> None:
-        """Remove what an earlier process was receiving, or has left otherwise, when it ended."""
+        """Remove what an earlier process was receiving when it ended."""
         for path in self._temporary.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+            path.unlink()
 
     def check(self) -> None:
         """Raise OSError unless a file can be written."""

@@ -60,7 +60,8 @@ def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number:
         server.start()
         server.stop(signal.SIGTERM)
         assert not list(elsewhere.iterdir())
-        assert not list((server.data_dir / "tmp").iterdir())
+        for folder in ("tmp", "run"):
+            assert not list((server.data_dir / folder).iterdir())
         assert "Traceback" not in server.log.read_text()
     finally:
         server.close()
