@@ -154,7 +154,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    require("service", "fastapi", "pebble", "pydantic_settings", "uvicorn", purpose="the HTTP service")
+    require("service", "fastapi", "pydantic_settings", "uvicorn", purpose="the HTTP service")
     command = [sys.executable, "-m", "service"]
     for name in ("host", "port", "data_dir", "workers"):
         value = getattr(arguments, name)

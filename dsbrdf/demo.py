@@ -56,7 +56,7 @@ def run(folder: Path) -> None:
     RuntimeError
         If the service does not start; the message ends with its log.
     """
-    require("dev", "fastapi", "uvicorn", "pebble", "httpx", "matplotlib", purpose="the demo")
+    require("dev", "fastapi", "uvicorn", "httpx", "matplotlib", purpose="the demo")
     import httpx
 
     begin = time.perf_counter()
