@@ -1,0 +1,42 @@
+"""Run one benchmark with its options, several by name, or all of them: ``python -m benchmarks [name ...]``."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+MAIN = "def main("
+"""A module of this package that has it is a benchmark; the others are what benchmarks share."""
+ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Times are those of one core: threads for small matrices cost more than they bring, most of all on a busy machine."""
+
+
+def known() -> list[str]:
+    """Names of the benchmarks, in alphabetical order."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return [path.stem for path in files if path.stem != "__main__" and MAIN in path.read_text()]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run what the arguments ask for; the exit code is that of the first benchmark that fails, or 0."""
+    options = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))
+    names, flags = list(arguments[:options]), list(arguments[options:])
+    unknown = [name for name in names if name not in known()]
+    if unknown or (flags and len(names) != 1):
+        what = (
+            f"no benchmark is called {unknown[0]}" if unknown else "options need the name of one benchmark before them"
+        )
+        print(f"{what}; the benchmarks are: {', '.join(known())}", file=sys.stderr)
+        return 2
+    codes = []
+    for name in names or known():
+        if len(names) != 1:  # a single benchmark has the output to itself: it may be JSON
+            print(f"== {name}", flush=True)
+        command = [sys.executable, "-m", f"benchmarks.{name}", *flags]
+        codes.append(subprocess.run(command, check=False, env=os.environ | ONE_CORE).returncode)
+    return next((code for code in codes if code), 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
