@@ -65,6 +65,7 @@ def fit_slices(
     *,
     iterations: int = 100,
     robust: bool = False,
+    largest_kappa: Array | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> SliceFits:
     """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice.
@@ -81,6 +82,8 @@ def fit_slices(
         Bound on the EM iterations.
     robust : bool, optional
         Down-weight large residuals of each M-step (Huber's weights about the mixture of the last iteration).
+    largest_kappa : ndarray, shape (slices,), optional
+        Bound on kappa below that of `KAPPA_BOUNDS`: what keeps a lobe from growing where there are no samples.
     on_iteration : callable, optional
         Called with the number of each EM iteration.
 
@@ -89,7 +92,10 @@ def fit_slices(
     SliceFits
     """
     log_cos = np.log(np.cos(theta_half))
-    parameters = initialize(theta_half, mean, weight, n_lobes)
+    upper = np.tile(_UPPER, (len(mean), 1))
+    if largest_kappa is not None:
+        upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1]))
+    parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
     used = np.zeros(len(mean), np.int64)
     converged = np.zeros(len(mean), bool)
     # Lobes at the lower bound of kappa stand for nothing: a slice of zeros must not wait until they stop moving.
@@ -101,7 +107,7 @@ def fit_slices(
         targets = e_step(curves) * data[:, None, :]
         if robust:
             weights = weights * huber_weights(data - curves.sum(1), weights)
-        new = m_step(log_cos, targets, weights, old)
+        new = m_step(log_cos, targets, weights, old, upper[active])
         change = np.sqrt(np.sum(weights * (lobe_curves(log_cos, new) - curves).sum(1) ** 2, axis=1))
         parameters[active] = new
         used[active] = iteration
@@ -157,7 +163,7 @@ def huber_weights(residual: Array, weight: Array) -> Array:
     return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
 
 
-def m_step(log_cos: Array, targets: Array, weights: Array, start: Array) -> Array:
+def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array | None = None) -> Array:
     """Fit every lobe alone to its share of the data.
 
     Parameters
@@ -170,13 +176,16 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array) -> Arra
         Weights of the samples.
     start : ndarray, shape (slices, lobes, 2)
         Log-parameters to start from.
+    upper : ndarray, shape (slices, 2), optional
+        Largest log-parameters; those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS` if not given.
 
     Returns
     -------
     ndarray, shape (slices, lobes, 2)
-        Log-parameters of the least-squares fits within `KAPPA_BOUNDS` and `GAMMA_BOUNDS`.
+        Log-parameters of the least-squares fits within the bounds.
     """
     slices, lobes, n = targets.shape
+    upper = np.tile(_UPPER, (slices * lobes, 1)) if upper is None else np.repeat(upper, lobes, axis=0)
     target = targets.reshape(-1, n)
     root = np.repeat(np.sqrt(weights), lobes, axis=0)
     parameters = start.reshape(-1, 2).copy()
@@ -186,8 +195,9 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array) -> Arra
     for _ in range(M_STEP_ITERATIONS):
         old = parameters[active]
         cost = np.einsum("pn,pn->p", residual, residual)
-        step = _damped_step(jacobian, residual, damping[active], old)
-        new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER, _UPPER)
+        at_bound = np.stack([old <= _LOWER, old >= upper[active]])
+        step = _damped_step(jacobian, residual, damping[active], at_bound)
+        new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER, upper[active])
         new_residual, new_jacobian = _residuals(log_cos, target[active], root[active], new)
         better = np.einsum("pn,pn->p", new_residual, new_residual) <= cost
         parameters[active[better]] = new[better]
@@ -212,15 +222,15 @@ def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) ->
     return root * (value - target), np.stack([by_log_kappa, by_log_kappa * log_power], axis=1)
 
 
-def _damped_step(jacobian: Array, residual: Array, damping: Array, parameters: Array) -> Array:
+def _damped_step(jacobian: Array, residual: Array, damping: Array, at_bound: NDArray[np.bool_]) -> Array:
     """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form.
 
-    A parameter that stands at a bound and would leave it is held, and the other one steps alone: clipping the joint
-    step instead would make the other one creep.
+    A parameter that stands at a bound (lower or upper: ``at_bound``, (2, problems, 2)) and would leave it is held, and
+    the other one steps alone: clipping the joint step instead would make the other one creep.
     """
     normal = jacobian @ np.swapaxes(jacobian, 1, 2)
     gradient = np.einsum("pin,pn->pi", jacobian, residual)
-    held = ((parameters <= _LOWER) & (gradient > 0)) | ((parameters >= _UPPER) & (gradient < 0))
+    held = (at_bound[0] & (gradient > 0)) | (at_bound[1] & (gradient < 0))
     gradient = np.where(held, 0.0, gradient)
     floor = np.finfo(float).tiny
     a = normal[:, 0, 0] * (1.0 + damping) + floor

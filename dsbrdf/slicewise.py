@@ -62,6 +62,7 @@ def fit_slicewise(
             "raise the horizon cutoff or lower the mask or the number of lobes"
         )
     columns = np.flatnonzero(OUTSIDE_CENTER)
+    largest_kappa = _largest_kappa(data, rows)[fitted]
     slices = em.fit_slices(
         THETA_HALF[columns],
         data.mean[:, rows][fitted][:, columns],
@@ -69,6 +70,7 @@ def fit_slicewise(
         n_lobes,
         iterations=options.em_iterations,
         robust=options.robust,
+        largest_kappa=largest_kappa,
         on_iteration=lambda number: progress(number / options.em_iterations),
     )
     nearest = _nearest_fitted(fitted)
@@ -80,9 +82,18 @@ def fit_slicewise(
         "fitted": fitted.tolist(),
         "converged": _spread(slices.converged, fitted, nearest).tolist(),
         "iterations": _spread(slices.iterations, fitted, nearest).tolist(),
-        "bounds_hit": (_at_bounds(kappa, em.KAPPA_BOUNDS) | _at_bounds(gamma, em.GAMMA_BOUNDS)).tolist(),
+        "bounds_hit": _spread(_bounds_hit(slices, largest_kappa), fitted, nearest).tolist(),
     }
     return model, report
+
+
+def _largest_kappa(data: Profiles, rows: NDArray[np.intp]) -> Array:
+    """Kappa of a lobe that peaks at twice the largest value of the slice, shape (3, D); no bound without its centre.
+
+    Below 1 degree the lobes are not fitted: without a bound one that falls steeply just outside can reach any height.
+    """
+    centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
+    return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
 
 
 def _nearest_fitted(fitted: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -113,6 +124,9 @@ def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -
     return np.maximum(residual, -lobes.min(axis=-1))
 
 
-def _at_bounds(values: Array, bounds: tuple[float, float]) -> NDArray[np.bool_]:
+def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> NDArray[np.bool_]:
     """Whether any lobe of a slice stands at a bound; a vanishing or flat lobe at its lower bound is no fault."""
-    return np.any(values >= bounds[1] * (1 - 1e-9), axis=2) | np.any(values <= bounds[0] * (1 + 1e-9), axis=2)
+    low = (slices.kappa <= em.KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.GAMMA_BOUNDS[0] * (1 + 1e-9))
+    highest = np.minimum(largest_kappa, em.KAPPA_BOUNDS[1])[:, None]
+    high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.GAMMA_BOUNDS[1] * (1 - 1e-9))
+    return np.any(low | high, axis=1)

@@ -221,6 +221,24 @@ def test_lobes_are_sorted_by_kappa_and_iterations_are_reported(plastic: Measurem
     assert not em.fit_slices(ANGLES, mean, weight, 4, iterations=1).converged.any()
 
 
+def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
+    # Steep data just outside one degree, none within: without a bound the peak goes where nothing holds it.
+    mean = plain_lobe(ANGLES, 12.0, 2e4)[None]
+    weight = np.ones_like(mean)
+    free = em.fit_slices(ANGLES, mean, weight, 1)
+    bounded = em.fit_slices(ANGLES, mean, weight, 1, largest_kappa=np.array([8.0]))
+    assert free.kappa[0, 0] == pytest.approx(12.0, rel=1e-6)
+    assert bounded.kappa[0, 0] == pytest.approx(8.0, rel=1e-12)
+
+    def cost(log_gamma: float) -> float:
+        return float(np.sum((plain_lobe(ANGLES, 8.0, np.exp(log_gamma)) - mean[0]) ** 2))
+
+    best = minimize_scalar(cost, bounds=(8.0, 11.0), method="bounded", options={"xatol": 1e-10})
+    assert bounded.gamma[0, 0] == pytest.approx(float(np.exp(best.x)), rel=1e-6)
+    unbounded = em.fit_slices(ANGLES, mean, weight, 1, largest_kappa=np.array([np.inf]))
+    assert unbounded.kappa.tolist() == free.kappa.tolist()
+
+
 def test_more_lobes_than_data_have_stay_finite() -> None:
     mean = np.zeros((1, ANGLES.size))
     mean[0, 3:6] = [1e5, 2e5, 1e4]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from dsbrdf import em
 from dsbrdf.errors import ConvergenceWarning, FitError, InvalidArgumentError
 from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitResult, fit
-from dsbrdf.slicewise import PAPER_SLICES
 from dsbrdf.hemi_epd import energy
 from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement
 from dsbrdf.model import DSBRDF
 from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.slicewise import PAPER_SLICES
 from dsbrdf.synthetic import model_measurement
 
 Array = NDArray[np.float64]
@@ -103,6 +103,15 @@ def test_delta_term_never_makes_the_model_negative(glossy: Profiles) -> None:
     model = fit(dataclasses.replace(glossy, mean=mean), paper()).model
     assert model.delta.min() < 0.0
     assert model.evaluate(THETA_HALF, PAPER_SLICES[:, None]).min() >= -1e-9 * mean.max()
+
+
+def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted() -> None:
+    # The spike is over at 1 degree: its flank just outside is all that the lobes are fitted to.
+    truth = known_model((9.0, 0.0, 3e4, 0.0), (0.2, 0.0, 1.0, 0.0))
+    values = np.minimum(model_measurement(truth).values, 20.0)  # as an instrument that saturates
+    result = fit(Measurement.from_values(values), paper(n_lobes=2, horizon_cutoff=None))
+    assert result.model.evaluate(THETA_HALF, THETA_DIFF[:, None]).max() < 3.0 * 20.0
+    assert np.any(result.report.slices["bounds_hit"])
 
 
 # Which samples are used
@@ -297,6 +306,14 @@ def test_too_little_data_is_an_error_with_a_remedy(plastic: Measurement) -> None
         ({"mask": -0.1}, "mask must be a number from 0 to 10, not -0.1"),
         ({"mask": np.inf}, "mask must be a number from 0 to 10, not inf"),
         ({"mask": np.nan}, "mask must be a number from 0 to 10, not nan"),
+        ({"method": "global", "ring_lobes": 3}, 'ring_lobes must be an integer from 0 to 2 or "auto", not 3'),
+        ({"method": "global", "ring_lobes": -1}, 'ring_lobes must be an integer from 0 to 2 or "auto", not -1'),
+        ({"ring_lobes": 1}, 'the method "paper" has no ring lobes'),
+        ({"knots": (0.0, 0.5)}, 'the method "paper" has its slices every 5 degrees'),
+        ({"method": "global", "knots": (0.0,)}, "knots must be at least two increasing angles of whole degrees"),
+        ({"method": "global", "knots": (0.5, 0.0)}, "knots must be at least two increasing angles of whole degrees"),
+        ({"method": "global", "knots": (0.0, 0.01)}, "knots must be at least two increasing angles of whole degrees"),
+        ({"method": "global", "knots": (0.0, np.pi / 2)}, "from 0 to 89 degrees"),
         ({"robust": 1}, "robust must be true or false, not 1"),
         ({"em_iterations": 0}, "em_iterations must be an integer from 1 to 10000, not 0"),
         ({"em_iterations": 10_001}, "em_iterations must be an integer from 1 to 10000, not 10001"),
