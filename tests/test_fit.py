@@ -105,11 +105,12 @@ def test_delta_term_never_makes_the_model_negative(glossy: Profiles) -> None:
     assert model.evaluate(THETA_HALF, PAPER_SLICES[:, None]).min() >= -1e-9 * mean.max()
 
 
-def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted() -> None:
+def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted(glossy: Profiles) -> None:
     # The spike is over at 1 degree: its flank just outside is all that the lobes are fitted to.
-    truth = known_model((9.0, 0.0, 3e4, 0.0), (0.2, 0.0, 1.0, 0.0))
-    values = np.minimum(model_measurement(truth).values, 20.0)  # as an instrument that saturates
-    result = fit(Measurement.from_values(values), paper(n_lobes=2, horizon_cutoff=None))
+    truth = known_model((30.0, 0.0, 2e4, 0.0), (0.2, 0.0, 1.0, 0.0))
+    values = np.moveaxis(truth.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
+    saturated = dataclasses.replace(glossy, mean=np.minimum(values, 20.0))
+    result = fit(saturated, paper(n_lobes=2))
     assert result.model.evaluate(THETA_HALF, THETA_DIFF[:, None]).max() < 3.0 * 20.0
     assert np.any(result.report.slices["bounds_hit"])
 
