@@ -255,12 +255,15 @@ def minimize(
         new = np.clip(old + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP), least, most)
         new_cost, new_normal, new_gradient = problem.linearize(lobes, new, anchor, active)
         gain = cost[active] - new_cost
-        ratio = gain / np.maximum(_predicted_gain(new - old, normal[active], gradient[active]), 1e-300)
+        promised = np.maximum(
+            _predicted_gain(new - old, normal[active], gradient[active]), 1e-150 * cost[active] + 1e-300
+        )
+        ratio = np.clip(gain / promised, -0.5, 1.5)
         better = gain > 0
         used[active] = iteration
         share = gain < tolerance * (cost[active] + floor)
         small[active] = np.where(better, np.where(share, small[active] + 1, 0), small[active])
-        shrink = np.maximum(1.0 / 3.0, 1.0 - np.clip(2.0 * ratio - 1.0, -2.0, 2.0) ** 3)
+        shrink = np.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
         damping[active] = np.where(
             better, np.maximum(damping[active] * shrink, 1e-12), damping[active] * growth[active]
         )
