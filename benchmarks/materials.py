@@ -1,0 +1,160 @@
+"""Accuracy and time of the fit on every material of a folder, in this process or through a running service.
+
+The folder is the one that ``DSBRDF_REFERENCE_DATA`` names; without it three synthetic materials are fitted.  With
+``--http`` the materials are sent to a service; their time is then that of the whole exchange, and nearly nothing for a
+fit that the service already has.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.fit import FitOptions, fit
+from dsbrdf.flags import add_fit_flags, fit_options
+from dsbrdf.measurement import Measurement
+from dsbrdf.merl import read_merl
+from dsbrdf.synthetic import synthetic_measurement
+
+FIGURES = ("relative_rms", "floor", "excess", "male", "seconds")
+WIDTH = 14
+SHARES = {"median": 0.5, "p90": 0.9, "max": 1.0}
+
+
+@dataclass(frozen=True)
+class Row:
+    """Outcome of one material; metrics as in `dsbrdf.metrics`."""
+
+    name: str
+    relative_rms: float | None
+    floor: float | None
+    excess: float | None
+    male: float | None
+    seconds: float
+    n_lobes: int
+
+
+Source = tuple[str, Callable[[], Measurement]]
+"""Name, and what gives the material when its turn has come."""
+Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], int]]
+"""Metrics and number of lobes of a fit."""
+
+
+def sources(arguments: argparse.Namespace) -> Iterator[Source]:
+    """Materials of the folder, or synthetic ones without it, that the flags choose."""
+    every: list[Source]
+    if folder := os.environ.get("DSBRDF_REFERENCE_DATA"):
+        every = [(path.stem, partial(read_merl, path)) for path in sorted(Path(folder).glob("*.binary"))]
+    else:
+        makers = {f"synthetic_{r:g}": partial(synthetic_measurement, roughness=r, noise=0.02) for r in (0.02, 0.1, 0.5)}
+        every = [(name, partial(make, name=name)) for name, make in makers.items()]
+    chosen = [source for source in every if any(word in source[0] for word in arguments.names.split(","))]
+    if not chosen:
+        raise SystemExit(f"no material has one of {arguments.names} in its name")
+    yield from chosen[:: arguments.every]
+
+
+def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+    """Fit in this process."""
+    result = fit(material, options)
+    return result.report.metrics, result.model.n_lobes
+
+
+def through(url: str, stack: ExitStack) -> Runner:
+    """Return what fits through the service at a URL."""
+    from service.client import Client
+
+    client = stack.enter_context(Client(url))
+
+    def run(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+        done = client.fit(material, options)
+        return done.metrics or {}, done.model.n_lobes
+
+    return run
+
+
+def measured(name: str, material: Measurement, run: Runner, options: FitOptions) -> Row:
+    """Fit one material."""
+    start = time.perf_counter()
+    metrics, n_lobes = run(material, options)
+    seconds = time.perf_counter() - start
+    figures = {figure: metrics.get(figure) for figure in ("relative_rms", "floor", "excess", "male")}
+    return Row(name, **figures, seconds=seconds, n_lobes=n_lobes)
+
+
+def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
+    """Median, p90 and maximum of every figure, of each data base (the names' first word) and of all."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.name.split("_")[0], []).append(row)
+    if len(groups) > 1:
+        groups["all"] = list(rows)
+    return {group: {figure: _spread(members, figure) for figure in FIGURES} for group, members in groups.items()}
+
+
+def _spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
+    values = [value for row in rows if (value := getattr(row, figure)) is not None]
+    return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in SHARES.items()}
+
+
+def print_row(name: str, figures: Sequence[float | None], lobes: str = "") -> None:
+    """Print one line of the table."""
+    shown = [f"{'-':>{WIDTH}}" if value is None else f"{value:{WIDTH}.4f}" for value in figures[:-1]]
+    print(f"{name:34}{''.join(shown)}{figures[-1]:{WIDTH}.2f}{lobes:>7}", flush=True)
+
+
+def print_summary(rows: Sequence[Row]) -> None:
+    """Print the spread of each data base and of all."""
+    for group, figures in summary(rows).items():
+        count = len(rows) if group == "all" else sum(row.name.split("_")[0] == group for row in rows)
+        for share in SHARES:
+            print_row(f"{share} of {group} ({count})", [figures[figure][share] for figure in FIGURES])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table, or the same as JSON; the exit code is 1 if a fit failed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks materials", description=__doc__)
+    parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th of them (default: 1)")
+    parser.add_argument("--http", metavar="URL", help="fit through the service there, not in this process")
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
+    add_fit_flags(parser)
+    arguments = parser.parse_args(argv)
+    options = fit_options(arguments)
+    rows, failures = [], []
+    if not arguments.json:
+        print(f"{'':34}{''.join(f'{figure:>{WIDTH}}' for figure in FIGURES)}{'lobes':>7}")
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        run = through(arguments.http, stack) if arguments.http else here
+        for name, get in sources(arguments):
+            try:
+                row = measured(name, get(), run, options)
+            except DSBRDFError as error:
+                failures.append(name)
+                print(f"{name}: {error}", file=sys.stderr)
+                continue
+            rows.append(row)
+            if not arguments.json:
+                print_row(name, [getattr(row, figure) for figure in FIGURES], str(row.n_lobes))
+    document: dict[str, Any] = {"options": asdict(options), "rows": [asdict(row) for row in rows]}
+    if arguments.json:
+        print(json.dumps(document | {"summary": summary(rows), "failed": failures}, indent=1))
+    else:
+        print_summary(rows)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
