@@ -1,46 +1,15 @@
-"""Fitting many files: one bad file does not stop the others, and an interrupted run resumes."""
+"""Fitting many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
 
 import json
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError, ModelFormatError
-from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitResult, fit
-from dsbrdf.merl import read_merl
+from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitResult
 from dsbrdf.serialize import from_json, save
-
-UNREADABLE = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
-"""Errors of the operating system that mean a wrong path, not a fault of the machine."""
-
-
-@dataclass(frozen=True)
-class FileFit:
-    """What became of one file.
-
-    Attributes
-    ----------
-    file : Path
-        The measurement.
-    output : Path or None
-        The model's file; None where nothing was to be written.
-    result : FitResult or None
-        The fit; None where it failed.
-    error : str or None
-        One sentence that says why it failed.
-    warnings : tuple of str
-        Sentences of the fit about its convergence.
-    resumed : bool
-        Whether the result was taken from an earlier run.
-    """
-
-    file: Path
-    output: Path | None = None
-    result: FitResult | None = None
-    error: str | None = None
-    warnings: tuple[str, ...] = ()
-    resumed: bool = False
+from dsbrdf.workers import FileFit, default_jobs, fit_in_processes
 
 
 def measurement_files(paths: Sequence[Path]) -> list[Path]:
@@ -65,10 +34,14 @@ def fit_files(
     options: FitOptions,
     folder: Path | None = None,
     *,
+    jobs: int | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> Iterator[FileFit]:
-    """Fit files one after the other.
+) -> Generator[FileFit, None, None]:
+    """Fit files, several at once, in processes of their own.
+
+    Every model is written as soon as its fit is done, by this process, whole or not at all.  Closing the iterator
+    ends the processes.
 
     Parameters
     ----------
@@ -78,6 +51,8 @@ def fit_files(
         For all of them.
     folder : Path, optional
         Where to write ``NAME.json`` for each file; made if it does not exist.
+    jobs : int, optional
+        Fits that run at once; by default one for each CPU.
     force : bool, optional
         Fit again where the folder holds a fit already.  Otherwise a fit is kept that is younger than its
         measurement and was made with the same options by the same version of the algorithm.
@@ -92,19 +67,45 @@ def fit_files(
     Raises
     ------
     InvalidArgumentError
-        If two files would be written to the same output.
+        If two files would be written to the same output, or ``jobs`` is less than 1.
     OSError
         If an output cannot be written.
     """
+    if jobs is not None and jobs < 1:
+        raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
     outputs = _outputs(files, folder)
-    for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
-        kept = None if output is None or force else _earlier_result(file, output, options)
-        if kept is not None:
-            yield FileFit(file, output, kept, resumed=True)
-        else:
-            yield _fit_file(file, output, options, _share(progress, number))
-        if progress is not None:
-            progress(number + 1.0)
+    done: dict[int, FileFit] = {}
+    shares = [0.0] * len(files)
+    yielded = 0
+
+    def to_fit() -> Iterator[tuple[int, Path]]:
+        for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
+            kept = None if output is None or force else _earlier_result(file, output, options)
+            if kept is None:
+                yield number, file
+            else:
+                done[number] = FileFit(file, output, kept, resumed=True)
+
+    with closing(fit_in_processes(to_fit(), options, default_jobs() if jobs is None else jobs)) as messages:
+        for number, message in messages:
+            if isinstance(message, FileFit):
+                done[number] = _written(message, outputs[number])
+            else:
+                shares[number] = message
+            if progress is not None:
+                progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
+            while yielded in done:
+                yield done[yielded]
+                yielded += 1
+    yield from (done[number] for number in range(yielded, len(files)))
+
+
+def _written(item: FileFit, output: Path | None) -> FileFit:
+    """Write the model, if there is one and somewhere to write it."""
+    if item.result is None or output is None:
+        return item
+    save(item.result, output)
+    return replace(item, output=output)
 
 
 def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None]:
@@ -122,22 +123,6 @@ def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None
     return list(taken)
 
 
-def _fit_file(
-    file: Path, output: Path | None, options: FitOptions, progress: Callable[[float], None] | None
-) -> FileFit:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ConvergenceWarning)
-        try:
-            result = fit(read_merl(file), options, progress=progress)
-        except DSBRDFError as error:
-            return FileFit(file, error=str(error))
-        except UNREADABLE as error:
-            return FileFit(file, error=error.strerror or str(error))
-    if output is not None:
-        save(result, output)
-    return FileFit(file, output, result, warnings=tuple(str(warning.message) for warning in caught))
-
-
 def _earlier_result(file: Path, output: Path, options: FitOptions) -> FitResult | None:
     """Return the fit in ``output`` if it is the one that would be made now."""
     try:
@@ -150,8 +135,3 @@ def _earlier_result(file: Path, output: Path, options: FitOptions) -> FitResult 
     if report is None or report.options != wanted or report.versions.get("algorithm") != ALGORITHM_VERSION:
         return None
     return FitResult(model, report)
-
-
-def _share(progress: Callable[[float], None] | None, number: int) -> Callable[[float], None] | None:
-    """Progress of one file as progress of them all."""
-    return None if progress is None else lambda share: progress(number + share)

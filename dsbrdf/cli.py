@@ -9,14 +9,14 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 import dsbrdf
-from dsbrdf.batch import UNREADABLE, FileFit, fit_files, measurement_files
+from dsbrdf.batch import fit_files, measurement_files
 from dsbrdf.decomposition import LABELS, decompose
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.export import FORMATS, export_model
@@ -37,6 +37,7 @@ from dsbrdf.summary import (
     parameters_table,
     result_text,
 )
+from dsbrdf.workers import UNREADABLE, FileFit
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -76,8 +77,20 @@ def _fit(arguments: argparse.Namespace) -> int:
     options = fit_options(arguments)
     files = measurement_files(arguments.files)
     done: list[FileFit] = []
-    with progress_bar(len(files), "files") as progress:
-        for item in fit_files(files, options, arguments.output, force=arguments.force, progress=progress):
+    with (
+        progress_bar(len(files), "files") as progress,
+        closing(
+            fit_files(
+                files,
+                options,
+                arguments.output,
+                jobs=arguments.jobs,
+                force=arguments.force,
+                progress=progress,
+            )
+        ) as items,
+    ):
+        for item in items:
             done.append(item)
             for line in (item.error, *item.warnings):
                 if line is not None:
@@ -89,6 +102,8 @@ def _fit(arguments: argparse.Namespace) -> int:
         documents = [_fit_document(item) for item in done]
         single = len(arguments.files) == 1 and not arguments.files[0].is_dir()
         _print_json(documents[0] if single else {"items": documents})
+    if any(item.lost for item in done):
+        return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
 
 
@@ -230,6 +245,7 @@ def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
     fit.set_defaults(run=_fit)
     fit.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a MERL .binary file, or a folder of them")
     fit.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
+    fit.add_argument("--jobs", type=int, metavar="N", help="fits that run at once (default: one for each CPU)")
     fit.add_argument("--force", action="store_true", help="fit again what the folder holds already")
     fit.add_argument("--json", action="store_true", help="print one JSON document instead of text")
     add_fit_flags(fit)

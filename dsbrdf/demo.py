@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +20,13 @@ from dsbrdf.decomposition import LABELS
 from dsbrdf.extras import require
 from dsbrdf.figures import overview_figure, render
 from dsbrdf.files import write_atomically
+from dsbrdf.fit import FitReport
 from dsbrdf.measurement import CHANNELS, THETA_DIFF, THETA_HALF, Measurement
 from dsbrdf.merl import encode_merl
-from dsbrdf.metrics import OUTSIDE_CENTER, on_grid
 from dsbrdf.model import DSBRDF
 from dsbrdf.profiles import Profiles, profiles
 from dsbrdf.serialize import from_json
-from dsbrdf.summary import components_table, metrics_line, parameters_table
+from dsbrdf.summary import bands_table, components_table, metrics_line, parameters_table, selection_table
 from dsbrdf.synthetic import synthetic_measurement
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ Array = NDArray[np.float64]
 START_SECONDS = 20.0
 STOP_SECONDS = 10.0
 SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, whose values are compared
-BANDS = (0, 30, 60, 75, 90)  # theta_diff [degrees]
 
 
 def run(folder: Path) -> None:
@@ -66,9 +64,9 @@ def run(folder: Path) -> None:
         summary = profiles(measurement)
         with httpx.Client(base_url=url, timeout=60.0) as client:
             fit = _post(client, measurement)
-            model = from_json(_get(client, fit, "export", format="json").text)[0]
+            model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_lobes(_get(client, fit, "lobes").json()["items"], model)
-            _show_metrics(fit["metrics"], model, summary)
+            _show_metrics(fit["metrics"], report)
             _show_values(client, fit, summary)
             _show_sum(client, fit)
     folder.mkdir(parents=True, exist_ok=True)
@@ -178,17 +176,14 @@ def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
     _print(*components_table(components), "", *parameters_table(model))
 
 
-def _show_metrics(metrics: dict[str, float | None], model: DSBRDF, summary: Profiles) -> None:
-    """The metrics of the fit, and where its error is."""
+def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) -> None:
+    """How the numbers of lobes were chosen, and how good the fit is, where."""
+    if report is None:
+        raise RuntimeError("the service has exported the fit without its report")
+    _title("How many lobes")
+    _print(*selection_table(report))
     _title("Metrics")
-    print(metrics_line(metrics))
-    used = np.where(OUTSIDE_CENTER, summary.weight, 0.0)
-    error = np.sum(used * (summary.mean - on_grid(model)) ** 2 + OUTSIDE_CENTER * summary.within, axis=(0, 2))
-    power = np.sum(used * summary.mean**2 + OUTSIDE_CENTER * summary.within, axis=(0, 2))
-    for low, high in pairwise(BANDS):
-        rows = (np.degrees(THETA_DIFF) >= low) & (np.degrees(THETA_DIFF) < high)
-        relative, share = np.sqrt(error[rows].sum() / power[rows].sum()), error[rows].sum() / error.sum()
-        print(f"theta_diff {low:2d}° to {high:2d}°: relative_rms {relative:.4f}, {share:7.2%} of the squared error")
+    _print(metrics_line(metrics), "", *bands_table(report))
 
 
 def _show_values(client: "httpx.Client", fit: dict[str, Any], summary: Profiles) -> None:

@@ -39,7 +39,8 @@ FORMATS = ("png", "svg", "pdf")
 """What `render` can make."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
-LOBE_COLOURS = dict(zip(LABELS, CHANNEL_COLOURS, strict=True))
+LOBE_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
+DELTA_COLOUR = "#868e96"
 LINE_STYLES = ("-", "--", ":", "-.")
 CURVE = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 HEIGHT = 3.4  # of a row of panels, in inches
@@ -171,7 +172,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 _draw_curve(ax, curve, colour, label=f"{channel}, fit")
-    _draw_legend(figure, pairs[0][0])
+    _draw_legend(figure, pairs[0][0], columns=min(6, 3 * len(rows)))
 
 
 def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int) -> None:
@@ -188,18 +189,20 @@ def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequ
             for label, colour, style, lobe in lobes:
                 curve = lobe.evaluate(CURVE, THETA_DIFF[row])[:, channel]
                 _draw_curve(ax, curve, colour, style=style, label=label)
-    _draw_legend(figure, pairs[0][0])
+        lowest = min((float(lobe.evaluate(0.0, THETA_DIFF[row])[channel]) for *_, lobe in lobes), default=0.0)
+        pair[1].set_ylim(bottom=min(0.0, 1.2 * lowest))  # a negative delta term is seen as well
+    _draw_legend(figure, pairs[0][0], columns=2 * len(rows))
 
 
 def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
-    """Legend label, colour, line style and model of each lobe; the delta term goes with the first, if there is one."""
-    if not component.lobes and np.any(component.delta):
-        yield "delta term", LOBE_COLOURS[component.label], LINE_STYLES[0], component
-    widths = np.degrees(lobe_widths(model)[0])
+    """Legend label, colour, line style and model of each lobe, and of the delta term, if there is one."""
+    if np.any(component.delta):
+        yield "delta term", DELTA_COLOUR, LINE_STYLES[0], model.select((), with_delta=True)
+    widths, rings = np.degrees(lobe_widths(model)[0]), np.any(model.center > 0.0, axis=(0, 1))
     for number, lobe in enumerate(component.lobes):
-        label = f"{component.label.replace('_', ' ')}, half width {widths[lobe]:.2g}°"
-        with_delta = number == 0 and bool(np.any(component.delta))
-        part = model.select((lobe,), with_delta=with_delta)
+        kind = f"{component.label.replace('_', ' ')}{' (ring)' if rings[lobe] else ''}"
+        label = f"{lobe}: {kind}, half width {widths[lobe]:.2g}°"
+        part = model.select((lobe,), with_delta=False)
         yield label, LOBE_COLOURS[component.label], LINE_STYLES[number % len(LINE_STYLES)], part
 
 
@@ -222,7 +225,7 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
     everything.set_xticks(range(-90, 91, 30))
     everything.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
     peak.set(xlim=(-reach, reach), ylim=(0.0, 1.08 * top))
-    peak.set_title("the peak", fontsize=9)
+    peak.set_title("the peak, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
         ax.tick_params(labelsize=8)
@@ -256,10 +259,10 @@ def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
 
 
-def _draw_legend(figure: FigureBase, ax: Axes) -> None:
+def _draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
     """One legend under the panels, which all show the same kinds of line as ``ax``."""
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
 
 def _canvas(slices: int, *, height: float) -> Figure:

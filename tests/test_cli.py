@@ -6,7 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import batch, cli, extras, flags
+from dsbrdf import batch, cli, extras, flags, workers
 from dsbrdf.measurement import Measurement
 from dsbrdf.serialize import from_json, from_npz, load
 
@@ -72,6 +73,40 @@ def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, 
     assert f"{gamma[0, 1]:.4g}" in out
 
 
+def test_fit_tells_how_the_lobes_were_chosen_and_where_the_error_is(
+    plastic: Measurement, capsys: Capture, plastic_file: Path
+) -> None:
+    assert cli.main(["fit", str(plastic_file)]) == 0
+    out = capsys.readouterr().out
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+        result = dsbrdf.fit(plastic)
+    rings = sum(row["pays"] for row in result.report.rings)
+    expected = f"plastic: {result.model.n_lobes - rings} lobes" + (f" + {rings} ring lobe" if rings else "")
+    assert out.startswith(expected)
+    lines = out.splitlines()
+    assert len(result.report.selection) > 1
+    for row in result.report.selection:
+        (line,) = [line for line in lines if line.startswith(f"{row['n_lobes']}  ")]
+        for name, form in (("e_p", ".4f"), ("t", ".2f"), ("critical_value", ".3f")):
+            assert row[name] is None or f" {row[name]:{form}} " in line
+        assert line.endswith("too few") == row["significant"]
+    for row in result.report.rings:
+        assert f"{row['ring_lobes']} {'pays' if row['pays'] else 'does not pay'}" in out
+    for band in result.report.by_theta_diff:
+        low, high = np.degrees(band["theta_diff"])
+        (line,) = [line for line in lines if line.startswith(f"theta_diff {low:.0f}° to {high:.0f}°")]
+        assert line.split()[-3:] == [f"{band['relative_rms']:.4f}", f"{band['floor']:.4f}", f"{band['excess']:.3f}"]
+
+
+def test_a_ring_lobe_is_shown_with_its_center(plastic_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--lobes", "1", "--ring-lobes", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("plastic: 1 lobe + 1 ring lobe; ")
+    (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
+    assert line.count("°") == 4
+
+
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 def test_fit_writes_what_the_library_would_save(model_file: Path, plastic: Measurement) -> None:
     model, report = from_json(model_file.read_text())
@@ -111,6 +146,16 @@ def test_one_bad_file_does_not_stop_the_others(
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
 
 
+def test_a_fit_that_was_lost_is_not_the_users_fault(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[workers.FileFit]:
+        yield workers.FileFit(files[0], error="the process died", lost=True)
+        yield workers.FileFit(files[1], error="no measurement")
+
+    monkeypatch.setattr(cli, "fit_files", lost)
+    assert cli.main(["fit", "a.binary", "b.binary"]) == 1
+    assert capsys.readouterr().err == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
+
+
 def test_fit_json_of_several_files_tells_of_each(plastic_file: Path, damaged_file: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(damaged_file), str(plastic_file), "--json", *QUICK]) == 2
     bad, good = document(capsys)["items"]
@@ -142,19 +187,6 @@ def test_slices_that_did_not_converge_are_told_but_no_error(plastic_file: Path, 
 
 
 @pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the measurements that are really fitted."""
-    names: list[str] = []
-
-    def spy(measurement: Measurement, *arguments: Any, **named: Any) -> dsbrdf.FitResult:
-        names.append(measurement.name)
-        return dsbrdf.fit(measurement, *arguments, **named)
-
-    monkeypatch.setattr(batch, "fit", spy)
-    return names
-
-
-@pytest.fixture
 def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
     files = [tmp_path / "one.binary", tmp_path / "two.binary"]
     for file in files:
@@ -162,22 +194,30 @@ def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
     return [str(file) for file in files]
 
 
-def test_a_second_run_keeps_what_is_there(two_files: list[str], tmp_path: Path, counted: list[str]) -> None:
-    command = ["fit", *two_files, "-o", str(tmp_path / "out"), *QUICK]
+def test_a_second_run_keeps_what_is_there(
+    two_files: list[str], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["fit", *two_files, "-o", str(tmp_path / "out"), "--json", *QUICK]
     assert cli.main(command) == 0
-    first = (tmp_path / "out/one.json").read_bytes()
+    first = document(capsys)["items"]
+    monkeypatch.setattr(workers, "_Worker", None)  # nothing is to be computed
     assert cli.main(command) == 0
-    assert counted == ["one", "two"]
-    assert (tmp_path / "out/one.json").read_bytes() == first
+    second = document(capsys)["items"]
+    assert [item.pop("resumed") for item in first] == [False, False]
+    assert [item.pop("resumed") for item in second] == [True, True]
+    for item in (*first, *second):
+        item.pop("warnings")
+    assert first == second
 
 
 @pytest.mark.parametrize("reason", ["options", "force", "measurement", "damaged", "algorithm", "no report"])
 def test_a_fit_that_is_not_the_one_asked_for_is_made_again(
-    two_files: list[str], tmp_path: Path, counted: list[str], monkeypatch: pytest.MonkeyPatch, reason: str
+    two_files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, reason: str
 ) -> None:
     output = tmp_path / "out" / "one.json"
-    command = ["fit", two_files[0], "-o", str(output.parent), *QUICK]
+    command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
     assert cli.main(command) == 0
+    capsys.readouterr()
     if reason == "options":
         command += ["--weighting", "cosine"]
     elif reason == "force":
@@ -192,27 +232,8 @@ def test_a_fit_that_is_not_the_one_asked_for_is_made_again(
     else:
         dsbrdf.serialize.save(load(output), output)
     assert cli.main(command) == 0
-    assert counted == ["one", "one"]
+    assert document(capsys)["resumed"] is False
     assert from_json(output.read_text())[1] is not None
-
-
-def test_an_interrupted_run_resumes(
-    two_files: list[str], tmp_path: Path, counted: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    command = ["fit", *two_files, "-o", str(tmp_path / "out"), *QUICK]
-
-    def interrupted(path: Path) -> Measurement:
-        if path.stem == "two":
-            raise KeyboardInterrupt
-        return dsbrdf.read_merl(path)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(batch, "read_merl", interrupted)
-        assert cli.main(command) == 130
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one.json"]
-    assert capsys.readouterr().err == "dsbrdf: interrupted\n"
-    assert cli.main(command) == 0
-    assert counted == ["one", "two"]
 
 
 def test_two_files_of_one_name_are_refused(two_files: list[str], tmp_path: Path, capsys: Capture) -> None:
@@ -281,6 +302,8 @@ def test_flags_reach_the_options() -> None:
         (["--horizon-cutoff", "100"], "cutoff must lie above 0 and at most at 90 degrees, not at 100"),
         (["--horizon-cutoff", "nan"], "cutoff must lie above 0"),
         (["--mask", "1,2"], "--mask: must be none or a number, not '1,2'"),
+        (["--jobs", "0"], "the number of fits that run at once, must be at least 1, not 0"),
+        (["--jobs", "many"], "--jobs: invalid int value: 'many'"),
         (["--no-such-flag"], "unrecognized arguments: --no-such-flag"),
     ],
 )

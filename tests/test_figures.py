@@ -12,7 +12,6 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from dsbrdf import extras
-from dsbrdf.decomposition import decompose
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.figures import lobes_figure, overview_figure, profiles_figure, render
 from dsbrdf.fit import FitOptions, fit
@@ -64,10 +63,9 @@ def test_the_lobes_add_up_to_the_fit(fitted: Fitted) -> None:
     ((_, total),) = lines_of(ax, "fit, all lobes")
     labels = [str(line.get_label()) for line in ax.lines]
     lobes = [label for label in labels if "half width" in label or label == "delta term"]
-    assert len(lobes) == len(set(lobes)) == model.n_lobes + ("delta term" in lobes)
+    assert len(lobes) == len(set(lobes)) == model.n_lobes + 1
     parts = [values for label in lobes for _, values in lines_of(ax, label)]
     np.testing.assert_allclose(np.sum(parts, axis=0), total, rtol=1e-9, atol=1e-12)
-    assert ("delta term" in lobes) == (not decompose(model).specular_spike.lobes)
 
 
 def test_every_point_of_the_data_is_inside_the_panel(fitted: Fitted) -> None:
