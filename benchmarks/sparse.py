@@ -1,0 +1,130 @@
+"""Fewer measured rows of theta_half: the default fit against interpolation of the table (Nishino 2009, figure 5).
+
+Every 2nd, 4th, 8th, 16th or 32nd node of theta_half is kept, the others are marked invalid; relative_rms is taken on
+the full measurement.  The table is interpolated linearly along theta_half for each theta_diff and phi_diff, between the
+kept valid nodes, those beyond the horizon cutoff included, which the fit does not see.  Beyond the last valid node its
+value is held, before the first too; a line without any valid node is 0.  Linear in theta_half and linear in the table's
+index (theta_half is spaced by squares) are both tried for each material and factor, and the better one counts.
+
+That table keeps 180 values over phi_diff for every theta_diff.  Where the kept rows are close enough it goes below the
+bivariate floor, which no model that ignores phi_diff can reach however good it is.  So the same interpolation of the
+table of means over phi_diff stands beside it: it has the floor in common with the fit, and still more than ten times
+its numbers.
+"""
+
+import argparse
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.scoring import RowPredictor, errors, of_profile
+from benchmarks.selected import add_arguments, chosen_measurements
+from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fit import FitOptions, fit
+from dsbrdf.measurement import GRID_SHAPE, THETA_HALF, Measurement
+from dsbrdf.metrics import on_grid
+from dsbrdf.profiles import DEFAULT_HORIZON_CUTOFF, used_nodes
+
+Array = NDArray[np.float64]
+
+FACTORS = (2, 4, 8, 16, 32)
+COORDINATES = (THETA_HALF, np.arange(90.0))
+"""What the table is linear in: the angle, or the index."""
+
+
+def thinned(measurement: Measurement, factor: int) -> Measurement:
+    """Measurement with every ``factor``-th row of theta_half, the others invalid."""
+    kept = np.arange(GRID_SHAPE[0]) % factor == 0
+    return replace(measurement, valid=measurement.valid & kept[:, None, None])
+
+
+def interpolated(measurement: Measurement, coordinate: Array) -> RowPredictor:
+    """Predictor that interpolates the valid nodes linearly along theta_half, for each theta_diff and phi_diff."""
+    valid = measurement.valid.reshape(GRID_SHAPE[0], -1)
+    number = np.broadcast_to(np.arange(GRID_SHAPE[0])[:, None], valid.shape)
+    before = np.maximum.accumulate(np.where(valid, number, -1), axis=0)
+    after = np.minimum.accumulate(np.where(valid, number, GRID_SHAPE[0])[::-1], axis=0)[::-1]
+    empty = ~valid.any(axis=0)
+    table = measurement.stored.reshape(3, GRID_SHAPE[0], -1)
+
+    def row(i: int) -> Array:
+        low = np.where(before[i] >= 0, before[i], after[i])
+        high = np.where(after[i] < GRID_SHAPE[0], after[i], low)
+        low, high = np.where(empty, 0, low), np.where(empty, 0, high)
+        span = coordinate[high] - coordinate[low]
+        share = np.where(span > 0, (coordinate[i] - coordinate[low]) / np.where(span > 0, span, 1.0), 0.0)
+        line = np.arange(low.size)
+        values = (1.0 - share) * table[:, low, line] + share * table[:, high, line]
+        return np.where(empty, 0.0, values * measurement.scale[:, None]).reshape(3, *GRID_SHAPE[1:])
+
+    return row
+
+
+def averaged(measurement: Measurement) -> Measurement:
+    """Measurement whose valid nodes hold the mean over phi_diff of those that the fit uses, or else of the valid."""
+    stored = measurement.stored.copy()
+    for i in np.flatnonzero(measurement.valid.any(axis=(1, 2))).tolist():
+        valid, used = measurement.valid[i], used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)
+        chosen = np.where(used.any(axis=1, keepdims=True), used, valid)
+        stored[:, i] = (np.sum(stored[:, i] * chosen, axis=2) / np.maximum(chosen.sum(axis=1), 1))[:, :, None]
+    return replace(measurement, stored=stored)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """relative_rms on the full data of one thinned material."""
+
+    fit: float
+    table: float
+    means: float
+
+    def __str__(self) -> str:
+        return f"{self.fit:.4f} / {self.table:.4f} / {self.means:.4f}"
+
+
+def figures(measurement: Measurement, factor: int) -> Figures:
+    """Fit and interpolate every ``factor``-th row, and compare with all of them."""
+
+    def relative_rms(predict: RowPredictor) -> float:
+        return errors(measurement, predict, DEFAULT_HORIZON_CUTOFF).score().relative_rms
+
+    sparse = thinned(measurement, factor)
+    means = averaged(sparse)
+    return Figures(
+        relative_rms(of_profile(on_grid(fit(sparse, FitOptions()).model))),
+        min(relative_rms(interpolated(sparse, coordinate)) for coordinate in COORDINATES),
+        min(relative_rms(interpolated(means, coordinate)) for coordinate in COORDINATES),
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print relative_rms of the fit and of the tables for each material and factor."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks sparse", description=__doc__)
+    add_arguments(parser, every=1, names="rgl_")
+    found: list[list[Figures]] = []
+    print(
+        "relative_rms on the full data after keeping every n-th row of theta_half: default fit / table / table of means"
+    )
+    print(f"| {'':32} | floor | full fit | " + " | ".join(str(factor) for factor in FACTORS) + " |")
+    print("|---" * (len(FACTORS) + 3) + "|")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        for measurement in chosen_measurements(parser.parse_args(argv)):
+            metrics = fit(measurement, FitOptions()).report.metrics
+            found.append([figures(measurement, factor) for factor in FACTORS])
+            cells = [f"{metrics['floor']:.4f}", f"{metrics['relative_rms']:.4f}", *map(str, found[-1])]
+            print(f"| {measurement.name:32} | {' | '.join(cells)} |", flush=True)
+    print()
+    for index, factor in enumerate(FACTORS):
+        column = [row[index] for row in found]
+        wins = sum(item.fit < item.table for item in column), sum(item.fit < item.means for item in column)
+        print(f"{factor}: the fit beats the table on {wins[0]}, the table of means on {wins[1]} of {len(column)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
