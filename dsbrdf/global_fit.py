@@ -31,6 +31,8 @@ N_KNOTS = 14
 """Knots placed by default; cubic interpolation needs a quarter fewer than the paper's 18 slices."""
 CENTER_SHARE = 1e-4
 """What theta_half < 1 degree counts in a row, beside the rest."""
+CENTER_GAP = float(np.radians(2.0))
+"""Where no other node lies within this of the normal, those below 1 degree are all there is of a spike [rad]."""
 TOLERANCE = 1e-5
 MAX_ITERATIONS = 150
 _ROBUST_ROUNDS = 3
@@ -93,7 +95,8 @@ def _select(data: Profiles, options: FitOptions) -> FitData:
     """Mask what is masked, and keep theta_half < 1 degree from deciding.
 
     Values there are unreliable for shiny materials (Nishino 2009, section 6), but without them nothing tells a spike
-    from one that is a thousand times as high.  So they count, together, `CENTER_SHARE` of the row's signal.
+    from one that is a thousand times as high.  So they count, together, `CENTER_SHARE` of the row's signal; fully, if
+    nothing else is measured within `CENTER_GAP`.
     """
     mask = 0.0 if options.mask is None else options.mask
     kept = THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9
@@ -103,7 +106,8 @@ def _select(data: Profiles, options: FitOptions) -> FitData:
     signal = weight * data.mean**2
     inside, outside = signal[:, :, ~OUTSIDE_CENTER].sum(axis=2), signal[:, :, OUTSIDE_CENTER].sum(axis=2)
     share = np.minimum(CENTER_SHARE * outside / np.where(inside > 0, inside, np.inf), 1.0)
-    weight[:, :, ~OUTSIDE_CENTER] *= share[:, :, None]
+    if (weight[:, :, OUTSIDE_CENTER & (THETA_HALF < CENTER_GAP)] > 0).any():
+        weight[:, :, ~OUTSIDE_CENTER] *= share[:, :, None]
     within = np.where(kept & OUTSIDE_CENTER, data.within, 0.0)
     return FitData(data.mean, weight, within, np.where(weight > 0, data.mean, 0.0).max(axis=2))
 

@@ -5,7 +5,8 @@ into the last degrees before the horizon cutoff, and change fastest there.  The 
 a density proportional to the cube root of the squared signal of each theta_diff row, so that they adapt to the
 measurement, to its cutoff and to missing regions.  Each stands on a row of the grid.
 
-Between knots the logarithms of kappa and gamma, and the ring angle, follow a natural cubic spline.
+Between knots the logarithms of kappa and gamma, and the ring angle, follow a natural cubic spline, which is kept near
+the range of its values at the knots: where no data hold it, in a gap, it would go anywhere.
 """
 
 import numpy as np
@@ -16,6 +17,10 @@ from dsbrdf.measurement import THETA_DIFF
 
 Array = NDArray[np.float64]
 
+OVERSHOOT = float(np.log(2.0))
+"""How far a spline may leave the range of its knots, in log kappa and log gamma."""
+CENTER_OVERSHOOT = float(np.radians(1.0))
+"""The same for the angle of a ring lobe [rad]."""
 _DENSITY_POWER = 1.0 / 3.0
 _DENSITY_FLOOR = 1e-4  # of the whole signal: rows with less still need their share of knots
 _DENSITY_WINDOW = 7  # rows averaged, so that noise in single rows places no knots

@@ -20,7 +20,7 @@ from dsbrdf.albedo import directional_albedo
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.geometry import check_directions, half_difference
 from dsbrdf.hemi_epd import half_width
-from dsbrdf.knots import parameter_spline
+from dsbrdf.knots import CENTER_OVERSHOOT, OVERSHOOT, parameter_spline
 from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
 from dsbrdf.profiles import CENTER_CUTOFF
 
@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 INTERPOLATIONS = ("linear", "cubic")
 """How parameters run between knots: linear in kappa and gamma, or a cubic spline in their logarithms."""
 
-_OVERSHOOT = np.log(2.0)  # how far a spline may leave the range of its knots, in log kappa and log gamma
 _CHUNK = 8192  # points evaluated at a time, so that the intermediate arrays stay in the cache
 
 
@@ -208,8 +207,8 @@ class DSBRDF:
     def _spline(self) -> tuple[CubicSpline, Array, Array]:
         """Spline of log kappa, log gamma and the rings' center, (3, 2 K + rings), and the range it is kept to."""
         values = np.concatenate([np.log(self.kappa), np.log(self.gamma), self.center[:, :, self._rings]], axis=2)
-        slack = np.full(values.shape[2], _OVERSHOOT)
-        slack[2 * self.n_lobes :] = 0.0
+        slack = np.full(values.shape[2], OVERSHOOT)
+        slack[2 * self.n_lobes :] = CENTER_OVERSHOOT
         low, high = values.min(axis=1) - slack, values.max(axis=1) + slack
         return parameter_spline(self.theta_diff, np.moveaxis(values, 1, 0)), low, high
 

@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
-from dsbrdf.knots import roughness, spline_basis
+from dsbrdf.knots import CENTER_OVERSHOOT, OVERSHOOT, roughness, spline_basis
 from dsbrdf.measurement import THETA_DIFF, THETA_HALF
 
 Array = NDArray[np.float64]
 
 SMOOTHING = 1e-7
 COUPLING = 1e-6
+ALL_COLUMNS = np.arange(THETA_HALF.size)
 CENTER_BOUNDS = (0.0, np.pi / 2)
 _LARGEST_EXPONENT = 60.0  # a spline may overshoot kappa's bound between knots: keep squares finite
 _PEAK_ROOM = 4.0
@@ -99,9 +100,9 @@ class ProfileProblem:
     data : FitData
     knots, rows : ndarray of int
         Rows of the theta_diff axis: where the knots stand, and which to fit.
-    columns : slice, optional
-        Columns of theta_half to fit.
-    smoothing : float, optional
+    columns : ndarray of int, optional
+        Columns of theta_half to fit; all of them by default.
+    smoothing, coupling : float, optional
         See the module.
     """
 
@@ -110,10 +111,12 @@ class ProfileProblem:
         data: FitData,
         knots: NDArray[np.intp],
         rows: NDArray[np.intp],
-        columns: slice = slice(None),
+        columns: NDArray[np.intp] = ALL_COLUMNS,
         smoothing: float = SMOOTHING,
+        coupling: float = COUPLING,
     ) -> None:
-        mean, weight, within = (array[:, rows, columns] for array in (data.mean, data.weight, data.within))
+        chosen = np.ix_(np.arange(3), rows, columns)
+        mean, weight, within = data.mean[chosen], data.weight[chosen], data.within[chosen]
         self.theta_half = THETA_HALF[columns]
         self.log_cos = np.log(np.cos(self.theta_half))
         self.knots, self.rows = knots, rows
@@ -126,6 +129,7 @@ class ProfileProblem:
         self.largest_kappa = _largest_kappa(data.peak, knots)
         self.basis = spline_basis(THETA_DIFF[knots], THETA_DIFF[rows])
         self.smoothing = smoothing * roughness(np.degrees(THETA_DIFF[knots]))
+        self.coupling = coupling
         pairs = self.basis[:, :, None] * self.basis[:, None, :]
         self._pairs = np.ascontiguousarray(pairs.reshape(rows.size, -1).T)
 
@@ -158,7 +162,7 @@ class ProfileProblem:
         gradient = np.einsum("rd,crp->cdp", self.basis, (jacobian @ residual[..., None])[..., 0])
         pull = smoothing @ unknowns
         cost = np.einsum("crn,crn->c", residual, residual) + np.einsum("cdp,cdp->c", unknowns, pull)
-        strength = COUPLING * self.signal[channels]
+        strength = self.coupling * self.signal[channels]
         shape = slice(lobes.count, None)
         apart = unknowns[:, :, shape] - anchor[:, shape]
         cost += strength * np.einsum("cdp,cdp->c", apart, apart)
@@ -171,7 +175,10 @@ class ProfileProblem:
         self, lobes: Lobes, unknowns: Array, channels: NDArray[np.intp], *, derivatives: bool
     ) -> tuple[Array, Array]:
         """Weighted residuals (C, rows, N), and their derivatives (C, rows, P, N) if asked for."""
-        parameters = self.basis @ unknowns
+        free = self.basis @ unknowns
+        slack = np.where(np.arange(lobes.n_parameters) < 2 * lobes.count, OVERSHOOT, CENTER_OVERSHOOT)
+        low, high = unknowns.min(axis=1, keepdims=True) - slack, unknowns.max(axis=1, keepdims=True) + slack
+        parameters = np.clip(free, low, high)
         log_kappa, log_gamma, center = lobes.split(parameters)
         gamma = np.exp(log_gamma)[..., None]
         offset = self.theta_half - center[..., None]
@@ -191,6 +198,9 @@ class ProfileProblem:
         np.multiply(by_log_kappa, log_power, out=by_log_gamma)
         tangent = np.tan(np.clip(offset, -1.5, 1.5))
         np.multiply(by_log_kappa[:, :, n:], gamma[:, :, n:] * tangent, out=by_center)
+        kept = free == parameters
+        if not kept.all():
+            jacobian *= kept[..., None]
         return residual, jacobian
 
 

@@ -3,17 +3,22 @@
 The search works on slices only, the rows of the knots, and on every second node of theta_half, which makes it cheap:
 
 1. Grow a mixture lobe by lobe up to the bound K_max.
-2. For each K, the expected negative log probability of the *other* half of the nodes (Nishino 2009, section 5),
+2. For each K, after some more iterations almost without the pull between channels (E_p would see what it does to a lobe
+   that is faint but wide), the expected negative log probability of the *other* half of the nodes (Nishino 2009,
+   section 5),
 
        E_p = - sum_n v_n L_n log p(theta_n) / sum_n v_n L_n,
 
    for each (slice, channel), where p is the mixture normalised over the valid part of the hemisphere and v_n the solid
    angle of node n.  Held-out nodes keep a lobe that fits noise from looking better.  A hundredth of a uniform density
    is mixed into p, so that a tail in which a least-squares fit has underflowed does not decide alone.
-3. Williams' step-down test takes the smallest K that is not significantly worse than K_max.  Its pooled variance is
-   inflated where the loss of a too small K differs between slices, so a K found to be worse than K_max is taken out of
-   the layout before the next larger one is tested.
-4. Add ring lobes while they pay, with a row between each two knots as well, so that what runs between the knots counts.
+3. Williams' step-down test takes the smallest K that is not significantly worse than K_max, by more than
+   `INDIFFERENCE`: neighbouring slices share their smoothness and hence their errors, so that the test takes differences
+   far below what any lobe of a material makes for significant.  Its pooled variance is inflated where the loss of a too
+   small K differs between slices, so a K found to be worse than K_max is taken out of the layout before the next larger
+   one is tested.
+4. Add ring lobes while they pay on the held-out nodes, with a row between each two knots as well, so that what runs
+   between the knots counts.
 """
 
 from collections.abc import Callable
@@ -26,7 +31,7 @@ from numpy.typing import NDArray
 from dsbrdf.growth import Mixture, grow
 from dsbrdf.options import MAX_RING_LOBES
 from dsbrdf.profiles import CENTER_CUTOFF
-from dsbrdf.refine import FitData, ProfileProblem
+from dsbrdf.refine import FitData, ProfileProblem, minimize
 from dsbrdf.selection import bic, williams_test
 
 Array = NDArray[np.float64]
@@ -35,12 +40,16 @@ LARGEST_AUTOMATIC = 5
 """Upper bound of the automatic number of lobes."""
 BACKGROUND = 0.01
 """Share of a uniform density in the probability of E_p."""
+INDIFFERENCE = 3e-4
+"""Difference in E_p, nats for a unit of energy, that decides nothing."""
 RING_PAYS = 0.005
 """A ring lobe must lower the squared error, floor included, by this share."""
 NEGLIGIBLE = 1e-6
 """... and by this share of the squared signal: errors below 0.1 % of the signal are nobody's material."""
 _SLICE_SMOOTHING = 1e-6
-_FITTED, _HELD_OUT = slice(0, None, 2), slice(1, None, 2)
+_FEWEST_TO_SPLIT = 10  # columns of theta_half
+_TEST_COUPLING = 1e-8
+_TEST_TOLERANCE, _TEST_ITERATIONS = 1e-5, 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,22 +84,31 @@ def find_structure(
     -------
     Structure
     """
-    slices = ProfileProblem(data, knots, knots, _FITTED, _SLICE_SMOOTHING)
+    columns = np.flatnonzero(data.weight.sum(axis=(0, 1)) > 0)
+    fitted, held_out = columns[::2], columns[1::2]
+    if columns.size < _FEWEST_TO_SPLIT:  # nothing to spare: no test of ring lobes then
+        fitted, held_out = columns, columns
+        ring_lobes = 0 if ring_lobes == "auto" else ring_lobes
+    # More lobes than half of the nodes of a slice would fit anything.
+    largest = max(1, min(LARGEST_AUTOMATIC, fitted.size // 2)) if n_lobes == "auto" else n_lobes
+    slices = ProfileProblem(data, knots, knots, fitted, _SLICE_SMOOTHING)
     mixtures: list[Mixture] = []
-    for _ in range(LARGEST_AUTOMATIC if n_lobes == "auto" else n_lobes):
+    for _ in range(largest):
         mixtures.append(grow(slices, mixtures[-1] if mixtures else None, ring=False, tick=tick))
-    held_out = ProfileProblem(data, knots, knots, _HELD_OUT)
-    chosen, table = choose_n_lobes(slices, held_out, mixtures)
-    mixture = mixtures[chosen - 1 if n_lobes == "auto" else -1]
+    free = ProfileProblem(data, knots, knots, fitted, _SLICE_SMOOTHING, _TEST_COUPLING)
+    settled = [_settle(free, mixture) for mixture in mixtures]
+    chosen, table = choose_n_lobes(free, ProfileProblem(data, knots, knots, held_out), settled)
+    mixture = settled[chosen - 1 if n_lobes == "auto" else -1]
     between = np.unique(np.concatenate([knots, (knots[1:] + knots[:-1]) // 2]))
-    mixture, rings = _add_rings(ProfileProblem(data, knots, between, _FITTED), mixture, ring_lobes, tick)
+    problem, test = (ProfileProblem(data, knots, between, part) for part in (fitted, held_out))
+    mixture, rings = _add_rings(problem, test, mixture, ring_lobes, tick)
     return Structure(mixture, table, rings)
 
 
 def choose_n_lobes(
     fitted: ProfileProblem, held_out: ProfileProblem, mixtures: list[Mixture]
 ) -> tuple[int, list[dict[str, Any]]]:
-    """Smallest number of lobes that is not significantly worse than the largest.
+    """Smallest number of lobes that is not significantly worse than the largest by more than `INDIFFERENCE`.
 
     Parameters
     ----------
@@ -116,11 +134,13 @@ def choose_n_lobes(
         criterion = float(bic(error, n_samples, mixture.unknowns.size))
         rows.append({"n_lobes": k + 1, "squared_error": error, "bic": criterion if np.isfinite(criterion) else None})
     chosen = len(mixtures)
+    compared = statistic.copy()
+    compared[-1] += INDIFFERENCE
     tests: list[dict[str, Any]] = [{"t": None, "critical_value": None, "significant": False} for _ in mixtures]
     if statistic.shape[1] > 0:
         chosen = 1
         while chosen <= len(mixtures):
-            test = williams_test(statistic[chosen - 1 :]).table[0]
+            test = williams_test(compared[chosen - 1 :]).table[0]
             tests[chosen - 1] = {key: asdict(test)[key] for key in tests[0]}
             if not test.significant:
                 break
@@ -131,6 +151,13 @@ def choose_n_lobes(
         for row, mean, test in zip(rows, means, tests, strict=True)
     ]
     return chosen, table
+
+
+def _settle(problem: ProfileProblem, mixture: Mixture) -> Mixture:
+    """Continue the fit of a mixture to another problem."""
+    lobes = mixture.lobes
+    fitted = minimize(problem, lobes, mixture.unknowns, tolerance=_TEST_TOLERANCE, iterations=_TEST_ITERATIONS)
+    return Mixture(lobes, fitted.unknowns)
 
 
 def expected_negative_log_probability(problem: ProfileProblem, mixture: Mixture) -> Array:
@@ -151,17 +178,20 @@ def expected_negative_log_probability(problem: ProfileProblem, mixture: Mixture)
 
 
 def _add_rings(
-    problem: ProfileProblem, mixture: Mixture, ring_lobes: int | Literal["auto"], tick: Callable[[], None]
+    problem: ProfileProblem,
+    test: ProfileProblem,
+    mixture: Mixture,
+    ring_lobes: int | Literal["auto"],
+    tick: Callable[[], None],
 ) -> tuple[Mixture, list[dict[str, Any]]]:
-    """Add the ring lobes asked for, or those that pay."""
+    """Add the ring lobes asked for, or those that pay on the nodes that are held out."""
     table: list[dict[str, Any]] = []
-    error = _error(problem, mixture)
+    error, floor, signal = _error(test, mixture), float(test.floor.sum()), float(test.signal.sum())
     for number in range(1, (MAX_RING_LOBES if ring_lobes == "auto" else ring_lobes) + 1):
         larger = grow(problem, mixture, ring=True, tick=tick)
-        larger_error = _error(problem, larger)
-        gain = error - larger_error
-        pays = bool(gain > RING_PAYS * (error + problem.floor.sum()) + NEGLIGIBLE * problem.signal.sum())
-        table.append({"ring_lobes": number, "squared_error": larger_error + float(problem.floor.sum()), "pays": pays})
+        larger_error = _error(test, larger)
+        pays = error - larger_error > RING_PAYS * (error + floor) + NEGLIGIBLE * signal
+        table.append({"ring_lobes": number, "squared_error": larger_error + floor, "pays": pays})
         if ring_lobes == "auto" and not pays:
             break
         mixture, error = larger, larger_error
