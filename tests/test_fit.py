@@ -235,7 +235,7 @@ def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
         assert np.shape(report.slices[name]) == (3, 18)
     assert all(seconds >= 0.0 for seconds in report.timings.values())
     albedo = fitted.model.directional_albedo(report.energy["theta_out"])
-    np.testing.assert_allclose(report.energy["albedo"], albedo)
+    np.testing.assert_allclose(report.energy["albedo"], albedo, rtol=1e-3)
     inverse_c = sum(energy(fitted.model.kappa[..., k], fitted.model.gamma[..., k]) for k in range(3))
     np.testing.assert_allclose(report.energy["sum_inverse_c"], inverse_c)
     metrics = report.metrics
