@@ -166,7 +166,8 @@ def expected_negative_log_probability(problem: ProfileProblem, mixture: Mixture)
     positive = problem.root > 0
     model = np.where(positive, residual / np.where(positive, problem.root, 1.0), 0.0) + problem.mean
     outside = problem.theta_half >= CENTER_CUTOFF
-    solid_angle = positive * outside * np.sin(problem.theta_half) * np.gradient(problem.theta_half)
+    step = np.gradient(problem.theta_half) if problem.theta_half.size > 1 else np.ones(1)
+    solid_angle = positive * outside * np.sin(problem.theta_half) * step
     total = np.sum(solid_angle * problem.mean, axis=2, keepdims=True)
     model_total = np.sum(solid_angle * model, axis=2, keepdims=True)
     area = solid_angle.sum(axis=2, keepdims=True)

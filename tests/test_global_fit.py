@@ -1,0 +1,388 @@
+"""The default fit: it recovers what it is given, beats the paper's, and keeps calm where there are no data."""
+
+import itertools
+import json
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.selection import mixture
+from dsbrdf import global_fit
+from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
+from dsbrdf.errors import ConvergenceWarning, FitError
+from dsbrdf.fit import FitOptions, FitResult, fit
+from dsbrdf.measurement import CHANNELS, THETA_DIFF, THETA_HALF, Measurement
+from dsbrdf.metrics import mean_absolute_log_error, on_grid, relative_errors
+from dsbrdf.model import DSBRDF
+from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.serialize import from_json, to_json
+from dsbrdf.synthetic import model_measurement
+
+Array = NDArray[np.float64]
+
+CUTOFF = FitOptions().horizon_cutoff
+PLAIN = FitOptions(n_lobes=2, ring_lobes=0)
+
+
+def cubic(n_lobes: int = 2) -> DSBRDF:
+    """Well separated lobes whose parameters run along splines, knots inside the usual cutoff."""
+    knots = np.radians([0.0, 12.0, 24.0, 36.0, 46.0, 54.0, 60.0, 66.0, 71.0, 75.0, 79.0])
+    rise = (1.0 - np.cos(knots))[:, None]
+    channel = np.array([1.0, 0.8, 1.2])[:, None, None]
+    kappa = np.array([4.0, 0.25, 1.2])[:n_lobes] * channel * (1.0 + 0.3 * rise)
+    gamma = np.array([1500.0, 1.5, 60.0])[:n_lobes] * (1.0 - 0.2 * rise) * np.ones((3, 1, 1))
+    return DSBRDF(knots, kappa, gamma, np.zeros_like(kappa), np.zeros((3, knots.size)), "cubic")
+
+
+def curve_error(found: DSBRDF, truth: DSBRDF, data: Profiles) -> float:
+    """Weighted relative distance of the two models on the nodes used."""
+    a, b = on_grid(found), on_grid(truth)
+    return float(np.sqrt(np.sum(data.weight * (a - b) ** 2) / np.sum(data.weight * b**2)))
+
+
+def assert_parameters_within(found: DSBRDF, truth: DSBRDF, share: float) -> None:
+    """Kappa and gamma at the knots of the fit, lobes ordered by width on both sides.
+
+    Above 70 degrees the cutoff leaves so little of theta_half that the shape of a wide lobe cannot be seen.
+    """
+    kappa, gamma, _, _ = (np.moveaxis(p, 1, 0) for p in truth.parameters_at(found.theta_diff))
+    order = np.argsort(-gamma[0, 0])
+    np.testing.assert_allclose(found.kappa, kappa[:, :, order], rtol=share)
+    seen = found.theta_diff < np.radians(70.0)
+    np.testing.assert_allclose(found.gamma[:, seen], gamma[:, seen][:, :, order], rtol=share)
+
+
+def calm_ratio(model: DSBRDF, data: Profiles) -> float:
+    """Largest value of the model anywhere by the largest one measured; the model must be finite and not negative."""
+    theta_half = np.radians(np.concatenate([[0.0, 0.5], np.linspace(1.0, 90.0, 181)]))
+    values = model.evaluate(theta_half, np.radians(np.linspace(0.0, 90.0, 361))[:, None])
+    assert np.isfinite(values).all()
+    assert values.min() >= -1e-9 * values.max()
+    largest = np.where(data.weight > 0, data.mean, 0.0).max(axis=(1, 2))
+    return float((values.max(axis=(0, 1)) / largest).max())
+
+
+def edited(measurement: Measurement, change: Any) -> Measurement:
+    """The measurement after ``change(values, valid)``, which works in place."""
+    values, valid = measurement.values.copy(), measurement.valid.copy()
+    change(values, valid)
+    values[:, ~valid] = -1.0
+    return Measurement.from_values(values, valid, "edited")
+
+
+@pytest.fixture(scope="module")
+def plastic_profiles(plastic: Measurement) -> Profiles:
+    return profiles(plastic)
+
+
+@pytest.fixture(scope="module")
+def fitted(plastic: Measurement) -> FitResult:
+    return fit(plastic)
+
+
+# Recovery
+
+
+def test_cubic_model_is_recovered() -> None:
+    truth = cubic()
+    data = profiles(model_measurement(truth))
+    model = fit(data, PLAIN).model
+    assert curve_error(model, truth, data) < 1e-4
+    assert_parameters_within(model, truth, 0.01)
+
+
+def test_paper_like_model_is_recovered() -> None:
+    truth = mixture(2, 0)  # linear between 18 knots
+    data = profiles(model_measurement(truth))
+    model = fit(data, PLAIN).model
+    assert curve_error(model, truth, data) < 2e-3
+    assert_parameters_within(model, truth, 0.01)
+
+
+def test_same_knots_give_the_same_model() -> None:
+    truth = cubic()
+    data = profiles(model_measurement(truth))
+    model = fit(data, replace(PLAIN, knots=tuple(truth.theta_diff.tolist()))).model
+    np.testing.assert_allclose(model.theta_diff, truth.theta_diff)
+    assert curve_error(model, truth, data) < 1e-5
+    assert_parameters_within(model, truth, 0.01)
+
+
+# Against the paper's method, and against the floor
+
+
+def test_default_beats_the_paper_and_is_near_the_floor(measurements: tuple[Measurement, ...]) -> None:
+    for measurement in measurements:
+        data = profiles(measurement)
+        ours = fit(data).report.metrics
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            paper = fit(data, FitOptions(method="paper")).report.metrics
+        assert ours["relative_rms"] < paper["relative_rms"], measurement.name  # type: ignore[operator]
+        assert ours["excess"] is not None
+        assert 1.0 <= ours["excess"] < 1.5, measurement.name
+
+
+# Beyond the data
+
+
+def test_calm_beyond_the_cutoff(fitted: FitResult, plastic_profiles: Profiles) -> None:
+    assert calm_ratio(fitted.model, plastic_profiles) < 4.0
+
+
+@pytest.mark.parametrize("cutoff", [30.0, 60.0])
+def test_calm_beyond_a_low_cutoff(plastic: Measurement, cutoff: float) -> None:
+    data = profiles(plastic, horizon_cutoff=np.radians(cutoff))
+    result = fit(data, FitOptions(horizon_cutoff=np.radians(cutoff)))
+    assert calm_ratio(result.model, data) < 4.0
+    assert result.report.metrics["excess"] < 1.2  # type: ignore[operator]
+
+
+def test_calm_in_missing_regions(plastic: Measurement) -> None:
+    def remove(_: Array, valid: Array) -> None:
+        valid[:, 25:60] = 0  # a band of theta_diff
+        valid[20:50, :20] = 0  # and of theta_half
+
+    measurement = edited(plastic, remove)
+    data = profiles(measurement)
+    result = fit(data)
+    assert calm_ratio(result.model, data) < 4.0
+    assert result.report.metrics["excess"] < 1.1  # type: ignore[operator]
+    # What was taken away is still met to a few per cent: knots on both sides hold the spline.
+    whole = relative_errors(result.model, profiles(plastic))
+    assert whole["relative_rms"] < 0.1  # type: ignore[operator]
+
+
+def test_everything_above_the_horizon(plastic: Measurement) -> None:
+    data = profiles(plastic, horizon_cutoff=None)
+    result = fit(data, FitOptions(horizon_cutoff=None))
+    assert result.report.slices["theta_diff"][-1] > np.radians(85.0)
+    assert result.report.metrics["excess"] < 1.3  # type: ignore[operator]
+    assert calm_ratio(result.model, data) < 4.0
+
+
+# Outliers and weights
+
+
+def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement) -> None:
+    def spoil(values: Array, valid: Array) -> None:
+        hit = np.random.default_rng(5).uniform(size=values.shape) < 0.01
+        values[hit & (np.asarray(valid) > 0)] *= 100.0
+
+    spoiled, clean = edited(plastic, spoil), profiles(plastic)
+    reference = relative_errors(fit(plastic).model, clean)["relative_rms"]
+    robust = relative_errors(fit(spoiled, FitOptions(robust=True)).model, clean)["relative_rms"]
+    assert reference is not None
+    assert robust is not None
+    assert robust < 1.05 * reference
+    fragile = relative_errors(fit(spoiled, FitOptions(n_lobes=2, ring_lobes=0)).model, clean)["relative_rms"]
+    assert fragile > 2.0 * reference  # type: ignore[operator]
+
+
+def test_weightings_do_what_they_are_for(plastic: Measurement) -> None:
+    options = FitOptions(n_lobes=2, ring_lobes=0)
+    plain = fit(plastic, options)
+    cosine = fit(plastic, replace(options, weighting="cosine"))
+    log = fit(plastic, replace(options, weighting="log"))
+    male = [result.report.metrics["male"] for result in (plain, cosine, log)]
+    assert male[2] < male[0]  # type: ignore[operator]
+    weighted = profiles(plastic, weighting="cosine")
+    lobes_only = np.where(THETA_HALF >= np.radians(1.0), weighted.weight, 0.0)
+    error = [float(np.sum(lobes_only * (on_grid(r.model) - weighted.mean) ** 2)) for r in (plain, cosine)]
+    assert error[1] < error[0]
+    assert male[2] == pytest.approx(mean_absolute_log_error(log.model, plastic, CUTOFF), rel=1e-12)
+    assert all(result.report.metrics["excess"] >= 1.0 for result in (plain, cosine, log))  # type: ignore[operator]
+
+
+# Options
+
+
+def test_mask_leaves_out_what_it_masks(plastic_profiles: Profiles) -> None:
+    kept = THETA_HALF <= np.pi / 2 - 1.0 * THETA_DIFF[:, None] + 1e-9
+    noise = np.random.default_rng(0).uniform(0.0, 50.0, plastic_profiles.mean.shape)
+    spoiled = replace(plastic_profiles, mean=np.where(kept, plastic_profiles.mean, noise))
+    options = FitOptions(n_lobes=2, ring_lobes=0, mask=1.0)
+    clean, masked = (fit(data, options).model for data in (plastic_profiles, spoiled))
+    np.testing.assert_array_equal(clean.kappa, masked.kappa)
+    np.testing.assert_array_equal(clean.gamma, masked.gamma)
+
+
+def test_knots_are_used(plastic_profiles: Profiles) -> None:
+    knots = tuple(np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 76.0, 79.0]).tolist())
+    result = fit(plastic_profiles, FitOptions(n_lobes=2, ring_lobes=0, knots=knots))
+    np.testing.assert_allclose(result.model.theta_diff, knots)
+    assert result.report.options["knots"] == list(knots)
+
+
+def test_nothing_left_is_said(plastic_profiles: Profiles) -> None:
+    empty = replace(plastic_profiles, weight=np.zeros_like(plastic_profiles.weight))
+    with pytest.raises(FitError, match=r"^the mask and the horizon cutoff leave no valid samples: raise the cutoff or"):
+        fit(empty)
+
+
+# Little or odd data
+
+
+def test_every_eighth_theta_half(plastic: Measurement) -> None:
+    def thin(_: Array, valid: Array) -> None:
+        valid[np.arange(90) % 8 != 3] = 0
+
+    result = fit(edited(plastic, thin))
+    whole = relative_errors(result.model, profiles(plastic))
+    assert whole["relative_rms"] < 0.1  # type: ignore[operator]
+    assert calm_ratio(result.model, profiles(plastic)) < 4.0
+
+
+def test_red_only_material(plastic: Measurement) -> None:
+    def redden(values: Array, _: Array) -> None:
+        values[1:] = 0.0
+
+    result = fit(edited(plastic, redden))
+    values = on_grid(result.model)
+    assert values[1:].max() < 1e-6 * values[0].max()
+    assert result.report.metrics["excess"] < 1.1  # type: ignore[operator]
+    assert [row["channel"] for row in result.report.by_channel] == ["red"]
+
+
+def test_black_material_is_an_error_that_says_so(plastic: Measurement) -> None:
+    def blacken(values: Array, _: Array) -> None:
+        values[...] = 0.0
+
+    with pytest.raises((FitError, ValueError), match="zero"):
+        fit(edited(plastic, blacken))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"),
+    [([40], range(90)), ([0, 79], range(90)), (range(90), [20]), ([10], [20, 40]), ([10], [20]), ([10], [0])],
+    ids=["one row", "two rows", "one column", "two nodes", "one node", "one node at the normal"],
+)
+def test_tiny_data(plastic_profiles: Profiles, rows: Any, columns: Any) -> None:
+    kept = np.zeros((90, 90), bool)
+    kept[np.ix_(list(rows), list(columns))] = True
+    mean, weight, within = (
+        np.where(kept, array, 0.0)
+        for array in (plastic_profiles.mean, plastic_profiles.weight, plastic_profiles.within)
+    )
+    data = replace(plastic_profiles, mean=mean, weight=weight, within=within)
+    if list(columns) == [0]:
+        with pytest.raises(FitError, match="leave no valid samples"):
+            fit(data)
+        return
+    result = fit(data)
+    assert calm_ratio(result.model, data) < 10.0
+    assert result.report.metrics["relative_rms"] < 0.1  # type: ignore[operator]
+    json.dumps(result.report.__dict__, allow_nan=False)
+
+
+def test_lobes_mean_the_same_in_every_channel() -> None:
+    truth = cubic(3)
+    swapped = DSBRDF(  # the channels list their lobes in different orders
+        truth.theta_diff,
+        np.stack([truth.kappa[0], truth.kappa[1][:, [2, 0, 1]], truth.kappa[2][:, ::-1]]),
+        np.stack([truth.gamma[0], truth.gamma[1][:, [2, 0, 1]], truth.gamma[2][:, ::-1]]),
+        truth.center,
+        truth.delta,
+        "cubic",
+    )
+    model = fit(profiles(model_measurement(swapped, noise=0.01)), FitOptions(n_lobes=3, ring_lobes=0)).model
+    assert_parameters_within(model, truth, 0.1)
+    assert np.all(np.diff(np.median(model.gamma, axis=1), axis=1) < 0.0)  # from narrow to wide
+
+
+def test_delta_is_what_the_lobes_leave_and_never_makes_the_model_negative(fitted: FitResult) -> None:
+    assert on_grid(fitted.model).min() >= 0.0
+    truth = replace(cubic(), delta=np.full((3, 11), 40.0))
+    model = fit(profiles(model_measurement(truth)), PLAIN).model
+    inner, outer = THETA_HALF < np.radians(1.0), THETA_HALF >= np.radians(1.0)
+    expected, found = on_grid(truth)[:, :75], on_grid(model)[:, :75]
+    np.testing.assert_allclose(found[:, :, outer], expected[:, :, outer], rtol=0.1, atol=0.01)
+    assert np.abs(found[:, :, inner] / expected[:, :, inner] - 1.0).max() < 0.2
+
+
+# Progress, flags and the report
+
+
+def test_progress_grows_from_0_to_1(plastic_profiles: Profiles) -> None:
+    shares: list[float] = []
+    fit(plastic_profiles, PLAIN, progress=shares.append)
+    assert shares[0] == 0.0
+    assert shares[-1] == 1.0
+    assert shares == sorted(shares)
+    assert len(shares) > 8
+
+
+@pytest.mark.parametrize("at", [0.2, 0.6, 0.95])
+def test_what_progress_raises_ends_the_fit(plastic_profiles: Profiles, at: float) -> None:
+    def stop(share: float) -> None:
+        if share >= at:
+            raise InterruptedError(f"{share}")
+
+    with pytest.raises(InterruptedError):
+        fit(plastic_profiles, PLAIN, progress=stop)
+
+
+def test_warning_only_where_the_bound_on_iterations_was_met(
+    plastic_profiles: Profiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = fit(plastic_profiles, PLAIN)
+    assert np.all(result.report.slices["converged"])
+    monkeypatch.setattr(global_fit, "MAX_ITERATIONS", 1)
+    with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of"):
+        result = fit(plastic_profiles, PLAIN)
+    assert not np.any(result.report.slices["converged"])
+    assert np.all(np.array(result.report.slices["iterations"]) == 1)
+
+
+def test_report_is_complete(fitted: FitResult) -> None:
+    report, model = fitted.report, fitted.model
+    shape = (3, model.theta_diff.size)
+    np.testing.assert_allclose(report.slices["theta_diff"], model.theta_diff)
+    for name in ("fitted", "converged", "iterations", "bounds_hit"):
+        assert np.shape(report.slices[name]) == shape, name
+    assert [row["n_lobes"] for row in report.selection] == [1, 2, 3, 4, 5]
+    for row in report.selection:
+        assert set(row) == {"n_lobes", "e_p", "squared_error", "bic", "t", "critical_value", "significant"}
+    rings = int(np.any(model.center > 0, axis=(0, 1)).sum())
+    assert sum(row["pays"] for row in report.rings) == rings
+    assert model.n_lobes - rings == 1 + sum(row["significant"] for row in report.selection)
+    assert [row["channel"] for row in report.by_channel] == list(CHANNELS)
+    edges = [row["theta_diff"] for row in report.by_theta_diff]
+    assert edges[0][0] == 0.0
+    assert all(a[1] == b[0] for a, b in itertools.pairwise(edges))
+    assert all(row["excess"] >= 1.0 for row in report.by_channel + report.by_theta_diff)
+    assert set(report.timings) == {"profiles", "search", "refine", "metrics", "energy"}
+    assert FitOptions(**report.options) == FitOptions()
+    assert {"algorithm", "dsbrdf", "numpy", "scipy", "python"} <= set(report.versions)
+    assert np.shape(report.energy["sum_inverse_c"]) == shape
+
+
+def test_bounds_hit_is_said() -> None:
+    flat = np.full((3, 2, 1), 1.0)
+    model = DSBRDF(np.radians([0.0, 80.0]), flat, 5.0 * flat, 0.0 * flat, np.zeros((3, 2)))
+    kappa, gamma = model.kappa.copy(), model.gamma.copy()
+    kappa[0, 1], gamma[2, 0] = KAPPA_BOUNDS[1], GAMMA_BOUNDS[0]
+    model = DSBRDF(model.theta_diff, kappa, gamma, model.center, model.delta)
+    assert global_fit._bounds_hit(model).tolist() == [[False, True], [False, False], [True, False]]
+
+
+def test_result_survives_json(fitted: FitResult) -> None:
+    text = to_json(fitted.model, fitted.report)
+    model, report = from_json(text)
+    assert report == fitted.report
+    for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(fitted.model, name))
+    assert model.interpolation == "cubic"
+    json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+
+
+def test_same_measurement_same_model(plastic_profiles: Profiles) -> None:
+    first, second = (fit(plastic_profiles).model for _ in range(2))
+    assert first.kappa.tobytes() == second.kappa.tobytes()
+    assert first.delta.tobytes() == second.delta.tobytes()

@@ -1,0 +1,96 @@
+"""Every choice is checked, and refused in a sentence that says what would be right."""
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.options import FitOptions
+
+KNOTS = "knots must be at least two increasing angles of whole degrees from 0 to 89 degrees"
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    *(
+        ({"n_lobes": bad}, f'n_lobes must be an integer from 1 to 8 or "auto", not {bad!r}')
+        for bad in (0, 9, -1, 2.0, True, "many", None)
+    ),
+    *(
+        ({"ring_lobes": bad}, f'ring_lobes must be an integer from 0 to 2 or "auto", not {bad!r}')
+        for bad in (-1, 3, 1.0, False, "none", None)
+    ),
+    ({"method": "best"}, "method must be one of global, paper, not 'best'"),
+    ({"method": "paper", "ring_lobes": 1}, 'the method "paper" has no ring lobes: use ring_lobes 0 or "auto"'),
+    (
+        {"method": "paper", "knots": (0.0, np.radians(10.0))},
+        'the method "paper" has its slices every 5 degrees: leave the knots out',
+    ),
+    ({"weighting": "area"}, "weighting must be one of plain, cosine, log, not 'area'"),
+    *(
+        ({"knots": tuple(np.radians(bad))}, KNOTS)
+        for bad in ([], [10.0], [10.0, 5.0], [10.0, 10.0], [0.0, 0.5], [0.0, 90.0], [-1.0, 10.0], [0.0, np.nan])
+    ),
+    *(
+        (
+            {"horizon_cutoff": np.radians(bad)},
+            f"the horizon cutoff must lie above 0 and at most at 90 degrees, not at {bad:g}",
+        )
+        for bad in (0.0, -10.0, 91.0, np.nan)
+    ),
+    *(({"mask": bad}, f"mask must be a number from 0 to 10, not {bad!r}") for bad in (-0.1, 10.5, float("nan"))),
+    *(({"robust": bad}, f"robust must be true or false, not {bad!r}") for bad in (1, "yes", None)),
+    *(
+        ({"em_iterations": bad}, f"em_iterations must be an integer from 1 to 10000, not {bad!r}")
+        for bad in (0, 10_001, 5.0, True)
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "sentence"), REFUSED, ids=[f"{i}-{'-'.join(c)}" for i, (c, _) in enumerate(REFUSED)]
+)
+def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=f"^{re.escape(sentence)}$"):
+        FitOptions(**chosen)
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"n_lobes": 1},
+        {"n_lobes": 8},
+        {"ring_lobes": 0},
+        {"ring_lobes": 2},
+        {"method": "paper", "ring_lobes": 0, "mask": 1.0},
+        {"knots": tuple(np.radians([0.0, 1.0]))},
+        {"knots": tuple(np.radians(np.arange(90.0)))},
+        {"horizon_cutoff": None},
+        {"horizon_cutoff": np.pi / 2},
+        {"mask": 0.0},
+        {"mask": 10},
+        {"weighting": "cosine"},
+        {"weighting": "log", "robust": True},
+        {"em_iterations": 10_000},
+    ],
+    ids=str,
+)
+def test_a_right_choice_is_kept(chosen: dict[str, Any]) -> None:
+    options = FitOptions(**chosen)
+    assert {name: getattr(options, name) for name in chosen} == chosen
+    assert dataclasses.replace(options) == options
+
+
+def test_every_option_has_a_refusal() -> None:
+    assert {name for chosen, _ in REFUSED for name in chosen} == {f.name for f in dataclasses.fields(FitOptions)}
+
+
+def test_options_cannot_be_changed() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        FitOptions().n_lobes = 2  # type: ignore[misc]
+
+
+def test_the_default_is_the_automatic_global_fit() -> None:
+    options = FitOptions()
+    assert (options.method, options.n_lobes, options.ring_lobes) == ("global", "auto", "auto")
