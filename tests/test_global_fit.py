@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.selection import mixture
 from dsbrdf import global_fit
 from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
-from dsbrdf.errors import ConvergenceWarning, FitError
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError, FitError, MeasurementFormatError
 from dsbrdf.fit import FitOptions, FitResult, fit
 from dsbrdf.measurement import CHANNELS, THETA_DIFF, THETA_HALF, Measurement
 from dsbrdf.metrics import mean_absolute_log_error, on_grid, relative_errors
@@ -131,14 +131,14 @@ def test_default_beats_the_paper_and_is_near_the_floor(measurements: tuple[Measu
 
 
 def test_calm_beyond_the_cutoff(fitted: FitResult, plastic_profiles: Profiles) -> None:
-    assert calm_ratio(fitted.model, plastic_profiles) < 4.0
+    assert calm_ratio(fitted.model, plastic_profiles) < 1.5
 
 
 @pytest.mark.parametrize("cutoff", [30.0, 60.0])
 def test_calm_beyond_a_low_cutoff(plastic: Measurement, cutoff: float) -> None:
     data = profiles(plastic, horizon_cutoff=np.radians(cutoff))
     result = fit(data, FitOptions(horizon_cutoff=np.radians(cutoff)))
-    assert calm_ratio(result.model, data) < 4.0
+    assert calm_ratio(result.model, data) < 2.0
     assert result.report.metrics["excess"] < 1.2  # type: ignore[operator]
 
 
@@ -150,11 +150,11 @@ def test_calm_in_missing_regions(plastic: Measurement) -> None:
     measurement = edited(plastic, remove)
     data = profiles(measurement)
     result = fit(data)
-    assert calm_ratio(result.model, data) < 4.0
+    assert calm_ratio(result.model, data) < 2.0
     assert result.report.metrics["excess"] < 1.1  # type: ignore[operator]
-    # What was taken away is still met to a few per cent: knots on both sides hold the spline.
+    # What was taken away is met nearly as well: knots on both sides hold the spline.
     whole = relative_errors(result.model, profiles(plastic))
-    assert whole["relative_rms"] < 0.1  # type: ignore[operator]
+    assert whole["excess"] < 1.1  # type: ignore[operator]
 
 
 def test_everything_above_the_horizon(plastic: Measurement) -> None:
@@ -162,7 +162,7 @@ def test_everything_above_the_horizon(plastic: Measurement) -> None:
     result = fit(data, FitOptions(horizon_cutoff=None))
     assert result.report.slices["theta_diff"][-1] > np.radians(85.0)
     assert result.report.metrics["excess"] < 1.3  # type: ignore[operator]
-    assert calm_ratio(result.model, data) < 4.0
+    assert calm_ratio(result.model, data) < 2.0
 
 
 # Outliers and weights
@@ -233,7 +233,7 @@ def test_every_eighth_theta_half(plastic: Measurement) -> None:
 
     result = fit(edited(plastic, thin))
     whole = relative_errors(result.model, profiles(plastic))
-    assert whole["relative_rms"] < 0.1  # type: ignore[operator]
+    assert whole["relative_rms"] < 0.04  # type: ignore[operator]
     assert calm_ratio(result.model, profiles(plastic)) < 4.0
 
 
@@ -248,35 +248,38 @@ def test_red_only_material(plastic: Measurement) -> None:
     assert [row["channel"] for row in result.report.by_channel] == ["red"]
 
 
-def test_black_material_is_an_error_that_says_so(plastic: Measurement) -> None:
-    def blacken(values: Array, _: Array) -> None:
-        values[...] = 0.0
+def test_black_material_is_an_error_that_says_so(plastic: Measurement, plastic_profiles: Profiles) -> None:
+    with pytest.raises(MeasurementFormatError, match="zero in all channels; a measurement has positive values"):
+        edited(plastic, lambda values, _: values.fill(0.0))
+    black = replace(plastic_profiles, mean=np.zeros((3, 90, 90)), within=np.zeros((3, 90, 90)))
+    with pytest.raises(DSBRDFError, match="zero"):
+        fit(black)
 
-    with pytest.raises((FitError, ValueError), match="zero"):
-        fit(edited(plastic, blacken))
+
+def part_of(data: Profiles, rows: Any, columns: Any) -> Profiles:
+    """Profiles with nothing but these rows of theta_diff and columns of theta_half."""
+    kept = np.zeros((90, 90), bool)
+    kept[np.ix_(list(rows), list(columns))] = True
+    mean, weight, within = (np.where(kept, array, 0.0) for array in (data.mean, data.weight, data.within))
+    return replace(data, mean=mean, weight=weight, within=within)
 
 
 @pytest.mark.parametrize(
     ("rows", "columns"),
-    [([40], range(90)), ([0, 79], range(90)), (range(90), [20]), ([10], [20, 40]), ([10], [20]), ([10], [0])],
-    ids=["one row", "two rows", "one column", "two nodes", "one node", "one node at the normal"],
+    [([40], range(90)), ([0, 79], range(90)), (range(90), [20]), ([10], [20, 40]), ([10], [20])],
+    ids=["one row", "two rows", "one column", "two nodes", "one node"],
 )
 def test_tiny_data(plastic_profiles: Profiles, rows: Any, columns: Any) -> None:
-    kept = np.zeros((90, 90), bool)
-    kept[np.ix_(list(rows), list(columns))] = True
-    mean, weight, within = (
-        np.where(kept, array, 0.0)
-        for array in (plastic_profiles.mean, plastic_profiles.weight, plastic_profiles.within)
-    )
-    data = replace(plastic_profiles, mean=mean, weight=weight, within=within)
-    if list(columns) == [0]:
-        with pytest.raises(FitError, match="leave no valid samples"):
-            fit(data)
-        return
+    data = part_of(plastic_profiles, rows, columns)
     result = fit(data)
     assert calm_ratio(result.model, data) < 10.0
     assert result.report.metrics["relative_rms"] < 0.1  # type: ignore[operator]
     json.dumps(result.report.__dict__, allow_nan=False)
+
+
+def test_nothing_but_the_normal_is_too_little(plastic_profiles: Profiles) -> None:
+    with pytest.raises(FitError, match="leave no valid samples"):
+        fit(part_of(plastic_profiles, range(90), [0, 5]))
 
 
 def test_lobes_mean_the_same_in_every_channel() -> None:
