@@ -183,6 +183,17 @@ def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement) -> None:
     assert fragile > 2.0 * reference  # type: ignore[operator]
 
 
+def test_outliers_over_theta_half_are_weighted_down(plastic: Measurement) -> None:
+    data = profiles(plastic, robust=True)
+    hit = np.random.default_rng(2).uniform(size=data.mean.shape) < 0.01
+    spoiled = replace(data, mean=np.where(hit & (data.weight > 0), 3.0 * data.mean + 1.0, data.mean))
+    options = FitOptions(n_lobes=2, ring_lobes=0, robust=True)
+    reference, robust = (fit(d, options).model for d in (data, spoiled))
+    fragile = fit(replace(spoiled, robust=False), replace(options, robust=False)).model
+    error = [curve_error(model, reference, profiles(plastic)) for model in (robust, fragile)]
+    assert error[0] < 0.5 * error[1]
+
+
 def test_weightings_do_what_they_are_for(plastic: Measurement) -> None:
     options = FitOptions(n_lobes=2, ring_lobes=0)
     plain = fit(plastic, options)
@@ -297,8 +308,26 @@ def test_lobes_mean_the_same_in_every_channel() -> None:
     assert np.all(np.diff(np.median(model.gamma, axis=1), axis=1) < 0.0)  # from narrow to wide
 
 
-def test_delta_is_what_the_lobes_leave_and_never_makes_the_model_negative(fitted: FitResult) -> None:
-    assert on_grid(fitted.model).min() >= 0.0
+def test_channels_are_aligned() -> None:
+    truth = cubic(3)
+    center = np.zeros_like(truth.kappa)
+    center[:, :, 1] = 0.4
+    order = [[0, 1, 2], [1, 2, 0], [2, 0, 1]]
+    kappa, gamma, turned = (np.stack([p[c][:, order[c]] for c in range(3)]) for p in (truth.kappa, truth.gamma, center))
+    aligned = global_fit._align(DSBRDF(truth.theta_diff, kappa, gamma, turned, truth.delta, "cubic"))
+    for name, expected in (("kappa", truth.kappa), ("gamma", truth.gamma), ("center", center)):
+        np.testing.assert_array_equal(getattr(aligned, name), expected[:, :, [0, 2, 1]])  # narrow, wide, ring
+
+
+def test_delta_never_makes_the_model_negative(plastic_profiles: Profiles) -> None:
+    mean = np.where(THETA_HALF < np.radians(1.0), 0.0, plastic_profiles.mean)
+    model = fit(replace(plastic_profiles, mean=mean), PLAIN).model
+    assert model.delta.min() < 0.0
+    rows = np.round(np.degrees(model.theta_diff)).astype(int)
+    assert on_grid(model)[:, rows].min() >= -1e-12 * mean.max()
+
+
+def test_delta_is_what_the_lobes_leave() -> None:
     truth = replace(cubic(), delta=np.full((3, 11), 40.0))
     model = fit(profiles(model_measurement(truth)), PLAIN).model
     inner, outer = THETA_HALF < np.radians(1.0), THETA_HALF >= np.radians(1.0)
