@@ -83,8 +83,11 @@ EVENTS = (
 _DETAILS = {
     "bad-request": "The client went away before the end of the body.",
     "bad-encoding": "The body is not valid gzip: it is cut off.",
+    "unauthorized": "This service needs an API key; send it as 'Authorization: Bearer <key>'.",
+    "storage-quota": "The measurements of this key would take more than its 10000 MB; delete some of them.",
     "not-found": f"There is no fit '{FIT_ID}'; GET /v1/fits lists those that there are.",
     "not-acceptable": "The values can be had as application/json or application/x-npy; accept one of them.",
+    "request-timeout": "The body did not arrive in time; send it again.",
     "measurement-in-use": "1 unfinished fits use the measurement; cancel them or wait until they have ended.",
     "fit-not-finished": "The fit is running; its model exists when it has succeeded.",
     "too-large": "2000000 points are more than the 1000000 that one request may have.",
@@ -94,6 +97,8 @@ _DETAILS = {
     "measurement-format": "The data has only 17 bytes and seems cut off; "
     "a MERL measurement has exactly 34992012 bytes.",
     "invalid-argument": "n_lobes must be an integer from 1 to 8, not 9",
+    "rate-limited": "The key has made more requests than it may in this time; wait as long as Retry-After says.",
+    "queue-quota": "100 fits of this key are waiting already, as many as may; wait until some have ended.",
     "internal": "The service failed at this request; its log says why.",
     "queue-full": "1000 fits are waiting already, as many as may; the measurement is stored, ask again later.",
     "not-ready": "The disk has 100 MB free; the service wants 256 MB.",
