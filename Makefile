@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check fix bench lock clean
+.PHONY: help demo serve test check audit fix bench lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -30,10 +30,14 @@ serve: $(READY)  ## run the service on http://127.0.0.1:8000
 test: $(READY)  ## run every test
 	$(BIN)/python -m pytest
 
-check: $(READY)  ## format, lint, types
+check: $(READY)  ## format, lint, types, security
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml dsbrdf service
+
+audit: $(READY)  ## look the pinned dependencies up among the known vulnerabilities
+	@$(BIN)/python .ci/audit.py
 
 fix: $(READY)  ## format and mend what can be mended
 	$(BIN)/ruff check --fix .
