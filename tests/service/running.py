@@ -34,20 +34,26 @@ class Server:
         return self._process
 
     def start(self) -> "Server":
+        """Start the process and return when it is ready."""
+        begin = self.launch()
+        address = self._address(begin)
+        self.http.close()
+        self.http = httpx.Client(base_url=address, timeout=60.0)
+        with Client(address) as client:
+            client.wait_until_ready()
+        return self
+
+    def launch(self) -> int:
+        """Start the process, without waiting for anything; return where its log begins."""
         with self.log.open("ab") as log:
-            before = log.tell()
+            begin = log.tell()
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(self.data_dir)],
                 env={**os.environ, **self.environment},
                 stdout=log,
                 stderr=log,
             )
-        address = self._address(before)
-        self.http.close()
-        self.http = httpx.Client(base_url=address, timeout=60.0)
-        with Client(address) as client:
-            client.wait_until_ready()
-        return self
+        return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and return the exit code."""
@@ -101,19 +107,21 @@ class Server:
 
 def children(parent: int) -> list[int]:
     """Process ids whose parent is `parent`."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
+    found: list[int] = []
+    for path in Path(f"/proc/{parent}/task").glob("*/children"):
         try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            found += map(int, path.read_text().split())
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if int(fields[1]) == parent and fields[0] != "Z":
-            found.append(int(folder.name))
-    return found
+    return [pid for pid in found if alive(pid)]
 
 
 def command(pid: int) -> bytes:
-    return Path(f"/proc/{pid}/cmdline").read_bytes()
+    """Command line of a process; empty if it has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
 
 
 def alive(pid: int) -> bool:
