@@ -4,12 +4,23 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from dsbrdf.measurement import Measurement
 from dsbrdf.merl import write_merl
 from dsbrdf.synthetic import synthetic_measurement
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
+
+# A busy machine is no fault of the code under test; `pytest --hypothesis-profile=soak` looks for longer.
+settings.register_profile("here", deadline=None, suppress_health_check=list(HealthCheck))
+settings.register_profile("soak", settings.get_profile("here"), max_examples=10_000)
+settings.load_profile("here")
+
+
+def examples(share: float) -> settings:
+    """Return settings with a multiple of the number of examples that the profile has."""
+    return settings(max_examples=max(1, round(share * settings().max_examples)))
 
 
 @pytest.fixture(scope="session")
