@@ -7,10 +7,10 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
 import dsbrdf
+from dsbrdf.engines.local import LocalEngine
 from dsbrdf.merl import MerlChecker
 from service import openapi, problems
 from service.context import Context
-from service.engines.local import LocalEngine
 from service.jobs import Jobs
 from service.models import Models
 from service.routes import brdf, exports, fits, health, lobes, measurements

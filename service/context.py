@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from starlette.requests import Request
 
-from service.engines import Engine
+from dsbrdf.engines import Engine
 from service.jobs import Jobs
 from service.models import Models
 from service.settings import Settings

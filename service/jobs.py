@@ -16,7 +16,7 @@ from typing import ParamSpec, TypeVar
 from starlette.concurrency import run_in_threadpool
 
 import dsbrdf
-from service.engines import Engine, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Outcome
 from service.options import from_wire, to_wire
 from service.problems import is_disk_full
 from service.rows import FitRow

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from multiprocessing import connection, parent_process
 
 import dsbrdf
+from dsbrdf.engines import Fault, FitTask, Fitted, Outcome
 from dsbrdf.serialize import to_json
-from service.engines import Fault, FitTask, Fitted, Outcome
 
 try:
     import resource

@@ -15,10 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
 
-from starlette.concurrency import run_in_threadpool
-
-from service.engines import Fault, FitTask, Outcome
-from service.engines.compute import compute_in_child
+from dsbrdf.engines import Fault, FitTask, Outcome
+from dsbrdf.engines.compute import compute_in_child
 
 _THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 # Ended from outside (an operator, the kernel short of memory), so worth another attempt.
@@ -49,7 +47,7 @@ class LocalEngine:
         # one process on one core, so further threads would only compete with the other fits.
         os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["service.engines.compute"])
+        self._context.set_forkserver_preload(["dsbrdf.engines.compute"])
         self._threads = ThreadPoolExecutor(workers, "dsbrdf-fit")
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
@@ -70,11 +68,11 @@ class LocalEngine:
 
     async def check(self) -> None:
         """Start the fork server if it does not run."""
-        await run_in_threadpool(forkserver.ensure_running)
+        await asyncio.to_thread(forkserver.ensure_running)
 
     async def close(self) -> None:
         """Release the threads; the calls of `run` have to be cancelled or over."""
-        await run_in_threadpool(self._threads.shutdown)
+        await asyncio.to_thread(self._threads.shutdown)
 
 
 class _Child:

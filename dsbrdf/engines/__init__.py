@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from dsbrdf import FitOptions
+from dsbrdf.options import FitOptions
 
 Origin = Literal["input", "compute", "system"]
 
