@@ -101,7 +101,9 @@ _DETAILS = {
     "queue-quota": "100 fits of this key are waiting already, as many as may; wait until some have ended.",
     "internal": "The service failed at this request; its log says why.",
     "queue-full": "1000 fits are waiting already, as many as may; the measurement is stored, ask again later.",
-    "not-ready": "The disk has 100 MB free; the service wants 256 MB.",
+    "overloaded": "512 requests are in progress, as many as may; ask again later.",
+    "shutting-down": "The service is shutting down and cannot finish this request; ask again later.",
+    "not-ready": "The disk is not ready: 100 MB are free; the service wants 256 MB.",
     "disk-full": "The service has no disk space left for this request; try again when space has been freed.",
 }
 

@@ -44,6 +44,8 @@ KINDS: dict[str, tuple[int, str]] = {
     "queue-quota": (429, "Too many fits of the key are waiting"),
     "internal": (500, "The service failed"),
     "queue-full": (503, "Too many fits are waiting"),
+    "overloaded": (503, "Too many requests are in progress"),
+    "shutting-down": (503, "The service is shutting down"),
     "not-ready": (503, "The service is not ready"),
     "disk-full": (507, "The service's disk is full"),
 }
