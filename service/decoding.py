@@ -6,6 +6,7 @@ raises as soon as it has enough; so a small body that decodes to a huge one cost
 
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import IO, Protocol, cast
 
 import zstandard
@@ -15,6 +16,8 @@ from service.problems import ProblemError
 PIECE = 1 << 18
 _MOST_MEMBERS = 10_000
 _LARGEST_WINDOW = 1 << 23  # what RFC 9659 asks every decoder of zstd content to support
+_LAST_WORD = b"the end"
+_LAST_FRAME = zstandard.ZstdCompressor().compress(_LAST_WORD)
 SUPPORTED = "gzip, zstd"
 
 Sink = Callable[[bytes], object]
@@ -112,8 +115,9 @@ class _Zstd:
 
     def __init__(self, sink: Sink) -> None:
         decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
+        self._target = _Writer(sink)
         # Typed as a file, of which nothing but write is called.
-        target = cast("IO[bytes]", _Writer(sink))
+        target = cast("IO[bytes]", self._target)
         self._writer = decompressor.stream_writer(target, write_size=PIECE, closefd=False)
 
     def feed(self, data: bytes) -> None:
@@ -123,17 +127,25 @@ class _Zstd:
             raise _damaged("zstd", str(error)) from None
 
     def finish(self) -> None:
-        pass
+        # The writer does not tell whether it is inside a frame; a frame of our own is read only where none is open.
+        # It is written byte by byte, because zstd reads a frame in one piece even behind a piece of a header.
+        found: list[bytes] = []
+        self._target.sink = found.append
+        with suppress(zstandard.ZstdError):
+            for place in range(len(_LAST_FRAME)):
+                self._writer.write(_LAST_FRAME[place : place + 1])
+        if b"".join(found) != _LAST_WORD:
+            raise _damaged("zstd", "it is cut off")
 
 
 class _Writer:
     """A sink as the file-like object that zstandard writes to."""
 
     def __init__(self, sink: Sink) -> None:
-        self._sink = sink
+        self.sink = sink
 
     def write(self, data: bytes) -> int:
-        self._sink(data)
+        self.sink(data)
         return len(data)
 
 

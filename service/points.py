@@ -19,6 +19,7 @@ DIRECTIONS = ("omega_in", "omega_out")
 NPY = "application/x-npy"
 _KNOWN = (*ANGLES, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
+_NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 
 
@@ -100,16 +101,10 @@ def from_npy(data: bytes) -> Points:
         If the bytes are not such an array.
     """
     array = _read_npy(data)
-    if array.ndim == 2 and array.shape[1] == 2:
+    if array.shape[1:] == (2,):
         return from_angles(array[:, 0], array[:, 1])
-    if array.ndim == 2 and array.shape[1] == 6:
-        array = array.reshape(-1, 2, 3)
-    if array.ndim == 3 and array.shape[1:] == (2, 3):
-        return from_directions(array[:, 0], array[:, 1])
-    raise InvalidArgumentError(
-        f"The array has the shape {array.shape}; it must be (n, 2), theta_half and theta_diff in degrees, "
-        "or (n, 6) or (n, 2, 3), omega_in and omega_out."
-    )
+    pairs = array.reshape(-1, 2, 3)
+    return from_directions(pairs[:, 0], pairs[:, 1])
 
 
 def to_npy(values: Array) -> bytes:
@@ -130,6 +125,11 @@ def _read_npy(data: bytes) -> Array:
         raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
     if dtype.kind != "f" or dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
+    if shape[1:] not in _NPY_SHAPES:
+        raise InvalidArgumentError(
+            f"The array has the shape {str(shape)[:60]}; it must be (n, 2), theta_half and theta_diff in degrees, "
+            "or (n, 6) or (n, 2, 3), omega_in and omega_out."
+        )
     expected = math.prod(shape) * dtype.itemsize
     rest = len(data) - stream.tell()
     if min(shape, default=0) < 0 or expected != rest:
