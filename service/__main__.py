@@ -5,14 +5,19 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from socket import socket
 from typing import Any
 
 import uvicorn
+from fastapi import FastAPI
 from pydantic import ValidationError
 
+from service import logs
 from service.app import create_app
+from service.connections import connection_class
+from service.context import Context
 from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
@@ -23,10 +28,11 @@ _LONGEST_SOCKET_FOLDER = 75  # a socket's path has at most 107 characters, of wh
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the service until it is stopped; return the exit code."""
+    given = _flags(arguments)
     try:
-        settings = _settings(arguments)
+        settings = Settings(**given)
     except ValidationError as error:
-        return _refuse(sentence(error.errors()))
+        return _refuse(_wrong_setting(error, given))
     if not settings.loopback and not settings.insecure:
         return _refuse(
             f"{settings.host} can be reached from other machines and no API keys are set: "
@@ -36,44 +42,82 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Store(settings.data_dir).close()
     except (DataFolderError, OSError) as error:
         return _refuse(str(error))
+    logs.configure(settings)
+    _keep_temporary_files_in(settings.data_dir)
+    return _run(settings)
+
+
+def _run(settings: Settings) -> int:
+    app = create_app(settings)
     config = uvicorn.Config(
-        create_app(settings),
+        app,
         host=settings.host,
         port=settings.port,
-        log_level=settings.log_level,
-        limit_concurrency=settings.limit_concurrency,
+        http=connection_class(settings),
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
         ws="none",
-        access_log=settings.access_log,
+        log_config=None,
+        log_level=settings.log_level,
+        access_log=False,
     )
-    server = uvicorn.Server(config)
     # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    _keep_temporary_files_in(settings.data_dir)
+    signal.signal(signal.SIGTERM, _exit)
+    server = _Server(config, app)
     try:
         server.run()
     except KeyboardInterrupt:
         return 0
+    except SystemExit as stop:
+        return 1 if stop.code else 0
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # impatience must not break off what is left to tidy
     return 0 if server.started else 1
 
 
-def _settings(arguments: Sequence[str] | None) -> Settings:
+class _Server(uvicorn.Server):
+    """Lets go who waits for a fit or follows one, before it waits for requests to end."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket] | None = None) -> None:
+        """Stop: no new requests, and the ones in progress answer soon."""
+        context: Context = self._app.state.context
+        context.readiness.stop()
+        await super().shutdown(sockets)
+
+
+def _exit(*_: Any) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(0)
+
+
+def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
+    """Return the settings that the command line gives, as text: `Settings` checks them."""
     parser = argparse.ArgumentParser(
         prog="python -m service",
         description="Run the HTTP service. Further settings are environment variables that begin with DSBRDF_.",
     )
     parser.add_argument("--host", help="address to listen on (default 127.0.0.1)")
-    parser.add_argument("--port", type=int, help="port to listen on, 0 for a free one (default 8000)")
+    parser.add_argument("--port", help="port to listen on, 0 for a free one (default 8000)")
     parser.add_argument("--data-dir", help="folder of the database and the measurements (default dsbrdf-data)")
-    parser.add_argument("--workers", type=int, help="fits that run at once (default: one for each core)")
+    parser.add_argument("--workers", help="fits that run at once (default: one for each core)")
     parser.add_argument(
         "--insecure", action="store_true", default=None, help="allow an address other than loopback without API keys"
     )
-    given: dict[str, Any] = {
-        name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None
-    }
-    return Settings(**given)
+    return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
+
+
+def _wrong_setting(error: ValidationError, given: Mapping[str, Any]) -> str:
+    """Return one sentence that names the flag or the environment variable of each setting that is wrong."""
+    faults = []
+    for fault in error.errors():
+        name = str(fault["loc"][0])
+        written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
+        faults.append({**fault, "loc": (written,), "msg": f"{fault['msg']}, not {str(fault['input'])[:60]!r}"})
+    return sentence(faults)
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.types import ASGIApp
 
 import dsbrdf
 from dsbrdf.engines.local import LocalEngine
@@ -12,7 +13,10 @@ from dsbrdf.merl import MerlChecker
 from service import openapi, problems
 from service.context import Context
 from service.jobs import Jobs
+from service.metrics import Metrics
 from service.models import Models
+from service.observe import Observe
+from service.readiness import Readiness
 from service.routes import brdf, exports, fits, health, lobes, measurements
 from service.settings import Settings
 from service.store import Store
@@ -26,8 +30,17 @@ problem documents.
 """
 
 
+class _Application(FastAPI):
+    """FastAPI with a layer around everything, so that also an error that nothing has foreseen is observed."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Return the layers of the application."""
+        return Observe(super().build_middleware_stack(), self.state.settings, self.state.metrics)
+
+
 def create_app(settings: Settings) -> FastAPI:
     """Return the application for `settings`; nothing is opened before it starts."""
+    metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -36,7 +49,8 @@ def create_app(settings: Settings) -> FastAPI:
             engine = LocalEngine(settings.workers, settings.fit_seconds, settings.fit_memory_mb)
             jobs = Jobs(store, engine, settings)
             models = Models(store, settings.model_cache)
-            app.state.context = Context(settings, store, engine, jobs, models)
+            readiness = Readiness(store, engine, settings)
+            app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
             await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
             await engine.check()
             await jobs.start()
@@ -48,9 +62,10 @@ def create_app(settings: Settings) -> FastAPI:
         finally:
             store.close()
 
-    app = FastAPI(
+    app = _Application(
         title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan, redoc_url=None
     )
+    app.state.settings, app.state.metrics = settings, metrics
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
     for routes in (brdf, fits, lobes, exports, measurements, health):

@@ -6,7 +6,9 @@ from starlette.requests import Request
 
 from dsbrdf.engines import Engine
 from service.jobs import Jobs
+from service.metrics import Metrics
 from service.models import Models
+from service.readiness import Readiness
 from service.settings import Settings
 from service.store import Store
 
@@ -20,6 +22,8 @@ class Context:
     engine: Engine
     jobs: Jobs
     models: Models
+    metrics: Metrics
+    readiness: Readiness
 
 
 def context_of(request: Request) -> Context:

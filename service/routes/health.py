@@ -1,54 +1,55 @@
-"""Liveness and readiness."""
-
-import shutil
-import sqlite3
+"""Liveness, readiness and metrics."""
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
 from service import openapi
-from service.context import Context, context_of
+from service.context import context_of
+from service.metrics import MEDIA_TYPE
 from service.problems import ProblemError
 from service.replies import json_reply
 from service.schemas import Health
 
-router = APIRouter(prefix="/health", tags=["health"])
+router = APIRouter(tags=["health"])
+
+_EXAMPLE = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
+# TYPE dsbrdf_fits gauge
+dsbrdf_fits{state="running"} 2.0
+"""
+_EXPOSITION: openapi.Responses = {
+    200: {
+        "description": "Metrics in Prometheus' text format.",
+        "content": {"text/plain": {"schema": {"type": "string"}, "example": _EXAMPLE}},
+    }
+}
 
 
-@router.get("/live", response_model=Health, summary="Is the process alive?", responses=openapi.health("live"))
+@router.get("/health/live", response_model=Health, summary="Is the process alive?", responses=openapi.health("live"))
 async def get_live() -> Response:
     """Answer whenever the process answers at all."""
     return json_reply(Health(status="live", version=dsbrdf.__version__))
 
 
 @router.get(
-    "/ready",
+    "/health/ready",
     response_model=Health,
     summary="Can it take work?",
     responses=openapi.health("ready") | openapi.problems("not-ready"),
 )
 async def get_ready(request: Request) -> Response:
-    """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503."""
-    context = context_of(request)
-    fault = await run_in_threadpool(_storage_fault, context)
-    if fault is None:
-        try:
-            await context.engine.check()
-        except RuntimeError as error:
-            fault = str(error)
+    """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
+
+    The answer is at most a second old, and each part has 3 s to give its own.
+    """
+    fault = await context_of(request).readiness.fault()
     if fault is not None:
         raise ProblemError("not-ready", fault, {"Retry-After": "10"})
     return json_reply(Health(status="ready", version=dsbrdf.__version__))
 
 
-def _storage_fault(context: Context) -> str | None:
-    try:
-        context.store.check()
-    except (OSError, sqlite3.Error) as error:
-        return f"The data folder cannot be written to: {error}."
-    free = shutil.disk_usage(context.store.folder).free >> 20
-    if free < context.settings.min_free_mb:
-        return f"The disk has {free} MB free; the service wants {context.settings.min_free_mb} MB."
-    return None
+@router.get("/metrics", response_class=PlainTextResponse, summary="Counts and times", responses=_EXPOSITION)
+async def get_metrics(request: Request) -> Response:
+    """Return requests, fits, times and sizes in Prometheus' text format."""
+    return Response(await run_in_threadpool(context_of(request).metrics.exposition), media_type=MEDIA_TYPE)

@@ -188,7 +188,7 @@ def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, host: str) ->
 def test_bad_settings_are_one_sentence(tmp_path: Path) -> None:
     bad = run("--port", "99999", "--data-dir", str(tmp_path / "data"))
     assert bad.returncode == 2
-    assert bad.stderr.startswith("dsbrdf: port:")
+    assert bad.stderr.startswith("dsbrdf: --port:")
     assert bad.stderr.count("\n") == 1
     assert run(DSBRDF_WORKERS="none").returncode == 2
 
