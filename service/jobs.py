@@ -19,7 +19,7 @@ import dsbrdf
 from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Outcome
 from service.options import from_wire, to_wire
 from service.problems import is_disk_full
-from service.rows import FitRow
+from service.rows import Caller, FitKey, FitRow
 from service.settings import Settings
 from service.store import Store
 
@@ -67,12 +67,12 @@ class Jobs:
         self._engine = engine
         self._settings = settings
         self._slots = asyncio.Semaphore(settings.workers)
-        self._live: dict[str, _Live] = {}
+        self._live: dict[FitKey, _Live] = {}
 
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
         for row in await run_in_threadpool(self._store.resume):
-            self._begin(row.id)
+            self._begin(row.key)
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
@@ -81,7 +81,7 @@ class Jobs:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def submit(self, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
+    async def submit(self, caller: Caller, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
         """Accept a fit of a stored measurement, or find the same one.
 
         Returns
@@ -91,35 +91,35 @@ class Jobs:
         bool
             Whether it is computed because of this call.
         """
-        fit_id = fit_identity(measurement, options)
+        key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         row, new = await run_in_threadpool(
-            self._store.add_fit, fit_id, measurement, to_wire(options), versions, self._settings.queue_limit
+            self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
         )
         if new:
-            self._begin(fit_id)
+            self._begin(key)
         return row, new
 
-    async def wait(self, fit_id: str, seconds: float) -> FitRow | None:
+    async def wait(self, key: FitKey, seconds: float) -> FitRow | None:
         """Return the fit's row when it has ended, or after `seconds`; None if there is no such fit."""
-        live = self._live.get(fit_id)
+        live = self._live.get(key)
         if live is not None and seconds > 0:
             await asyncio.wait([live.task], timeout=seconds)
-        return await run_in_threadpool(self._store.fit, fit_id)
+        return await run_in_threadpool(self._store.fit, key)
 
     def progress(self, row: FitRow) -> float:
         """Return the finished share of a fit, 0 to 1."""
         if row.status == "succeeded":
             return 1.0
-        live = self._live.get(row.id)
+        live = self._live.get(row.key)
         return 0.0 if live is None else live.progress
 
-    async def watch(self, fit_id: str) -> AsyncIterator[FitRow]:
+    async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
         """Yield the fit's row now and at every change, last when it has ended or has been deleted."""
         while True:
-            live = self._live.get(fit_id)
+            live = self._live.get(key)
             changed = None if live is None else live.changed
-            row = await run_in_threadpool(self._store.fit, fit_id)
+            row = await run_in_threadpool(self._store.fit, key)
             if row is None:
                 return
             yield row
@@ -130,62 +130,62 @@ class Jobs:
             else:  # the row is ahead of, or behind, this process by one step
                 await asyncio.sleep(0.05)
 
-    async def cancel(self, fit_id: str) -> FitRow | None:
+    async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        row = await run_in_threadpool(self._store.cancel_fit, fit_id)
-        live = self._live.get(fit_id)
+        row = await run_in_threadpool(self._store.cancel_fit, key)
+        live = self._live.get(key)
         if row is not None and live is not None:
             live.task.cancel()
             await asyncio.wait([live.task])
         return row
 
-    def _begin(self, fit_id: str) -> None:
-        previous = self._live.get(fit_id)
-        task = asyncio.create_task(self._live_through(fit_id, previous.task if previous else None))
-        self._live[fit_id] = live = _Live(task)
+    def _begin(self, key: FitKey) -> None:
+        previous = self._live.get(key)
+        task = asyncio.create_task(self._live_through(key, previous.task if previous else None))
+        self._live[key] = live = _Live(task)
 
         def forget(_: "asyncio.Task[None]") -> None:
-            if self._live.get(fit_id) is live:
-                del self._live[fit_id]
+            if self._live.get(key) is live:
+                del self._live[key]
             live.tell()
 
         task.add_done_callback(forget)
 
-    async def _live_through(self, fit_id: str, previous: "asyncio.Task[None] | None") -> None:
+    async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None") -> None:
         if previous is not None:  # cancelled, and asked for again before its process had ended
             await asyncio.wait([previous])
         try:
-            while not await self._attempt(fit_id):
+            while not await self._attempt(key):
                 pass
         except Exception:
             # The row stays unfinished, and the next start of the service runs the fit again.
-            logger.exception("fit %s could not be brought to its end", fit_id)
+            logger.exception("fit %s could not be brought to its end", key)
             raise
 
-    async def _attempt(self, fit_id: str) -> bool:
+    async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
         async with self._slots:
-            row = await _once_there_is_room(self._store.start_fit, fit_id)
+            row = await _once_there_is_room(self._store.start_fit, key)
             if row is None:
                 return True
-            self._tell(fit_id, 0.0)
-            task = FitTask(fit_id, self._store.blobs.path(row.measurement), from_wire(row.options))
-            outcome = await self._engine.run(task, lambda share: self._tell(fit_id, share))
+            self._tell(key, 0.0)
+            task = FitTask(str(key), self._store.blobs.path(row.measurement), from_wire(row.options))
+            outcome = await self._engine.run(task, lambda share: self._tell(key, share))
             return await _once_there_is_room(self._record, row, outcome)
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
         if isinstance(outcome, Fitted):
-            self._store.complete_fit(row.id, outcome.document, outcome.metrics)
+            self._store.complete_fit(row.key, outcome.document, outcome.metrics)
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:
-            logger.warning("fit %s runs again: %s", row.id, outcome.message)
-            return self._store.requeue_fit(row.id) is None
-        self._store.fail_fit(row.id, _error(outcome))
+            logger.warning("fit %s runs again: %s", row.key, outcome.message)
+            return self._store.requeue_fit(row.key) is None
+        self._store.fail_fit(row.key, _error(outcome))
         return True
 
-    def _tell(self, fit_id: str, share: float) -> None:
-        live = self._live.get(fit_id)
+    def _tell(self, key: FitKey, share: float) -> None:
+        live = self._live.get(key)
         if live is not None and (share == 0.0 or share - live.progress >= _LEAST_CHANGE):
             live.progress = share
             live.tell()

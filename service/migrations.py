@@ -36,6 +36,65 @@ STEPS = (
     CREATE INDEX fits_by_status ON fits (status);
     CREATE INDEX fits_by_measurement ON fits (measurement);
     """,
+    # Rows get an owner: '' is who needs no key. Now `seq` counts the rows of each owner, so that the cursor of a page
+    # does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
+    """
+    CREATE TABLE owned_measurements (
+        owner TEXT NOT NULL,
+        seq INTEGER NOT NULL,
+        sha256 TEXT NOT NULL,
+        size INTEGER NOT NULL,
+        valid_nodes INTEGER NOT NULL,
+        created REAL NOT NULL,
+        UNIQUE (owner, sha256),
+        UNIQUE (owner, seq)
+    ) STRICT;
+    INSERT INTO owned_measurements SELECT '', seq, sha256, size, valid_nodes, created FROM measurements ORDER BY seq;
+    DROP TABLE measurements;
+    ALTER TABLE owned_measurements RENAME TO measurements;
+    CREATE INDEX measurements_by_sha256 ON measurements (sha256);
+    CREATE TABLE owned_fits (
+        owner TEXT NOT NULL,
+        seq INTEGER NOT NULL,
+        id TEXT NOT NULL,
+        measurement TEXT NOT NULL,
+        options TEXT NOT NULL,
+        algorithm TEXT NOT NULL,
+        library TEXT NOT NULL,
+        status TEXT NOT NULL
+            CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
+        attempts INTEGER NOT NULL DEFAULT 0,
+        metrics TEXT,
+        error TEXT,
+        created REAL NOT NULL,
+        started REAL,
+        finished REAL,
+        result TEXT,
+        size INTEGER NOT NULL DEFAULT 0,
+        UNIQUE (owner, id),
+        UNIQUE (owner, seq),
+        CHECK ((status = 'succeeded') = (result IS NOT NULL)),
+        CHECK ((status = 'failed') = (error IS NOT NULL))
+    ) STRICT;
+    INSERT INTO owned_fits SELECT
+        '', seq, id, measurement, options, algorithm, library, status, attempts, metrics, error, created, started,
+        finished, result, coalesce(length(CAST(result AS BLOB)), 0) FROM fits ORDER BY seq;
+    DROP TABLE fits;
+    ALTER TABLE owned_fits RENAME TO fits;
+    CREATE INDEX fits_by_status ON fits (status, owner);
+    CREATE INDEX fits_by_measurement ON fits (measurement, owner);
+    CREATE INDEX fits_by_size ON fits (owner, size);
+    CREATE TABLE keys (
+        id TEXT NOT NULL PRIMARY KEY,
+        name TEXT NOT NULL,
+        secret_sha256 TEXT NOT NULL,
+        created REAL NOT NULL,
+        revoked REAL,
+        requests_per_second REAL,
+        stored_mb INTEGER,
+        queued_fits INTEGER
+    ) STRICT;
+    """,
 )
 
 
@@ -58,4 +117,12 @@ def migrate(connection: sqlite3.Connection) -> None:
             "run the newer release that wrote it"
         )
     for number, step in enumerate(STEPS[version:], start=version + 1):
-        connection.executescript(f"BEGIN IMMEDIATE;{step};PRAGMA user_version = {number};COMMIT;")
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            for statement in step.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {number}")
+            connection.execute("COMMIT")
+        except BaseException:
+            connection.execute("ROLLBACK")
+            raise

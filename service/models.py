@@ -10,6 +10,7 @@ from dsbrdf import DSBRDF, Decomposition, FitReport, InvalidArgumentError, decom
 from dsbrdf.decomposition import LABELS
 from dsbrdf.serialize import from_json
 from service.problems import ProblemError
+from service.rows import FitKey
 from service.store import Store
 
 
@@ -27,7 +28,7 @@ class Loaded:
 
 
 class Models:
-    """Models by fit id, in the order of their last use.
+    """Models by fit, in the order of their last use.
 
     Parameters
     ----------
@@ -39,10 +40,10 @@ class Models:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._kept: OrderedDict[str, Loaded] = OrderedDict()
+        self._kept: OrderedDict[FitKey, Loaded] = OrderedDict()
         self._deletions = 0
 
-    async def get(self, fit_id: str) -> Loaded:
+    async def get(self, key: FitKey) -> Loaded:
         """Return the model of a fit.
 
         Raises
@@ -50,20 +51,20 @@ class Models:
         ProblemError
             If there is no such fit, or it has no result.
         """
-        loaded = self._kept.get(fit_id)
+        loaded = self._kept.get(key)
         if loaded is not None:
-            self._kept.move_to_end(fit_id)
+            self._kept.move_to_end(key)
             return loaded
         deletions = self._deletions
-        loaded = await run_in_threadpool(self._load, fit_id)
+        loaded = await run_in_threadpool(self._load, key)
         if deletions != self._deletions:  # perhaps of this fit, after it was read
             return loaded
-        self._kept[fit_id] = loaded
+        self._kept[key] = loaded
         while len(self._kept) > self._size:
             self._kept.popitem(last=False)
         return loaded
 
-    async def part(self, fit_id: str, label: str | None) -> DSBRDF:
+    async def part(self, key: FitKey, label: str | None) -> DSBRDF:
         """Return the model of a fit, or of one of its components.
 
         Raises
@@ -72,34 +73,34 @@ class Models:
             As `get`, or if there is no such label.
         """
         if label is None:
-            return (await self.get(fit_id)).model
-        decomposition = await self.decomposition(fit_id)
+            return (await self.get(key)).model
+        decomposition = await self.decomposition(key)
         try:
             return decomposition[label]
         except InvalidArgumentError:
             detail = f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}."
             raise ProblemError("not-found", detail) from None
 
-    async def decomposition(self, fit_id: str) -> Decomposition:
+    async def decomposition(self, key: FitKey) -> Decomposition:
         """Return the components of a fit; raises as `get`."""
-        loaded = await self.get(fit_id)
+        loaded = await self.get(key)
         return await run_in_threadpool(lambda: loaded.decomposition)
 
-    def forget(self, fit_id: str) -> None:
+    def forget(self, key: FitKey) -> None:
         """Drop a model whose fit is deleted."""
         self._deletions += 1
-        self._kept.pop(fit_id, None)
+        self._kept.pop(key, None)
 
-    def _load(self, fit_id: str) -> Loaded:
-        document = self._store.result(fit_id)
+    def _load(self, key: FitKey) -> Loaded:
+        document = self._store.result(key)
         if document is None:
-            raise self._problem(fit_id)
+            raise self._problem(key)
         return Loaded(*from_json(document))
 
-    def _problem(self, fit_id: str) -> ProblemError:
-        row = self._store.fit(fit_id)
+    def _problem(self, key: FitKey) -> ProblemError:
+        row = self._store.fit(key)
         if row is None:
-            return no_such_fit(fit_id)
+            return no_such_fit(key.id)
         if not row.ended:
             detail = f"The fit is {row.status}; its model exists when it has succeeded."
             return ProblemError("fit-not-finished", detail, {"Retry-After": "1"})

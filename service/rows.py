@@ -2,19 +2,47 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
 _REPEATABLE = ("compute", "system")  # origins of a failure after which the same request runs again
 
 
+class FitKey(NamedTuple):
+    """What names a fit: the same request of two owners has the same id, and makes two fits."""
+
+    owner: str
+    id: str
+
+    def __str__(self) -> str:
+        return f"{self.owner}/{self.id}" if self.owner else self.id
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who asks, and how much they may have at once.
+
+    Attributes
+    ----------
+    owner : str
+        Id of the key that was sent; '' without one. Rows are seen by their owner only.
+    stored_bytes, queued_fits : int or None
+        Most bytes stored, and most unfinished fits; None is no bound.
+    """
+
+    owner: str = ""
+    stored_bytes: int | None = None
+    queued_fits: int | None = None
+
+
 @dataclass(frozen=True)
 class MeasurementRow:
-    """A stored measurement."""
+    """A stored measurement; `seq` counts the measurements of its owner."""
 
-    COLUMNS: ClassVar[str] = "seq, sha256, size, valid_nodes, created"
+    COLUMNS: ClassVar[str] = "owner, seq, sha256, size, valid_nodes, created"
 
+    owner: str
     seq: int
     sha256: str
     size: int
@@ -29,13 +57,14 @@ class MeasurementRow:
 
 @dataclass(frozen=True)
 class FitRow:
-    """A fit's state without its result; options as on the wire."""
+    """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner."""
 
     COLUMNS: ClassVar[str] = (
-        "seq, id, measurement, status, attempts, created, started, finished,"
+        "owner, seq, id, measurement, status, attempts, created, started, finished,"
         " options, algorithm, library, metrics, error"
     )
 
+    owner: str
     seq: int
     id: str
     measurement: str
@@ -57,6 +86,11 @@ class FitRow:
         for name in ("options", "metrics", "error"):
             named[name] = None if named[name] is None else json.loads(named[name])
         return cls(**named)
+
+    @property
+    def key(self) -> FitKey:
+        """What names the fit."""
+        return FitKey(self.owner, self.id)
 
     @property
     def ended(self) -> bool:

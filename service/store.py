@@ -16,12 +16,22 @@ from typing import Any, TypeVar
 
 from service.blobs import Blobs, Incoming
 from service.migrations import DataFolderError, migrate
-from service.rows import UNFINISHED, FitRow, MeasurementRow, Status
+from service.rows import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
 
 _SELECT_FIT = f"SELECT {FitRow.COLUMNS} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {MeasurementRow.COLUMNS} FROM measurements"  # noqa: S608
+_THE_FIT = "WHERE owner = ? AND id = ?"
+_NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
+_INSERT_FIT = (
+    "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created)"  # noqa: S608
+    f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {FitRow.COLUMNS}"
+)
+_INSERT_MEASUREMENT = (
+    "INSERT INTO measurements (seq, owner, sha256, size, valid_nodes, created)"  # noqa: S608
+    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?) RETURNING {MeasurementRow.COLUMNS}"
+)
 
 
 class DataFolderInUseError(DataFolderError):
@@ -34,6 +44,14 @@ class MissingMeasurementError(LookupError):
 
 class QueueFullError(RuntimeError):
     """As many fits are waiting as may wait."""
+
+
+class QueueQuotaError(RuntimeError):
+    """The caller has as many unfinished fits as it may have."""
+
+
+class StorageQuotaError(RuntimeError):
+    """The caller has stored as much as it may, or would with this measurement."""
 
 
 class MeasurementInUseError(RuntimeError):
@@ -77,32 +95,41 @@ class Store:
             self._db.close()
         self._guard.close()
 
-    def add_measurement(self, incoming: Incoming, sha256: str, valid_nodes: int) -> tuple[MeasurementRow, bool]:
-        """Keep a received file; the flag says whether it is new."""
-        insert = (
-            "INSERT INTO measurements (sha256, size, valid_nodes, created) VALUES (?, ?, ?, ?)"  # noqa: S608
-            f" RETURNING {MeasurementRow.COLUMNS}"
-        )
+    def add_measurement(
+        self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
+    ) -> tuple[MeasurementRow, bool]:
+        """Keep a received file; the flag says whether it is new to the caller.
+
+        Raises
+        ------
+        StorageQuotaError
+            If the caller would have stored more than it may.
+        """
         with self._transaction() as db:
-            known = db.execute(f"{_SELECT_MEASUREMENT} WHERE sha256 = ?", (sha256,)).fetchone()
+            query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
+            known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is not None:
                 incoming.discard()
                 return MeasurementRow.of(known), False
-            values = (sha256, incoming.size, valid_nodes, time.time())
-            (row,) = db.execute(insert, values).fetchall()
+            _check_storage(db, caller, incoming.size)
+            values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
+            (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
+            # Placed even if another owner has the same bytes: how long it takes does not tell.
             self.blobs.place(incoming, sha256)
         return MeasurementRow.of(row), True
 
-    def measurement(self, sha256: str) -> MeasurementRow | None:
+    def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
-        return self._one(MeasurementRow.of, f"{_SELECT_MEASUREMENT} WHERE sha256 = ?", sha256)
+        return self._one(MeasurementRow.of, f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256)
 
-    def measurements(self, limit: int, before: int | None) -> list[MeasurementRow]:
+    def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`."""
-        return self._page(MeasurementRow.of, _SELECT_MEASUREMENT, limit, before)
+        return self._page(MeasurementRow.of, _SELECT_MEASUREMENT, owner, limit, before)
 
-    def remove_measurement(self, sha256: str) -> bool:
+    def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, its finished fits stay; return whether there was one.
+
+        Its file goes with the last owner's row.
 
         Raises
         ------
@@ -110,18 +137,23 @@ class Store:
             If fits of it are unfinished.
         """
         with self._transaction() as db:
-            query = "SELECT count(*) FROM fits WHERE measurement = ? AND status IN ('accepted', 'running')"
-            (unfinished,) = db.execute(query, (sha256,)).fetchone()
+            query = (
+                "SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND status IN ('accepted', 'running')"
+            )
+            (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
                 raise MeasurementInUseError(f"{unfinished} unfinished fits use the measurement")
-            removed = db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,)).rowcount > 0
+            delete = "DELETE FROM measurements WHERE owner = ? AND sha256 = ?"
+            removed = db.execute(delete, (owner, sha256)).rowcount > 0
             # If the commit fails, the row stays without its file; if the file went after the commit, the same
             # file could come in between and be lost. The row is the smaller loss: it is dropped at the start.
-            self.blobs.remove(sha256)
+            if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
+                self.blobs.remove(sha256)
         return removed
 
     def add_fit(
         self,
+        caller: Caller,
         fit_id: str,
         measurement: str,
         options: Mapping[str, Any],
@@ -132,6 +164,8 @@ class Store:
 
         Parameters
         ----------
+        caller : Caller
+            Whose fit it is, and how many it may have.
         fit_id, measurement : str
             Identities of the fit and of its measurement.
         options : mapping
@@ -144,76 +178,80 @@ class Store:
         Raises
         ------
         MissingMeasurementError
-            If the measurement is not stored.
+            If the caller has no such measurement.
+        QueueQuotaError, StorageQuotaError
+            If the caller has as many unfinished fits, or has stored as much, as it may.
         QueueFullError
             If too many fits are waiting.
         """
-        insert = (
-            "INSERT INTO fits (id, measurement, options, algorithm, library, status, created)"  # noqa: S608
-            f" VALUES (?, ?, ?, ?, ?, 'accepted', ?) RETURNING {FitRow.COLUMNS}"
-        )
+        key = (caller.owner, fit_id)
         with self._transaction() as db:
-            values = db.execute(f"{_SELECT_FIT} WHERE id = ?", (fit_id,)).fetchone()
+            values = db.execute(f"{_SELECT_FIT} {_THE_FIT}", key).fetchone()
             known = None if values is None else FitRow.of(values)
             if known is not None and not known.repeatable:
                 return known, False
-            if db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (measurement,)).fetchone() is None:
+            stored = "SELECT 1 FROM measurements WHERE owner = ? AND sha256 = ?"
+            if db.execute(stored, (caller.owner, measurement)).fetchone() is None:
                 raise MissingMeasurementError(measurement)
+            _check_queue(db, caller)
+            _check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
                 raise QueueFullError(f"{waiting} fits are waiting")
             # A fit that runs once more starts anew, at the head of the list.
-            db.execute("DELETE FROM fits WHERE id = ?", (fit_id,))
-            new = (fit_id, measurement, json.dumps(options), *versions, time.time())
-            (row,) = db.execute(insert, new).fetchall()
+            db.execute(f"DELETE FROM fits {_THE_FIT}", key)  # noqa: S608
+            new = (caller.owner, *key, measurement, json.dumps(options), *versions, time.time())
+            (row,) = db.execute(_INSERT_FIT, new).fetchall()
         return FitRow.of(row), True
 
-    def fit(self, fit_id: str) -> FitRow | None:
+    def fit(self, key: FitKey) -> FitRow | None:
         """Return a fit's row."""
-        return self._one(FitRow.of, f"{_SELECT_FIT} WHERE id = ?", fit_id)
+        return self._one(FitRow.of, f"{_SELECT_FIT} {_THE_FIT}", *key)
 
-    def fits(self, limit: int, before: int | None) -> list[FitRow]:
+    def fits(self, owner: str, limit: int, before: int | None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`."""
-        return self._page(FitRow.of, _SELECT_FIT, limit, before)
+        return self._page(FitRow.of, _SELECT_FIT, owner, limit, before)
 
-    def result(self, fit_id: str) -> str | None:
+    def result(self, key: FitKey) -> str | None:
         """Return the document of a fit that succeeded."""
-        return self._one(lambda row: str(row[0]), "SELECT result FROM fits WHERE id = ? AND result NOT NULL", fit_id)
+        query = f"SELECT result FROM fits {_THE_FIT} AND result NOT NULL"  # noqa: S608
+        return self._one(lambda row: str(row[0]), query, *key)
 
-    def start_fit(self, fit_id: str) -> FitRow | None:
+    def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""
         change = "status = 'running', attempts = attempts + 1, started = ?"
-        return self._advance(change, (time.time(),), fit_id, ("accepted",))
+        return self._advance(change, (time.time(),), key, ("accepted",))
 
-    def requeue_fit(self, fit_id: str) -> FitRow | None:
+    def requeue_fit(self, key: FitKey) -> FitRow | None:
         """Set a running fit back to accepted; None if it does not run any more."""
-        return self._advance("status = 'accepted', started = NULL", (), fit_id, ("running",))
+        return self._advance("status = 'accepted', started = NULL", (), key, ("running",))
 
-    def complete_fit(self, fit_id: str, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
+    def complete_fit(self, key: FitKey, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
         """Write a running fit's result and its state; None if it does not run any more."""
-        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?"
-        return self._advance(change, (time.time(), json.dumps(metrics), document), fit_id, ("running",))
+        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?"
+        size = len(document.encode())
+        return self._advance(change, (time.time(), json.dumps(metrics), document, size), key, ("running",))
 
-    def fail_fit(self, fit_id: str, error: Mapping[str, str]) -> FitRow | None:
+    def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
         """Write a fit's error and its state; None if it has ended already."""
         change = "status = 'failed', finished = ?, error = ?"
-        return self._advance(change, (time.time(), json.dumps(error)), fit_id, UNFINISHED)
+        return self._advance(change, (time.time(), json.dumps(error)), key, UNFINISHED)
 
-    def cancel_fit(self, fit_id: str) -> FitRow | None:
+    def cancel_fit(self, key: FitKey) -> FitRow | None:
         """Mark an unfinished fit as cancelled; None if it has ended already."""
-        return self._advance("status = 'cancelled', finished = ?", (time.time(),), fit_id, UNFINISHED)
+        return self._advance("status = 'cancelled', finished = ?", (time.time(),), key, UNFINISHED)
 
-    def remove_fit(self, fit_id: str) -> bool:
+    def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
-        query = "DELETE FROM fits WHERE id = ? AND status NOT IN ('accepted', 'running')"
+        query = f"DELETE FROM fits {_THE_FIT} AND status NOT IN ('accepted', 'running')"  # noqa: S608
         with self._transaction() as db:
-            return db.execute(query, (fit_id,)).rowcount > 0
+            return db.execute(query, key).rowcount > 0
 
     def resume(self) -> list[FitRow]:
         """Set what an earlier process left running back to accepted; return all that wait, oldest first."""
         with self._transaction() as db:
             db.execute("UPDATE fits SET status = 'accepted', started = NULL WHERE status = 'running'")
-            rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY seq")
+            rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY rowid")
             return [FitRow.of(row) for row in rows]
 
     def check(self) -> None:
@@ -222,24 +260,26 @@ class Store:
             self.blobs.check()
 
     def _advance(
-        self, change: str, values: tuple[object, ...], fit_id: str, states: tuple[Status, ...]
+        self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]
     ) -> FitRow | None:
         """Apply `change` to a fit that is in one of `states`."""
         marks = ", ".join("?" * len(states))
-        query = f"UPDATE fits SET {change} WHERE id = ? AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
+        query = f"UPDATE fits SET {change} {_THE_FIT} AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
         with self._transaction() as db:
-            rows = db.execute(query, (*values, fit_id, *states)).fetchall()
+            rows = db.execute(query, (*values, *key, *states)).fetchall()
         return FitRow.of(rows[0]) if rows else None
 
-    def _one(self, make: Callable[[tuple[Any, ...]], _Row], query: str, key: str) -> _Row | None:
+    def _one(self, make: Callable[[tuple[Any, ...]], _Row], query: str, *values: str) -> _Row | None:
         with self._lock:
-            row = self._db.execute(query, (key,)).fetchone()
+            row = self._db.execute(query, values).fetchone()
         return None if row is None else make(row)
 
-    def _page(self, make: Callable[[tuple[Any, ...]], _Row], query: str, limit: int, before: int | None) -> list[_Row]:
-        older, values = ("", (limit,)) if before is None else (" WHERE seq < ?", (before, limit))
+    def _page(
+        self, make: Callable[[tuple[Any, ...]], _Row], query: str, owner: str, limit: int, before: int | None
+    ) -> list[_Row]:
+        older, values = ("", (owner, limit)) if before is None else (" AND seq < ?", (owner, before, limit))
         with self._lock:
-            rows = self._db.execute(f"{query}{older} ORDER BY seq DESC LIMIT ?", values).fetchall()
+            rows = self._db.execute(f"{query} WHERE owner = ?{older} ORDER BY seq DESC LIMIT ?", values).fetchall()
         return [make(row) for row in rows]
 
     def _drop_strays(self) -> None:
@@ -247,7 +287,7 @@ class Store:
         self.blobs.clear_temporary()
         files = set(self.blobs.all())
         with self._transaction() as db:
-            rows = {sha256 for (sha256,) in db.execute("SELECT sha256 FROM measurements")}
+            rows = {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
             for sha256 in rows - files:
                 db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,))
         for sha256 in files - rows:
@@ -264,3 +304,29 @@ class Store:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
+
+
+def _check_queue(db: sqlite3.Connection, caller: Caller) -> None:
+    """Raise QueueQuotaError if the caller has as many unfinished fits as it may have."""
+    if caller.queued_fits is None:
+        return
+    query = "SELECT count(*) FROM fits WHERE owner = ? AND status IN ('accepted', 'running')"
+    (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
+    if unfinished >= caller.queued_fits:
+        raise QueueQuotaError(f"{unfinished} fits of this key are unfinished, as many as may be")
+
+
+def _check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
+    """Raise StorageQuotaError if the caller has no room for one and more bytes."""
+    if caller.stored_bytes is None:
+        return
+    query = (
+        "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
+        " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
+    )
+    (stored,) = db.execute(query, (caller.owner, caller.owner)).fetchone()
+    if stored + max(more, 1) > caller.stored_bytes:
+        raise StorageQuotaError(
+            f"this key has stored {stored / 1e6:.1f} of {caller.stored_bytes / 1e6:.1f} MB"
+            + (f" and the measurement has {more / 1e6:.1f} MB" if more else "")
+        )

@@ -11,6 +11,7 @@ from dsbrdf.merl import FILE_SIZE, MerlChecker, check_header, check_length
 from dsbrdf.merl_check import HEADER_SIZE
 from service.blobs import Incoming
 from service.decoding import decoder
+from service.gate import caller_of
 from service.problems import ProblemError
 from service.rows import MeasurementRow
 from service.store import Store
@@ -42,7 +43,7 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
         async for piece in _pieces(request):
             await run_in_threadpool(receiver.take, piece)
         sha256, valid_nodes = await run_in_threadpool(receiver.finish)
-        return await run_in_threadpool(store.add_measurement, incoming, sha256, valid_nodes)
+        return await run_in_threadpool(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
     except ClientDisconnect:
         raise ProblemError("bad-request", "The client went away before the end of the body.") from None
     finally:

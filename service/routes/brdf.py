@@ -11,6 +11,7 @@ from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.decomposition import LABELS
 from service import examples, openapi
 from service.context import Context, context_of
+from service.gate import fit_of
 from service.points import NPY, Points, from_angles, from_directions, from_npy, from_query, to_npy
 from service.problems import ProblemError, sentence
 from service.routes.fits import FitId
@@ -89,7 +90,7 @@ async def post_component_values(request: Request, fit_id: FitId, label: Label) -
 
 async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
     points = from_query(request.query_params)
-    model = await context_of(request).models.part(fit_id, label)
+    model = await context_of(request).models.part(fit_of(request, fit_id), label)
     if len(points) <= _INLINE_POINTS:
         return JSONResponse({"values": points.values(model).tolist()})
     return await run_in_threadpool(_json_values, model, points)
@@ -98,7 +99,7 @@ async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
 async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
     context = context_of(request)
     as_npy = _wants_npy(request)
-    model = await context.models.part(fit_id, label)
+    model = await context.models.part(fit_of(request, fit_id), label)
     points = await _batch(request, context)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."

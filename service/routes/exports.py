@@ -12,6 +12,7 @@ from dsbrdf.merl import encode_merl
 from dsbrdf.serialize import to_json, to_npz
 from service import openapi
 from service.context import context_of
+from service.gate import fit_of
 from service.routes.fits import FitId
 from service.schemas import Export
 
@@ -38,8 +39,9 @@ async def export_fit(request: Request, fit_id: FitId, export: Annotated[Export, 
     The report of the fit goes with the whole model in the lossless formats.
     """
     models = context_of(request).models
-    model = await models.part(fit_id, export.component)
-    report = (await models.get(fit_id)).report if export.component is None else None
+    fit = fit_of(request, fit_id)
+    model = await models.part(fit, export.component)
+    report = (await models.get(fit)).report if export.component is None else None
     media_type, suffix, write = _FORMATS[export.format]
     content = await run_in_threadpool(write, model, report)
     name = "-".join(part for part in (fit_id, export.component) if part)

@@ -13,11 +13,12 @@ from dsbrdf import FitOptions, InvalidArgumentError
 from service import examples, openapi
 from service.context import Context, context_of
 from service.documents import fit_document, fit_progress, fit_summary
+from service.gate import caller_of, fit_of, owner_of
 from service.models import no_such_fit, no_such_measurement
 from service.option_parsing import parse_options, parse_query
 from service.problems import ProblemError, sentence
 from service.replies import json_reply, next_page, preferred_wait, tagged_reply
-from service.rows import FitRow
+from service.rows import Caller, FitKey, FitRow
 from service.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
 from service.store import MissingMeasurementError, QueueFullError
 from service.uploads import receive_measurement, receive_small
@@ -65,7 +66,7 @@ async def submit_fit(request: Request) -> Response:
     else:
         detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {_RAW}, or JSON."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{_RAW}, application/json"})
-    fit, new = await _submit(context, measurement, options)
+    fit, new = await _submit(context, caller_of(request), measurement, options)
     wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
     return await _answer(context, fit, new, wait)
 
@@ -80,7 +81,7 @@ async def list_fits(request: Request, page: Annotated[Page, Query()]) -> Respons
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     context = context_of(request)
     before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.fits, page.limit, before)
+    rows = await run_in_threadpool(context.store.fits, owner_of(request), page.limit, before)
     items = [fit_summary(row, context.jobs.progress(row)) for row in rows]
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
     return json_reply(FitList(items=items), headers=headers)
@@ -95,7 +96,7 @@ async def list_fits(request: Request, page: Annotated[Page, Query()]) -> Respons
 async def get_fit(request: Request, fit_id: FitId, waiting: Annotated[Waiting, Query()]) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     context = context_of(request)
-    row = await context.jobs.wait(fit_id, min(waiting.wait, context.settings.max_wait))
+    row = await context.jobs.wait(fit_of(request, fit_id), min(waiting.wait, context.settings.max_wait))
     if row is None:
         raise no_such_fit(fit_id)
     document = await _document(context, row)
@@ -114,20 +115,22 @@ async def get_fit(request: Request, fit_id: FitId, waiting: Annotated[Waiting, Q
 async def delete_fit(request: Request, fit_id: FitId) -> Response:
     """Cancel an unfinished fit (200, it stays in the list), or delete one that has ended (204)."""
     context = context_of(request)
-    row = await context.jobs.cancel(fit_id)
+    fit = fit_of(request, fit_id)
+    row = await context.jobs.cancel(fit)
     if row is not None:
         return json_reply(await _document(context, row))
-    if not await run_in_threadpool(context.store.remove_fit, fit_id):
+    if not await run_in_threadpool(context.store.remove_fit, fit):
         raise no_such_fit(fit_id)
-    context.models.forget(fit_id)
+    context.models.forget(fit)
     return Response(status_code=204)
 
 
-async def _known_fit(request: Request, fit_id: FitId) -> str:
+async def _known_fit(request: Request, fit_id: FitId) -> FitKey:
     """Look the fit up before the stream begins, while the answer can still be 404."""
-    if await run_in_threadpool(context_of(request).store.fit, fit_id) is None:
+    fit = fit_of(request, fit_id)
+    if await run_in_threadpool(context_of(request).store.fit, fit) is None:
         raise no_such_fit(fit_id)
-    return fit_id
+    return fit
 
 
 @router.get(
@@ -136,10 +139,10 @@ async def _known_fit(request: Request, fit_id: FitId) -> str:
     summary="Follow a fit",
     responses=openapi.events() | openapi.problems("not-found"),
 )
-async def follow_fit(request: Request, fit_id: Annotated[str, Depends(_known_fit)]) -> AsyncIterable[ServerSentEvent]:
+async def follow_fit(request: Request, fit: Annotated[FitKey, Depends(_known_fit)]) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
     jobs = context_of(request).jobs
-    async for row in jobs.watch(fit_id):
+    async for row in jobs.watch(fit):
         event: Progress = fit_progress(row, jobs.progress(row))
         yield ServerSentEvent(data=event, event=row.status)
 
@@ -156,9 +159,9 @@ async def _stored_submission(request: Request) -> tuple[str, FitOptions]:
     return document.measurement, parse_options(document.options)
 
 
-async def _submit(context: Context, measurement: str, options: FitOptions) -> tuple[FitRow, bool]:
+async def _submit(context: Context, caller: Caller, measurement: str, options: FitOptions) -> tuple[FitRow, bool]:
     try:
-        return await context.jobs.submit(measurement, options)
+        return await context.jobs.submit(caller, measurement, options)
     except MissingMeasurementError:
         raise no_such_measurement(measurement) from None
     except QueueFullError:
@@ -169,7 +172,7 @@ async def _submit(context: Context, measurement: str, options: FitOptions) -> tu
 
 async def _answer(context: Context, fit: FitRow, new: bool, wait: float) -> Response:
     """Return the fit when it has ended, or after `wait` seconds."""
-    row = fit if fit.ended else await context.jobs.wait(fit.id, wait)
+    row = fit if fit.ended else await context.jobs.wait(fit.key, wait)
     if row is None:  # deleted meanwhile by someone else
         raise no_such_fit(fit.id)
     headers = {"Location": f"/v1/fits/{row.id}"}
@@ -180,5 +183,5 @@ async def _answer(context: Context, fit: FitRow, new: bool, wait: float) -> Resp
 
 
 async def _document(context: Context, row: FitRow) -> FitDocument:
-    model = (await context.models.get(row.id)).model if row.status == "succeeded" else None
+    model = (await context.models.get(row.key)).model if row.status == "succeeded" else None
     return fit_document(row, context.jobs.progress(row), model)

@@ -6,6 +6,7 @@ from starlette.responses import Response
 from service import examples, openapi
 from service.context import context_of
 from service.documents import component_document
+from service.gate import fit_of
 from service.replies import tagged_reply
 from service.routes.fits import FitId
 from service.schemas import ComponentList
@@ -22,6 +23,6 @@ router = APIRouter(prefix="/v1/fits/{fit_id}/lobes", tags=["lobes"])
 )
 async def get_components(request: Request, fit_id: FitId) -> Response:
     """Return the three components with their lobes, albedo, half width and how clear the label is."""
-    decomposition = await context_of(request).models.decomposition(fit_id)
+    decomposition = await context_of(request).models.decomposition(fit_of(request, fit_id))
     document = ComponentList(items=[component_document(component) for component in decomposition])
     return tagged_reply(request, document.model_dump_json().encode())

@@ -9,6 +9,7 @@ from starlette.responses import FileResponse, Response
 from service import examples, openapi
 from service.context import context_of
 from service.documents import measurement_document
+from service.gate import owner_of
 from service.models import no_such_measurement
 from service.problems import ProblemError
 from service.replies import json_reply, next_page, not_modified
@@ -56,7 +57,8 @@ async def upload_measurement(request: Request) -> Response:
 async def list_measurements(request: Request, page: Annotated[Page, Query()]) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context_of(request).store.measurements, page.limit, before)
+    store = context_of(request).store
+    rows = await run_in_threadpool(store.measurements, owner_of(request), page.limit, before)
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
     return json_reply(MeasurementList(items=[measurement_document(row) for row in rows]), headers=headers)
 
@@ -96,7 +98,8 @@ async def probe_measurement(request: Request, sha256: Sha256) -> Response:
 async def delete_measurement(request: Request, sha256: Sha256) -> Response:
     """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
     try:
-        removed = await run_in_threadpool(context_of(request).store.remove_measurement, sha256)
+        store = context_of(request).store
+        removed = await run_in_threadpool(store.remove_measurement, owner_of(request), sha256)
     except MeasurementInUseError as error:
         detail = f"{str(error).capitalize()}; cancel them or wait until they have ended."
         raise ProblemError("measurement-in-use", detail) from None
@@ -106,7 +109,7 @@ async def delete_measurement(request: Request, sha256: Sha256) -> Response:
 
 
 async def _row(request: Request, sha256: str) -> MeasurementRow:
-    row = await run_in_threadpool(context_of(request).store.measurement, sha256)
+    row = await run_in_threadpool(context_of(request).store.measurement, owner_of(request), sha256)
     if row is None:
         raise no_such_measurement(sha256)
     return row

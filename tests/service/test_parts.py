@@ -20,7 +20,11 @@ from service.option_parsing import parse_options, parse_query
 from service.options import DEFAULTS, from_wire, to_wire
 from service.problems import ProblemError
 from service.replies import preferred_wait
+from service.rows import Caller, FitKey
 from service.store import DataFolderInUseError, MissingMeasurementError, Store
+
+LOCAL = Caller()
+FIT = FitKey("", "f")
 
 
 def decode(encoding: str | None, body: bytes, step: int) -> bytes:
@@ -104,23 +108,23 @@ def test_a_row_that_has_ended_cannot_change(tmp_path: Path) -> None:
     incoming = store.blobs.incoming()
     incoming.write(b"content")
     sha256 = incoming.close()
-    store.add_measurement(incoming, sha256, 1)
+    store.add_measurement(LOCAL, incoming, sha256, 1)
     arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
     with pytest.raises(MissingMeasurementError):
-        store.add_fit("f", "other", {}, ("1", "0"), 10)
-    row, new = store.add_fit("f", *arguments)
+        store.add_fit(LOCAL, "f", "other", {}, ("1", "0"), 10)
+    row, new = store.add_fit(LOCAL, "f", *arguments)
     assert (row.status, new) == ("accepted", True)
-    assert store.complete_fit("f", "document", {}) is None  # it does not run
-    assert store.start_fit("f") is not None
-    assert store.start_fit("f") is None
-    assert not store.remove_fit("f")
-    assert store.complete_fit("f", "document", {"male": 0.5}) is not None
-    for refused in (store.cancel_fit("f"), store.fail_fit("f", {}), store.requeue_fit("f"), store.start_fit("f")):
+    assert store.complete_fit(FIT, "document", {}) is None  # it does not run
+    assert store.start_fit(FIT) is not None
+    assert store.start_fit(FIT) is None
+    assert not store.remove_fit(FIT)
+    assert store.complete_fit(FIT, "document", {"male": 0.5}) is not None
+    for refused in (store.cancel_fit(FIT), store.fail_fit(FIT, {}), store.requeue_fit(FIT), store.start_fit(FIT)):
         assert refused is None
-    row, new = store.add_fit("f", *arguments)
-    assert (row.status, new, row.metrics, store.result("f")) == ("succeeded", False, {"male": 0.5}, "document")
-    assert store.remove_fit("f")
-    assert store.fit("f") is None
+    row, new = store.add_fit(LOCAL, "f", *arguments)
+    assert (row.status, new, row.metrics, store.result(FIT)) == ("succeeded", False, {"male": 0.5}, "document")
+    assert store.remove_fit(FIT)
+    assert store.fit(FIT) is None
     store.close()
 
 
@@ -129,12 +133,12 @@ def test_failures_that_are_not_the_input_s_run_again(tmp_path: Path, origin: str
     store = Store(tmp_path)
     incoming = store.blobs.incoming()
     sha256 = incoming.close()
-    store.add_measurement(incoming, sha256, 1)
+    store.add_measurement(LOCAL, incoming, sha256, 1)
     arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
-    store.add_fit("f", *arguments)
-    store.start_fit("f")
-    store.fail_fit("f", {"origin": origin, "type": "T", "message": "M"})
-    assert store.add_fit("f", *arguments)[1] is repeats
+    store.add_fit(LOCAL, "f", *arguments)
+    store.start_fit(FIT)
+    store.fail_fit(FIT, {"origin": origin, "type": "T", "message": "M"})
+    assert store.add_fit(LOCAL, "f", *arguments)[1] is repeats
     store.close()
 
 
