@@ -284,10 +284,11 @@ def test_a_folder_that_has_gone_is_a_fault_of_the_service(own_server: Callable[.
     answer = server.http.post("/v1/measurements", content=data)
     assert "log" in assert_problem(answer, 500, "internal")
     assert str(folder) not in answer.text
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)  # the answer may be a second old
     assert_problem(server.http.get("/health/ready"), 503, "not-ready")
     assert server.http.get("/health/live").status_code == 200
     folder.mkdir()
-    assert server.http.get("/health/ready").status_code == 200
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
     assert server.http.post("/v1/measurements", content=data).status_code == 201
 
 
