@@ -12,6 +12,8 @@ from dsbrdf.profiles import DEFAULT_HORIZON_CUTOFF, WEIGHTINGS, check_horizon_cu
 MAX_LOBES = 8
 METHODS = ("global", "paper")
 MAX_RING_LOBES = 2
+MAX_MASK = 10.0
+MAX_EM_ITERATIONS = 10_000
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,14 @@ class FitOptions:
             raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {self.weighting!r}")
         _check_knots(self.knots)
         check_horizon_cutoff(self.horizon_cutoff)
-        if self.mask is not None and not 0.0 <= self.mask <= 10.0:
-            raise InvalidArgumentError(f"mask must be a number from 0 to 10, not {self.mask!r}")
+        if self.mask is not None and not 0.0 <= self.mask <= MAX_MASK:
+            raise InvalidArgumentError(f"mask must be a number from 0 to {MAX_MASK:g}, not {self.mask!r}")
         if not isinstance(self.robust, bool):
             raise InvalidArgumentError(f"robust must be true or false, not {self.robust!r}")
-        if not _is_integer(self.em_iterations, 1, 10_000):
-            raise InvalidArgumentError(f"em_iterations must be an integer from 1 to 10000, not {self.em_iterations!r}")
+        if not _is_integer(self.em_iterations, 1, MAX_EM_ITERATIONS):
+            raise InvalidArgumentError(
+                f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
+            )
 
 
 def _check_knots(knots: tuple[float, ...] | None) -> None:

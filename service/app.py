@@ -10,7 +10,7 @@ from starlette.types import ASGIApp
 import dsbrdf
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.merl import MerlChecker
-from service import openapi, problems
+from service import contract, problems
 from service.context import Context
 from service.jobs import Jobs
 from service.metrics import Metrics
@@ -63,12 +63,17 @@ def create_app(settings: Settings) -> FastAPI:
             store.close()
 
     app = _Application(
-        title="dsbrdf", version=dsbrdf.__version__, description=_DESCRIPTION, lifespan=lifespan, redoc_url=None
+        title="dsbrdf",
+        version=dsbrdf.__version__,
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        redoc_url=None,
+        generate_unique_id_function=contract.operation_id,
     )
     app.state.settings, app.state.metrics = settings, metrics
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
     for routes in (brdf, fits, lobes, exports, measurements, health):
         app.include_router(routes.router)
-    openapi.install(app)
+    contract.install(app)
     return app

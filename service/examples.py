@@ -94,6 +94,7 @@ _DETAILS = {
     "measurement-too-large": "The data is longer than 34992012 bytes; a MERL measurement has exactly 34992012 bytes.",
     "unsupported-media-type": "The content type 'text/plain' is not supported; send a MERL file as "
     "application/octet-stream.",
+    "range-not-satisfiable": "The range begins beyond the end of the file, which has 34992012 bytes.",
     "measurement-format": "The data has only 17 bytes and seems cut off; "
     "a MERL measurement has exactly 34992012 bytes.",
     "invalid-argument": "n_lobes must be an integer from 1 to 8, not 9",

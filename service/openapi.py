@@ -3,50 +3,17 @@
 import json
 from typing import Any
 
-from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
-
 from service import examples
 from service.points import ANGLES, DIRECTIONS, NPY
 from service.problems import KINDS, MEDIA_TYPE
-from service.schemas import AnglesRequest, DirectionsRequest, FitRequest, OptionsDocument, Problem
+from service.schemas import OptionsDocument
 
-_COMPONENTS = "#/components/schemas/"
-_BODIES = (Problem, FitRequest, AnglesRequest, DirectionsRequest, OptionsDocument)
+COMPONENTS = "#/components/schemas/"
 _BINARY = {"type": "string", "contentMediaType": "application/octet-stream", "maxLength": 34_992_012}
 
 _KEPT = "example:"
 
 Responses = dict[int | str, dict[str, Any]]
-
-
-def install(app: FastAPI) -> None:
-    """Make `app` describe itself completely."""
-
-    def describe() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            document = get_openapi(
-                title=app.title, version=app.version, description=app.description, routes=app.routes, tags=None
-            )
-            schemas = document.setdefault("components", {}).setdefault("schemas", {})
-            for model in _BODIES:
-                schema = model.model_json_schema(ref_template=_COMPONENTS + "{model}")
-                schemas.update(schema.pop("$defs", {}))
-                schemas[model.__name__] = schema
-            for path in document["paths"].values():
-                for operation in path.values():
-                    answers = operation["responses"]
-                    # What FastAPI adds of its own accord: a bad id is answered with 404 here.
-                    if "HTTPValidationError" in str(answers.get("422")):
-                        del answers["422"]
-                    answers.update({str(status): entry for status, entry in problems("internal").items()})
-            _restore_examples(document["paths"])
-            schemas.pop("HTTPValidationError", None)
-            schemas.pop("ValidationError", None)
-            app.openapi_schema = document
-        return app.openapi_schema
-
-    app.openapi = describe  # type: ignore[method-assign]
 
 
 def example(content: dict[str, Any], description: str, status: int = 200, schema: str | None = None) -> Responses:
@@ -59,17 +26,13 @@ def submitted() -> Responses:
     """Return the answers to a submission."""
     known = example(examples.FIT, "The same request was made before; its fit has ended.", 200, "FitDocument")
     later = example(examples.RUNNING_FIT, "The fit has not ended; ask again at `Location`.", 202, "FitDocument")
-    return example(examples.FIT, "The fit has ended.", 201) | known | later | problems("invalid-argument")
+    return example(examples.FIT, "The fit has ended.", 201) | known | later
 
 
 def fit_submission() -> dict[str, Any]:
     """Return parameters and bodies of a submission."""
     properties = OptionsDocument.model_json_schema()["properties"]
-    described = "Option of a raw upload; `none` for null."
-    parameters = [
-        {"name": name, "in": "query", "required": False, "description": described, "schema": schema}
-        for name, schema in properties.items()
-    ]
+    parameters = [_option(name, schema) for name, schema in properties.items()]
     prefer = {
         "name": "Prefer",
         "in": "header",
@@ -87,6 +50,21 @@ def fit_submission() -> dict[str, Any]:
             "description": "A MERL file, or a reference to a stored measurement.",
             "content": {"application/octet-stream": raw, "application/json": document},
         },
+    }
+
+
+def _option(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return an option as a query parameter: `none` for null, and a list with commas."""
+    none = {"type": "string", "const": "none"}
+    choices = [none if choice.get("type") == "null" else choice for choice in schema.get("anyOf", ())]
+    default = "none" if schema["default"] is None else schema["default"]
+    return {
+        "name": name,
+        "in": "query",
+        "style": "form",
+        "explode": False,
+        "description": "Option of a raw upload.",
+        "schema": {**schema, "default": default} | ({"anyOf": choices} if choices else {}),
     }
 
 
@@ -165,30 +143,36 @@ def _kept(content: dict[str, Any]) -> str:
     return _KEPT + json.dumps(content)
 
 
-def _restore_examples(node: Any) -> None:
+def restore_examples(node: Any) -> None:
     """Put the examples that `_kept` has wrapped back in place."""
     if isinstance(node, list):
         for part in node:
-            _restore_examples(part)
+            restore_examples(part)
     elif isinstance(node, dict):
         for key, value in node.items():
             if isinstance(value, str) and value.startswith(_KEPT):
                 node[key] = json.loads(value.removeprefix(_KEPT))
             else:
-                _restore_examples(value)
+                restore_examples(value)
 
 
 def problems(*kinds: str) -> Responses:
     """Return the responses for problems of these kinds."""
     responses: Responses = {}
+    add_problems(responses, *kinds)
+    return responses
+
+
+def add_problems(responses: dict[Any, Any], *kinds: str) -> None:
+    """Add the problems of these kinds to responses, by statuses of the type that the first one has."""
+    as_text = any(isinstance(status, str) for status in responses)
     for kind in kinds:
         status, title = KINDS[kind]
-        entry = responses.setdefault(status, {"description": title, "content": {}})
-        if entry["description"] != title:
+        entry = responses.setdefault(str(status) if as_text else status, {"description": title})
+        content = entry.setdefault("content", {}).setdefault(MEDIA_TYPE, {"schema": _ref("Problem"), "examples": {}})
+        if title not in entry["description"]:
             entry["description"] += f"; or: {title}"
-        content = entry["content"].setdefault(MEDIA_TYPE, {"schema": _ref("Problem"), "examples": {}})
         content["examples"][kind] = {"value": examples.problem(kind, status, title)}
-    return responses
 
 
 def _encoding() -> dict[str, Any]:
@@ -206,4 +190,4 @@ def _npy() -> dict[str, Any]:
 
 
 def _ref(name: str) -> dict[str, str]:
-    return {"$ref": _COMPONENTS + name}
+    return {"$ref": COMPONENTS + name}

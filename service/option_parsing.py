@@ -1,5 +1,7 @@
 """Fit options of a request: what a query or a JSON document gives, checked against the library's types."""
 
+import json
+import re
 import types
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Union, get_args, get_origin
@@ -7,13 +9,15 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import TypeAdapter, ValidationError
 
 from dsbrdf import FitOptions, InvalidArgumentError
-from service.options import WIRE_TYPES, from_wire
+from service.options import WIRE_TYPES, from_wire, to_wire
 
 _CHECKS = {name: TypeAdapter(hint) for name, hint in WIRE_TYPES.items()}
+_WORDS = {"none": None, "null": None, "true": True, "false": False}
+_NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,30})?(e[+-]?[0-9]{1,4})?")
 
 
 def parse_options(values: Mapping[str, Any]) -> FitOptions:
-    """Return the options for values under wire names; ``none`` stands for None, what is not given is the default.
+    """Return the options for JSON values under wire names; what is not given is the default.
 
     Raises
     ------
@@ -25,11 +29,12 @@ def parse_options(values: Mapping[str, Any]) -> FitOptions:
         names = ", ".join(repr(name[:60]) for name in unknown[:5])
         plural = "options" if len(unknown) > 1 else "option"
         raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(WIRE_TYPES)}.")
-    return from_wire({name: _checked(name, value) for name, value in values.items()})
+    options = from_wire({name: _checked(name, value) for name, value in values.items()})
+    return from_wire(to_wire(options))  # with the digits that are kept, which have to be in range too
 
 
 def parse_query(items: Iterable[tuple[str, str]]) -> FitOptions:
-    """Return the options for the parameters of a query; commas part a list.
+    """Return the options for the parameters of a query; commas part a list, ``none`` stands for null.
 
     Raises
     ------
@@ -40,26 +45,30 @@ def parse_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     for name, text in items:
         if name in values:
             raise InvalidArgumentError(f"The option {name[:60]!r} is given more than once; give it once.")
-        values[name] = _from_text(name, text)
+        values[name] = [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
     return parse_options(values)
 
 
-def _from_text(name: str, text: str) -> Any:
-    if "," in text and tuple in _kinds(WIRE_TYPES.get(name)):
-        return text.split(",")
-    return text
+def _from_text(text: str) -> Any:
+    """Return the JSON value that a text stands for, itself if none."""
+    word = text.strip().lower()
+    if word in _WORDS:
+        return _WORDS[word]
+    return json.loads(word) if _NUMBER.fullmatch(word) else text
 
 
 def _checked(name: str, value: Any) -> Any:
-    hint = WIRE_TYPES[name]
-    if isinstance(value, str) and value.lower() in ("none", "null"):
-        value = None
     try:
-        if not isinstance(value, bool) or bool in _kinds(hint):  # True would pass for 1
-            return _CHECKS[name].validate_python(value)
+        return _CHECKS[name].validate_python(_plain(value), strict=True)
     except ValidationError:
         raise _wrong_type(name, value) from None
-    raise _wrong_type(name, value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a JSON value with tuples for arrays, and integers for whole numbers however they are written."""
+    if isinstance(value, list):
+        return tuple(_plain(item) for item in value)
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _wrong_type(name: str, value: Any) -> InvalidArgumentError:
@@ -76,9 +85,3 @@ def _described(hint: Any) -> list[str]:
     if get_origin(hint) is tuple:
         return ["a list of numbers"]
     return [{int: "an integer", float: "a number", bool: "true or false", type(None): "none"}[hint]]
-
-
-def _kinds(hint: Any) -> set[Any]:
-    if get_origin(hint) in (Union, types.UnionType):
-        return {kind for part in get_args(hint) for kind in _kinds(part)}
-    return {get_origin(hint) or hint}

@@ -37,6 +37,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "too-large": (413, "The body is too large"),
     "measurement-too-large": (413, "The file is longer than a MERL measurement"),
     "unsupported-media-type": (415, "The body's type or encoding is not supported"),
+    "range-not-satisfiable": (416, "The file has no such part"),
     "measurement-format": (422, "Not an acceptable measurement"),
     "invalid-argument": (422, "An argument is not acceptable"),
     "fit-impossible": (422, "The measurement cannot be fitted with these options"),

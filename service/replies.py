@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping
 from urllib.parse import urlencode
 
@@ -9,7 +10,10 @@ from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.problems import ProblemError
+
 JSON = "application/json"
+_RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
@@ -36,6 +40,27 @@ def not_modified(request: Request, etag: str) -> bool:
     """Return whether the client already has what `etag` names."""
     candidates = request.headers.get("if-none-match", "")
     return candidates.strip() == "*" or etag in (part.strip().removeprefix("W/") for part in candidates.split(","))
+
+
+def check_range(request: Request, size: int) -> None:
+    """Make sure that a ``Range`` is one that a file of `size` bytes can be sent by (RFC 9110, section 14.2).
+
+    What is not one range of bytes is taken out of the request, as if it had not been there.
+
+    Raises
+    ------
+    ProblemError
+        If the range begins beyond the end.
+    """
+    found = _RANGE.fullmatch(request.headers.get("range", ""))
+    first, last = (found[1], found[2]) if found else ("", "")
+    if first and last and int(last) < int(first):
+        found = None
+    if found is None:
+        request.scope["headers"] = [header for header in request.scope["headers"] if header[0] != b"range"]
+    elif (first and int(first) >= size) or (not first and int(last) == 0):
+        detail = f"The range begins beyond the end of the file, which has {size} bytes."
+        raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
 
 
 def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict[str, str]:

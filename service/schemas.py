@@ -3,9 +3,11 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
+from dsbrdf.measurement import THETA_DIFF
+from dsbrdf.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES
 from service.options import DEFAULTS, WIRE_TYPES
 
 FIT_ID = r"^[0-9a-f]{32}$"
@@ -34,19 +36,43 @@ class _Input(BaseModel):
         return given
 
 
-_option_fields: dict[str, Any] = {name: (hint, DEFAULTS[name]) for name, hint in WIRE_TYPES.items()}
+# The library checks the ranges; here they are told. A test holds the two against each other.
+_KNOTS: dict[str, Any] = {
+    "uniqueItems": True,
+    "description": "Increasing, whole degrees; null places them where the data ask for it.",
+}
+_RANGES: dict[str, Any] = {
+    "n_lobes": Annotated[int, Field(ge=1, le=MAX_LOBES)] | Literal["auto"],
+    "ring_lobes": Annotated[int, Field(ge=0, le=MAX_RING_LOBES)] | Literal["auto"],
+    "knots_deg": Annotated[
+        list[Annotated[int, Field(ge=0, le=THETA_DIFF.size - 1)]],
+        Field(min_length=2, max_length=THETA_DIFF.size, json_schema_extra=_KNOTS),
+    ]
+    | None,
+    "horizon_cutoff_deg": Annotated[float, Field(gt=0, le=90)] | None,
+    "mask": Annotated[float, Field(ge=0, le=MAX_MASK)] | None,
+    "em_iterations": Annotated[int, Field(ge=1, le=MAX_EM_ITERATIONS)],
+}
+# Algorithm 1 has neither ring lobes nor knots of its own choice.
+_RULES: dict[str, Any] = {
+    "if": {"properties": {"method": {"const": "paper"}}, "required": ["method"]},
+    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}}},
+}
+_option_fields: dict[str, Any] = {name: (_RANGES.get(name, hint), DEFAULTS[name]) for name, hint in WIRE_TYPES.items()}
 OptionsDocument = create_model(
-    "FitOptions", __config__=ConfigDict(extra="forbid"), __doc__="Options of a fit.", **_option_fields
+    "FitOptions",
+    __config__=ConfigDict(extra="forbid", json_schema_extra=_RULES),
+    __doc__="Options of a fit; what is not given is the default.",
+    **_option_fields,
 )
+_Options = Annotated[dict[str, Any], WithJsonSchema(OptionsDocument.model_json_schema())]
 
 
 class FitRequest(_Input):
     """A fit of a stored measurement."""
 
     measurement: Annotated[str, Field(pattern=SHA256, description="The measurement's sha256.")]
-    options: Annotated[
-        dict[str, Any], Field(description="As the query parameters of a raw upload; JSON null for `none`.")
-    ] = {}
+    options: _Options = {}
 
 
 class AnglesRequest(_Input):
@@ -123,7 +149,7 @@ class FitSummary(BaseModel):
     status: Literal["accepted", "running", "succeeded", "failed", "cancelled"]
     progress: Share
     measurement: Annotated[str, Field(pattern=SHA256)]
-    options: dict[str, Any]
+    options: _Options
     metrics: dict[str, float | None] | None
     error: FitFault | None
     created: datetime

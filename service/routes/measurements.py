@@ -12,7 +12,7 @@ from service.documents import measurement_document
 from service.gate import owner_of
 from service.models import no_such_measurement
 from service.problems import ProblemError
-from service.replies import json_reply, next_page, not_modified
+from service.replies import check_range, json_reply, next_page, not_modified
 from service.rows import MeasurementRow
 from service.schemas import SHA256, MeasurementDocument, MeasurementList, Page
 from service.store import MeasurementInUseError
@@ -70,11 +70,12 @@ async def list_measurements(request: Request, page: Annotated[Page, Query()]) ->
     responses=openapi.binary(_RAW, "The file, byte for byte as it was uploaded.") | openapi.problems("not-found"),
 )
 async def download_measurement(request: Request, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256, ranges are supported."""
+    """Return the file as it was uploaded; its ETag is its sha256, and a part of it can be had with `Range`."""
     row = await _row(request, sha256)
     headers = _headers(row)
     if not_modified(request, headers["ETag"]):
         return Response(None, 304, headers)
+    check_range(request, row.size)
     path = context_of(request).store.blobs.path(sha256)
     return FileResponse(path, headers=headers, media_type=_RAW, filename=path.name)
 

@@ -15,7 +15,7 @@ from service.client import Client
 
 # Options of a fit that takes no time, and of one that takes a second or more.
 QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
-SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": "true", "em_iterations": 10_000}
+SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
 
 
 class Server:
