@@ -86,6 +86,7 @@ class _Server(uvicorn.Server):
         """Stop: no new requests, and the ones in progress answer soon."""
         context: Context = self._app.state.context
         context.readiness.stop()
+        context.jobs.let_go()
         await super().shutdown(sockets)
 
 

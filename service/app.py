@@ -47,7 +47,7 @@ def create_app(settings: Settings) -> FastAPI:
         store = await run_in_threadpool(Store, settings.data_dir)
         try:
             engine = LocalEngine(settings.workers, settings.fit_seconds, settings.fit_memory_mb)
-            jobs = Jobs(store, engine, settings)
+            jobs = Jobs(store, engine, settings, metrics)
             models = Models(store, settings.model_cache)
             readiness = Readiness(store, engine, settings)
             app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)

@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
+from structlog.contextvars import bind_contextvars
 
 import dsbrdf
 from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Outcome
+from service.metrics import Metrics
 from service.options import from_wire, to_wire
 from service.problems import is_disk_full
 from service.rows import Caller, FitKey, FitRow
@@ -30,6 +32,7 @@ T = TypeVar("T")
 
 _FULL_DISK_PAUSE = 5.0  # seconds between attempts to write
 _LEAST_CHANGE = 0.01  # of progress, that is worth telling
+_LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
 
 
 def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
@@ -60,12 +63,15 @@ class Jobs:
     store : Store
     engine : Engine
     settings : Settings
+    metrics : Metrics
     """
 
-    def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
+    def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store
         self._engine = engine
         self._settings = settings
+        self._metrics = metrics
+        self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._slots = asyncio.Semaphore(settings.workers)
         self._live: dict[FitKey, _Live] = {}
 
@@ -73,6 +79,13 @@ class Jobs:
         """Run again what an earlier process left unfinished."""
         for row in await run_in_threadpool(self._store.resume):
             self._begin(row.key)
+
+    def let_go(self) -> None:
+        """Let everyone who waits for a fit or follows one have its present state: the service is about to end."""
+        if not self._stopping.done():
+            self._stopping.set_result(None)
+        for live in self._live.values():
+            live.tell()
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
@@ -96,7 +109,7 @@ class Jobs:
         row, new = await run_in_threadpool(
             self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
         )
-        if new:
+        if new and not self._stopping.done():
             self._begin(key)
         return row, new
 
@@ -104,7 +117,7 @@ class Jobs:
         """Return the fit's row when it has ended, or after `seconds`; None if there is no such fit."""
         live = self._live.get(key)
         if live is not None and seconds > 0:
-            await asyncio.wait([live.task], timeout=seconds)
+            await asyncio.wait([live.task, self._stopping], timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         return await run_in_threadpool(self._store.fit, key)
 
     def progress(self, row: FitRow) -> float:
@@ -115,7 +128,7 @@ class Jobs:
         return 0.0 if live is None else live.progress
 
     async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
-        """Yield the fit's row now and at every change, last when it has ended or has been deleted."""
+        """Yield the fit's row now and at every change, until it has ended, has been deleted, or the service ends."""
         while True:
             live = self._live.get(key)
             changed = None if live is None else live.changed
@@ -123,7 +136,7 @@ class Jobs:
             if row is None:
                 return
             yield row
-            if row.ended:
+            if row.ended or self._stopping.done():
                 return
             if changed is not None:
                 await changed.wait()
@@ -152,6 +165,7 @@ class Jobs:
         task.add_done_callback(forget)
 
     async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None") -> None:
+        bind_contextvars(fit=str(key))
         if previous is not None:  # cancelled, and asked for again before its process had ended
             await asyncio.wait([previous])
         try:
@@ -159,7 +173,7 @@ class Jobs:
                 pass
         except Exception:
             # The row stays unfinished, and the next start of the service runs the fit again.
-            logger.exception("fit %s could not be brought to its end", key)
+            logger.exception("the fit could not be brought to its end")
             raise
 
     async def _attempt(self, key: FitKey) -> bool:
@@ -169,19 +183,29 @@ class Jobs:
             if row is None:
                 return True
             self._tell(key, 0.0)
+            if row.started is not None and row.attempts == 1:
+                self._metrics.took("waiting", row.started - row.created)
             task = FitTask(str(key), self._store.blobs.path(row.measurement), from_wire(row.options))
-            outcome = await self._engine.run(task, lambda share: self._tell(key, share))
+            with self._metrics.timing("fitting"):
+                outcome = await self._engine.run(task, lambda share: self._tell(key, share))
+            if isinstance(outcome, Fault) and outcome.origin == "system":
+                await asyncio.sleep(_LOST_PAUSE)
+                if self._stopping.done():  # its process was ended together with this one: the next one runs it
+                    return True
             return await _once_there_is_room(self._record, row, outcome)
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
         if isinstance(outcome, Fitted):
             self._store.complete_fit(row.key, outcome.document, outcome.metrics)
+            logger.info("the fit has succeeded")
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:
-            logger.warning("fit %s runs again: %s", row.key, outcome.message)
+            logger.warning("the fit runs again: %s", outcome.message)
+            self._metrics.retries.inc()
             return self._store.requeue_fit(row.key) is None
         self._store.fail_fit(row.key, _error(outcome))
+        logger.warning("the fit has failed: %s", outcome.message)
         return True
 
     def _tell(self, key: FitKey, share: float) -> None:
