@@ -1,5 +1,6 @@
 # Every target creates the environment it needs; the second run is quick.
 PYTHON ?= python3
+DURATION ?= 30
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
@@ -9,7 +10,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check audit fix bench lock clean
+.PHONY: help demo serve test check audit fix bench soak lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -45,6 +46,10 @@ fix: $(READY)  ## format and mend what can be mended
 
 bench: $(READY)  ## run the benchmarks
 	$(BIN)/python -m benchmarks
+
+soak: $(READY)  ## load the service for DURATION minutes (30), then look for odd inputs for longer than the tests do
+	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
+	$(BIN)/python -m pytest --hypothesis-profile=soak tests/test_fuzz.py tests/service/test_fuzz_bodies.py
 
 lock: $(READY)  ## pin the newest dependencies
 	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv

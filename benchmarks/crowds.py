@@ -13,9 +13,9 @@ from pathlib import Path
 
 import httpx
 
-from benchmarks.customers import LONG, QUICK
+from benchmarks.customers import LONG
 from benchmarks.stand import Stand, counted_workers, happens, leftovers, rows, same_bits
-from tests.service.running import Server
+from tests.service.running import QUICK, Server
 
 _RAW = {"Content-Type": "application/octet-stream"}
 _DISK = "160m"  # four measurements and a database
@@ -37,7 +37,7 @@ def queued(stand: Stand, times: int) -> str:
             found = list(clients.map(submit_all, [stand.random.sample(masks, times) for _ in range(4)]))
             ids = found[0]
             stand.expect(all(one == ids for one in found) and len(ids) == times, "clients were told of different fits")
-            done = happens(lambda: rows(server, _UNFINISHED) == [(0,)], 60.0 + times)
+            done = happens(lambda: rows(server, _UNFINISHED) == [(0,)], 60.0 + 4.0 * times)
             stand.expect(done, "fits did not come to their end")
         states = Counter(rows(server, "SELECT status, attempts FROM fits"))
         lost = times - states["succeeded", 1]

@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import httpx
 
 import dsbrdf
 from benchmarks.stand import Stand, same_bits
+from tests.service.running import QUICK
 
-QUICK = {"method": "paper", "n_lobes": "1", "em_iterations": "3"}
-LONG = {"method": "paper", "n_lobes": "2"}
-OPTIONS: tuple[dict[str, str], ...] = (
-    *({**QUICK, "mask": f"{tenths / 10}"} for tenths in range(4)),
+LONG: dict[str, Any] = {"method": "paper", "n_lobes": 2}
+OPTIONS: tuple[dict[str, Any], ...] = (
+    *({**QUICK, "mask": tenths / 10} for tenths in range(4)),
     LONG,
     {},
 )
@@ -31,7 +31,7 @@ Promise = Literal["none", "kept", "cancelled", "gone", "unknown"]
 class _Order:
     """A fit that a customer has asked for, and what the server has last promised of it."""
 
-    options: dict[str, str]
+    options: dict[str, Any]
     model: dsbrdf.DSBRDF
     id: str = ""
     promise: Promise = "none"

@@ -118,7 +118,7 @@ class _Pair:
 
     def __init__(self, stand: Stand) -> None:
         self._stand = stand
-        self._options = [{**LONG, "mask": mask} for mask in ("0.5", "0.6")]
+        self._options = [{**LONG, "mask": mask} for mask in (0.5, 0.6)]
         self._models = [stand.model(options) for options in self._options]
         self._fits: list[str] = []
 

@@ -17,7 +17,7 @@ import numpy as np
 import dsbrdf
 from dsbrdf.merl import read_merl
 from dsbrdf.serialize import from_json
-from service.option_parsing import parse_query
+from service.option_parsing import parse_options
 from tests.service.running import Server, alive
 
 _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
@@ -65,11 +65,11 @@ class Stand:
         """The measurement with another identity: its last node, below the horizon, takes no part in a fit."""
         return self.measurement.read_bytes()[:-8] + struct.pack("<d", -2.0 - number)
 
-    def model(self, options: dict[str, str]) -> dsbrdf.DSBRDF:
-        """What the library itself makes of the measurement, with options as in a query."""
+    def model(self, options: dict[str, Any]) -> dsbrdf.DSBRDF:
+        """What the library itself makes of the measurement, with options as on the wire."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-            return dsbrdf.fit(read_merl(self.measurement), parse_query(list(options.items()))).model
+            return dsbrdf.fit(read_merl(self.measurement), parse_options(options)).model
 
 
 def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:

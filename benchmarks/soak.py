@@ -1,0 +1,183 @@
+"""A mixed load for a long time, and what the server's process takes meanwhile: memory, descriptors, threads, disk.
+
+The samples are in out/soak.csv and out/soak.png.  Drift is the median over the last fifth of the time against the
+median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was an answer of 500 or more or
+any other wrong one, if memory has drifted by more than 5 %, or if descriptors have not stayed flat: their median may
+not grow by more than 3, and when the clients have gone there are as many as before they came, but for 3.
+"""
+
+import argparse
+import csv
+import random
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+from benchmarks.load import STEPS, Client, Tally
+from benchmarks.stand import Stand
+from dsbrdf.merl import write_merl
+from dsbrdf.synthetic import synthetic_measurement
+from tests.service.running import Server
+
+_OUT = Path("out")
+_INTERVAL = 3.0  # seconds
+_MOST_DRIFT = 0.05
+_FEW = 3  # descriptors
+_SHOWN = 10  # faults
+
+
+class Sample(NamedTuple):
+    """What the server takes at one moment; memory is resident, in MB, of the web process and of its helpers."""
+
+    seconds: float
+    web_mb: float
+    helpers_mb: float
+    descriptors: int
+    threads: int
+    folder_mb: float
+    answers: int
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print a table and leave samples and a picture."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks soak", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
+    parser.add_argument("--seed", type=int, default=int(time.time()), help="of the load (default: the time)")
+    arguments = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
+        measurement = Path(folder) / "plastic.binary"
+        write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
+        stand = Stand(Path(folder), measurement, random.Random(arguments.seed))
+        samples, idle, tally = soak(stand, 60.0 * arguments.minutes)
+        log = (Path(folder) / "data.log").read_text()
+    _OUT.mkdir(exist_ok=True)
+    _write(samples, _OUT / "soak.csv")
+    _draw(samples, _OUT / "soak.png")
+    print(f"seed {arguments.seed}")
+    return _judge(samples, idle, tally, log)
+
+
+def soak(stand: Stand, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
+    """Load a server; return the samples, the numbers of descriptors before and after, and the answers."""
+    tally = Tally()
+    samples: list[Sample] = []
+    with stand.server(workers="2") as server:
+        server.start()
+        server.http.close()
+        before = _sample(server, 0.0, tally).descriptors
+        with _clients(stand, str(server.http.base_url), tally):
+            begin = time.monotonic()
+            while (now := time.monotonic() - begin) < seconds:
+                samples.append(_sample(server, now, tally))
+                time.sleep(_INTERVAL)
+        time.sleep(5.0)  # connections close, and fits that nobody waits for end
+        after = _sample(server, 0.0, tally).descriptors
+        server.stop()
+    return samples, (before, after), tally
+
+
+@contextmanager
+def _clients(stand: Stand, address: str, tally: Tally) -> Iterator[None]:
+    over = threading.Event()
+    with ThreadPoolExecutor(len(STEPS)) as pool:
+        futures = []
+        for number, step in enumerate(STEPS):
+            bodies = [stand.variant(2 * number + i) for i in range(2)]
+            client = Client(address, bodies, tally, stand.random.getrandbits(32))
+            futures.append(pool.submit(client.run, step, over))
+        try:
+            yield
+        finally:
+            over.set()
+    for future in futures:
+        future.result()
+
+
+def _sample(server: Server, seconds: float, tally: Tally) -> Sample:
+    pid = server.process.pid
+    status = _status(pid)
+    return Sample(
+        round(seconds, 1),
+        status["VmRSS"] / 1024,
+        sum(_status(helper)["VmRSS"] for helper in server.helpers()) / 1024,
+        sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir()),
+        status["Threads"],
+        sum(path.stat().st_size for path in server.data_dir.rglob("*") if path.is_file()) / 2**20,
+        sum(tally.answers.values()),
+    )
+
+
+def _status(pid: int) -> dict[str, int]:
+    """Numbers of a process's status, memory in kB."""
+    lines = (line.partition(":") for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    return {name: int(value.split()[0]) for name, _, value in lines if value.split()[:1] and value.split()[0].isdigit()}
+
+
+def _judge(samples: Sequence[Sample], idle: tuple[int, int], tally: Tally, log: str) -> int:
+    """Print the table; return 1 if a figure is missed."""
+    fifth = len(samples) // 5
+    early, late = (
+        [median(column) for column in zip(*part, strict=True)]
+        for part in (samples[fifth : 2 * fifth], samples[-fifth:])
+    )
+    peak = [max(column) for column in zip(*samples, strict=True)]
+    print("| | second fifth | last fifth | drift | highest |\n|---|---|---|---|---|")
+    for name, then, now, most in zip(Sample._fields, early, late, peak, strict=True):
+        if name not in ("seconds", "answers"):
+            print(f"| {name} | {then:.1f} | {now:.1f} | {100 * (now / then - 1):+.1f} % | {most:.1f} |")
+    statuses = Counter[int]()
+    for (_, _, status), count in tally.answers.items():
+        statuses[status] += count
+    minutes = samples[-1].seconds / 60
+    print(f"{sum(statuses.values())} answers in {minutes:.1f} minutes: {dict(sorted(statuses.items()))}")
+    print(f"descriptors without clients: {idle[0]} before, {idle[1]} after")
+    print(f"stack traces in the log: {log.count('Traceback')}")
+    names = Sample._fields
+    web, descriptors = names.index("web_mb"), names.index("descriptors")
+    misses = tally.faults[:_SHOWN]
+    if tally.server_errors():
+        misses.append(f"{tally.server_errors()} answers of 500 or more")
+    if late[web] > (1 + _MOST_DRIFT) * early[web]:
+        misses.append("the memory of the web process has drifted")
+    if late[descriptors] > early[descriptors] + _FEW or idle[1] > idle[0] + _FEW:
+        misses.append("descriptors are not flat")
+    for miss in misses:
+        print(f"missed: {miss}", file=sys.stderr)
+    return 1 if misses else 0
+
+
+def _write(samples: Sequence[Sample], path: Path) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(Sample._fields)
+        writer.writerows(samples)
+
+
+def _draw(samples: Sequence[Sample], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
+    minutes = [seconds / 60 for seconds in columns.pop("seconds")]
+    figure, axes = plt.subplots(len(columns), 1, sharex=True, figsize=(8, 1.6 * len(columns)), layout="constrained")
+    for axis, (name, values) in zip(axes, columns.items(), strict=True):
+        axis.plot(minutes, values)
+        axis.set_ylabel(name)
+        axis.set_ylim(bottom=0)
+    axes[-1].set_xlabel("minutes")
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
