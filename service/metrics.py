@@ -7,7 +7,7 @@ nothing is counted by owner, fit or measurement.
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Literal
+from typing import Literal, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -46,13 +46,14 @@ class Metrics:
             buckets=_SECONDS,
             registry=registry,
         )
-        self._stage_seconds = Histogram(
+        stage_seconds = Histogram(
             "dsbrdf_stage_seconds",
             "Time that a part of the work takes [s].",
             ("stage",),
             buckets=_SECONDS,
             registry=registry,
         )
+        self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
         self.event_streams = Gauge("dsbrdf_event_streams", "Streams of a fit's events being sent.", registry=registry)
         self.uploaded_bytes = Counter("dsbrdf_uploaded_bytes", "Bytes of request bodies received.", registry=registry)
@@ -76,7 +77,7 @@ class Metrics:
 
     def took(self, stage: Stage, seconds: float) -> None:
         """Note how long a part of the work took."""
-        self._stage_seconds.labels(stage).observe(seconds)
+        self._stages[stage].observe(seconds)
 
     @contextmanager
     def timing(self, stage: Stage) -> Iterator[None]:

@@ -89,11 +89,13 @@ async def post_component_values(request: Request, fit_id: FitId, label: Label) -
 
 
 async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
+    context = context_of(request)
     points = from_query(request.query_params)
-    model = await context_of(request).models.part(fit_of(request, fit_id), label)
-    if len(points) <= _INLINE_POINTS:
-        return JSONResponse({"values": points.values(model).tolist()})
-    return await run_in_threadpool(_json_values, model, points)
+    model = await context.models.part(fit_of(request, fit_id), label)
+    with context.metrics.timing("evaluating"):
+        if len(points) <= _INLINE_POINTS:
+            return JSONResponse({"values": points.values(model).tolist()})
+        return await run_in_threadpool(_json_values, model, points)
 
 
 async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
@@ -104,7 +106,8 @@ async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise ProblemError("too-large", detail)
-    return await run_in_threadpool(_npy_values if as_npy else _json_values, model, points)
+    with context.metrics.timing("evaluating"):
+        return await run_in_threadpool(_npy_values if as_npy else _json_values, model, points)
 
 
 async def _batch(request: Request, context: Context) -> Points:

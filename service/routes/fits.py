@@ -59,7 +59,8 @@ async def submit_fit(request: Request) -> Response:
     media_type = request.headers.get("content-type", _RAW).partition(";")[0].strip().lower()
     if media_type == _RAW:
         options = parse_query(request.query_params.multi_items())
-        row, _ = await receive_measurement(request, context.store)
+        with context.metrics.timing("upload"):
+            row, _ = await receive_measurement(request, context.store)
         measurement = row.sha256
     elif media_type == "application/json":
         measurement, options = await _stored_submission(request)
@@ -141,10 +142,11 @@ async def _known_fit(request: Request, fit_id: FitId) -> FitKey:
 )
 async def follow_fit(request: Request, fit: Annotated[FitKey, Depends(_known_fit)]) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
-    jobs = context_of(request).jobs
-    async for row in jobs.watch(fit):
-        event: Progress = fit_progress(row, jobs.progress(row))
-        yield ServerSentEvent(data=event, event=row.status)
+    context = context_of(request)
+    with context.metrics.event_streams.track_inprogress():
+        async for row in context.jobs.watch(fit):
+            event: Progress = fit_progress(row, context.jobs.progress(row))
+            yield ServerSentEvent(data=event, event=row.status)
 
 
 async def _stored_submission(request: Request) -> tuple[str, FitOptions]:

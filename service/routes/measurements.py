@@ -42,7 +42,9 @@ async def upload_measurement(request: Request) -> Response:
     if media_type != _RAW:
         detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {_RAW}."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": _RAW})
-    row, new = await receive_measurement(request, context_of(request).store)
+    context = context_of(request)
+    with context.metrics.timing("upload"):
+        row, new = await receive_measurement(request, context.store)
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(measurement_document(row), 201 if new else 200, headers)
 
