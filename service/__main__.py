@@ -1,6 +1,7 @@
 """``python -m service``: run the HTTP service."""
 
 import argparse
+import os
 import shutil
 import signal
 import sys
@@ -22,8 +23,6 @@ from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
 from service.store import Store
-
-_LONGEST_SOCKET_FOLDER = 75  # a socket's path has at most 107 characters, of which multiprocessing takes 32
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,8 +126,10 @@ def _keep_temporary_files_in(data_dir: Path) -> None:
     if folder.exists():
         shutil.rmtree(folder)
     folder.mkdir()
-    if len(str(folder)) <= _LONGEST_SOCKET_FOLDER:
-        tempfile.tempdir = str(folder)
+    # A socket's path has at most 107 characters; by the open folder's descriptor it is short, however deep it lies.
+    descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
+    if descriptor.is_dir():
+        tempfile.tempdir = str(descriptor)
 
 
 def _refuse(reason: str) -> int:

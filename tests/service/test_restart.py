@@ -1,12 +1,10 @@
 """Ends and beginnings of the server: nothing accepted is lost, nothing stays behind."""
 
 import os
-import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,8 +47,9 @@ def test_accepted_fits_finish_after_a_restart(
 def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    short = Path(tempfile.mkdtemp())  # a socket has to fit into the data folder's path
-    server = Server(short / "data", workers="1")
+    deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
+    deep.mkdir(parents=True)
+    server = Server(deep / "data", workers="1")
     server.environment["TMPDIR"] = str(elsewhere)
     try:
         server.start()
@@ -65,7 +64,6 @@ def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number:
         assert "Traceback" not in server.log.read_text()
     finally:
         server.close()
-        shutil.rmtree(short)
 
 
 def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[..., Server], data: bytes) -> None:
