@@ -29,6 +29,7 @@ from dsbrdf.model import DSBRDF
 from dsbrdf.point_flags import add_point_flags, given_points, join_directions
 from dsbrdf.progress import progress_bar
 from dsbrdf.serialize import from_json, from_npz, load, to_json
+from dsbrdf.service_commands import add_service_commands
 from dsbrdf.summary import (
     component_documents,
     components_table,
@@ -237,6 +238,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_model_commands(commands)
     _add_serve_and_demo(commands)
+    add_service_commands(commands)
     return parser
 
 

@@ -102,6 +102,11 @@ class DataFolderError(RuntimeError):
     """A data folder cannot be opened; the message says why."""
 
 
+def is_current(connection: sqlite3.Connection) -> bool:
+    """Return whether the database has the newest version."""
+    return _version(connection) == len(STEPS)
+
+
 def migrate(connection: sqlite3.Connection) -> None:
     """Bring the database to the newest version, each step in a transaction of its own.
 
@@ -110,7 +115,7 @@ def migrate(connection: sqlite3.Connection) -> None:
     DataFolderError
         If the database was written by a newer release.
     """
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    version = _version(connection)
     if version > len(STEPS):
         raise DataFolderError(
             f"the database has schema version {version}, but this release knows versions up to {len(STEPS)}; "
@@ -124,5 +129,11 @@ def migrate(connection: sqlite3.Connection) -> None:
             connection.execute(f"PRAGMA user_version = {number}")
             connection.execute("COMMIT")
         except BaseException:
-            connection.execute("ROLLBACK")
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
             raise
+
+
+def _version(connection: sqlite3.Connection) -> int:
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)

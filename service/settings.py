@@ -25,6 +25,10 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     data_dir: Path = Field(default=Path("dsbrdf-data"), description="Folder of the database and the measurements.")
     insecure: bool = Field(default=False, description="Allow an address other than loopback without API keys.")
+    require_keys: bool = Field(default=False, description="Ask for API keys on loopback too, as behind a proxy.")
+    key_requests_per_second: float = Field(default=100.0, ge=0.001, description="Rate of requests with one API key.")
+    key_stored_mb: int = Field(default=10_000, ge=0, description="Most that is stored with one API key [MB].")
+    key_queued_fits: int = Field(default=100, ge=0, description="Most unfinished fits of one API key.")
 
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         default="info", description="Least level of the lines in the log."

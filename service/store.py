@@ -1,21 +1,18 @@
 """The service's memory: SQLite rows and measurement files in one data folder; nothing else touches the disk.
 
 Every method is safe to call from any thread and returns when the change is durable. A fit's result and its
-state are written in one transaction. One process at a time may open a data folder.
+state are written in one transaction. One server at a time may open a data folder, and commands beside it.
 """
 
-import fcntl
 import json
 import sqlite3
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from service.blobs import Blobs, Incoming
-from service.migrations import DataFolderError, migrate
+from service.database import Database
 from service.rows import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
@@ -32,10 +29,6 @@ _INSERT_MEASUREMENT = (
     "INSERT INTO measurements (seq, owner, sha256, size, valid_nodes, created)"  # noqa: S608
     f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?) RETURNING {MeasurementRow.COLUMNS}"
 )
-
-
-class DataFolderInUseError(DataFolderError):
-    """Another process has opened the data folder."""
 
 
 class MissingMeasurementError(LookupError):
@@ -65,35 +58,25 @@ class Store:
     ----------
     folder : Path
         Made if it does not exist.
+    beside : bool
+        Whether a server may have the folder open, now or meanwhile; then what it has not finished is left alone.
 
     Raises
     ------
     DataFolderError
-        If another process has the folder open, or a newer release has written it.
+        If another server has the folder open, or a newer release has written it.
     """
 
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, folder: Path, *, beside: bool = False) -> None:
         self.folder = folder
-        self._guard = (folder / "lock").open("w")
-        try:
-            fcntl.flock(self._guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._guard.close()
-            raise DataFolderInUseError(f"the data folder {folder} is in use by another server") from None
+        self.database = Database(folder, beside=beside)
         self.blobs = Blobs(folder)
-        self._lock = threading.Lock()
-        self._db = sqlite3.connect(folder / "dsbrdf.sqlite", isolation_level=None, check_same_thread=False)
-        for pragma in ("journal_mode = WAL", "synchronous = FULL"):
-            self._db.execute(f"PRAGMA {pragma}")
-        migrate(self._db)
-        self._drop_strays()
+        if not beside:
+            self._drop_strays()
 
     def close(self) -> None:
         """Release the folder."""
-        with self._lock:
-            self._db.close()
-        self._guard.close()
+        self.database.close()
 
     def add_measurement(
         self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
@@ -105,7 +88,7 @@ class Store:
         StorageQuotaError
             If the caller would have stored more than it may.
         """
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is not None:
@@ -136,7 +119,7 @@ class Store:
         MeasurementInUseError
             If fits of it are unfinished.
         """
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             query = (
                 "SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND status IN ('accepted', 'running')"
             )
@@ -185,7 +168,7 @@ class Store:
             If too many fits are waiting.
         """
         key = (caller.owner, fit_id)
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             values = db.execute(f"{_SELECT_FIT} {_THE_FIT}", key).fetchone()
             known = None if values is None else FitRow.of(values)
             if known is not None and not known.repeatable:
@@ -244,19 +227,19 @@ class Store:
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
         query = f"DELETE FROM fits {_THE_FIT} AND status NOT IN ('accepted', 'running')"  # noqa: S608
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
     def resume(self) -> list[FitRow]:
         """Set what an earlier process left running back to accepted; return all that wait, oldest first."""
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             db.execute("UPDATE fits SET status = 'accepted', started = NULL WHERE status = 'running'")
             rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY rowid")
             return [FitRow.of(row) for row in rows]
 
     def check(self) -> None:
         """Raise OSError or sqlite3.Error unless rows and files can be written."""
-        with self._transaction():
+        with self.database.transaction():
             self.blobs.check()
 
     def _advance(
@@ -265,45 +248,31 @@ class Store:
         """Apply `change` to a fit that is in one of `states`."""
         marks = ", ".join("?" * len(states))
         query = f"UPDATE fits SET {change} {_THE_FIT} AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             rows = db.execute(query, (*values, *key, *states)).fetchall()
         return FitRow.of(rows[0]) if rows else None
 
     def _one(self, make: Callable[[tuple[Any, ...]], _Row], query: str, *values: str) -> _Row | None:
-        with self._lock:
-            row = self._db.execute(query, values).fetchone()
-        return None if row is None else make(row)
+        rows = self.database.rows(query, *values)
+        return make(rows[0]) if rows else None
 
     def _page(
         self, make: Callable[[tuple[Any, ...]], _Row], query: str, owner: str, limit: int, before: int | None
     ) -> list[_Row]:
         older, values = ("", (owner, limit)) if before is None else (" AND seq < ?", (owner, before, limit))
-        with self._lock:
-            rows = self._db.execute(f"{query} WHERE owner = ?{older} ORDER BY seq DESC LIMIT ?", values).fetchall()
+        rows = self.database.rows(f"{query} WHERE owner = ?{older} ORDER BY seq DESC LIMIT ?", *values)
         return [make(row) for row in rows]
 
     def _drop_strays(self) -> None:
         """Remove what an earlier process was writing when it ended: parts of files, files without row, and so on."""
         self.blobs.clear_temporary()
         files = set(self.blobs.all())
-        with self._transaction() as db:
+        with self.database.transaction() as db:
             rows = {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
             for sha256 in rows - files:
                 db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,))
         for sha256 in files - rows:
             self.blobs.remove(sha256)
-
-    @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        with self._lock:
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._db
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
 
 
 def _check_queue(db: sqlite3.Connection, caller: Caller) -> None:

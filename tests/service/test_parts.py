@@ -13,6 +13,7 @@ from starlette.requests import Request
 
 import dsbrdf
 from service.blobs import Blobs
+from service.database import DataFolderInUseError
 from service.decoding import PIECE, decoder
 from service.jobs import fit_identity
 from service.migrations import STEPS
@@ -21,7 +22,7 @@ from service.options import DEFAULTS, from_wire, to_wire
 from service.problems import ProblemError
 from service.replies import preferred_wait
 from service.rows import Caller, FitKey
-from service.store import DataFolderInUseError, MissingMeasurementError, Store
+from service.store import MissingMeasurementError, Store
 
 LOCAL = Caller()
 FIT = FitKey("", "f")
