@@ -14,13 +14,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from dsbrdf.albedo import directional_albedo
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.evaluation import Mixture, linear
 from dsbrdf.geometry import check_directions, half_difference
 from dsbrdf.hemi_epd import half_width
-from dsbrdf.knots import CENTER_OVERSHOOT, OVERSHOOT, parameter_spline
 from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
 from dsbrdf.profiles import CENTER_CUTOFF
 
@@ -28,8 +27,6 @@ Array = NDArray[np.float64]
 
 INTERPOLATIONS = ("linear", "cubic")
 """How parameters run between knots: linear in kappa and gamma, or a cubic spline in their logarithms."""
-
-_CHUNK = 8192  # points evaluated at a time, so that the intermediate arrays stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +89,18 @@ class DSBRDF:
         """
         theta_half, theta_diff = _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
         try:
-            theta_half, theta_diff = np.broadcast_arrays(theta_half, theta_diff)
+            if theta_half.shape != theta_diff.shape:  # a check that costs as much as a point
+                theta_half, theta_diff = np.broadcast_arrays(theta_half, theta_diff)
         except ValueError:
             shapes = f"{theta_half.shape} and {theta_diff.shape}"
             raise InvalidArgumentError(
                 f"theta_half and theta_diff must broadcast together, not have {shapes}"
             ) from None
         flat_half, flat_diff = theta_half.ravel(), theta_diff.ravel()
-        values = np.empty((flat_half.size, 3))
-        for start in range(0, flat_half.size, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            values[part] = self._evaluate(flat_half[part], flat_diff[part])
+        values = self._mixture.values(flat_half, flat_diff)
+        inside = flat_half < CENTER_CUTOFF
+        if inside.any():
+            values[inside] += linear(self.theta_diff, self.delta.T, flat_diff[inside])
         return values.reshape(*theta_half.shape, 3)
 
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
@@ -151,14 +149,9 @@ class DSBRDF:
         delta : ndarray, shape (..., 3)
         """
         theta_diff = _check_angle("theta_diff", theta_diff)
-        low, share = self._bracket(theta_diff)
-        delta = _between(self.delta.T, low, share[..., None])
-        if self.interpolation == "cubic":
-            log_kappa, log_gamma, center = self._spline_parameters(theta_diff)
-            return np.exp(log_kappa), np.exp(log_gamma), center, delta
-        parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
-        kappa, gamma, center = (_between(p, low, share[..., None, None]) for p in parameters)
-        return kappa, gamma, center, delta
+        flat, shape = theta_diff.ravel(), theta_diff.shape
+        kappa, gamma, center = (p.reshape(*shape, 3, self.n_lobes) for p in self._mixture.parameters(flat))
+        return kappa, gamma, center, linear(self.theta_diff, self.delta.T, flat).reshape(*shape, 3)
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
         """Return the part of the model made of some of its lobes, with or without the delta term."""
@@ -189,81 +182,15 @@ class DSBRDF:
         narrowest = float(widths.min(initial=np.pi / 2))
         return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out), self.theta_diff, narrowest)
 
-    def _bracket(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
-        """Index of the knot below, and the share of the way to the next one; held at both ends."""
-        knots = self.theta_diff
-        if knots.size == 1:
-            return np.zeros(theta_diff.shape, np.intp), np.zeros(theta_diff.shape)
-        low = np.clip(np.searchsorted(knots, theta_diff, side="right") - 1, 0, knots.size - 2)
-        share = (theta_diff - knots[low]) / (knots[low + 1] - knots[low])
-        return low, np.clip(share, 0.0, 1.0)
-
     @cached_property
-    def _rings(self) -> NDArray[np.intp]:
-        """Indices of the lobes that are not about the normal."""
-        return np.flatnonzero(np.any(self.center > 0, axis=(0, 1)))
-
-    @cached_property
-    def _spline(self) -> tuple[CubicSpline, Array, Array]:
-        """Spline of log kappa, log gamma and the rings' center, (3, 2 K + rings), and the range it is kept to."""
-        values = np.concatenate([np.log(self.kappa), np.log(self.gamma), self.center[:, :, self._rings]], axis=2)
-        slack = np.full(values.shape[2], OVERSHOOT)
-        slack[2 * self.n_lobes :] = CENTER_OVERSHOOT
-        low, high = values.min(axis=1) - slack, values.max(axis=1) + slack
-        return parameter_spline(self.theta_diff, np.moveaxis(values, 1, 0)), low, high
-
-    def _spline_parameters(self, theta_diff: Array) -> tuple[Array, Array, Array]:
-        """Logarithms of kappa and gamma, and center, each (..., 3, K)."""
-        spline, low, high = self._spline
-        values = spline(np.clip(theta_diff, self.theta_diff[0], self.theta_diff[-1]))
-        np.clip(values, low, high, out=values)
-        k = self.n_lobes
-        center = np.zeros((*theta_diff.shape, 3, k))
-        center[..., self._rings] = values[..., 2 * k :]
-        return values[..., :k], values[..., k : 2 * k], center
-
-    def _evaluate(self, theta_half: Array, theta_diff: Array) -> Array:
-        """Values at points (n,); written with logarithms, which costs two exponentials a lobe instead of a power."""
-        low, share = self._bracket(theta_diff)
-        if self.interpolation == "cubic":
-            log_kappa, log_gamma, center = self._spline_parameters(theta_diff)
-            exponent = np.exp(log_gamma)
-            exponent *= self._log_cosines(theta_half, center)
-            exponent += log_kappa
-            np.exp(exponent, out=exponent)
-        else:
-            parameters = (np.moveaxis(p, 1, 0) for p in (self.kappa, self.gamma, self.center))
-            kappa, gamma, center = (_between(p, low, share[:, None, None]) for p in parameters)
-            exponent = kappa * np.exp(gamma * self._log_cosines(theta_half, center))
-        values = np.expm1(exponent, out=exponent).sum(axis=2)
-        inside = theta_half < CENTER_CUTOFF
-        if inside.any():
-            values[inside] += _between(self.delta.T, low[inside], share[inside, None])
-        return values
-
-    def _log_cosines(self, theta_half: Array, center: Array) -> Array:
-        """Logarithm of cos(theta_half - center), broadcasting to (n, 3, K)."""
-        tiny = np.finfo(float).tiny
-        about_normal = np.log(np.maximum(np.cos(theta_half), tiny))[:, None, None]
-        if self._rings.size == 0:
-            return about_normal
-        result = np.repeat(np.repeat(about_normal, 3, axis=1), self.n_lobes, axis=2)
-        offset = theta_half[:, None, None] - center[:, :, self._rings]
-        result[:, :, self._rings] = np.log(np.maximum(np.cos(offset), tiny))
-        return result
-
-
-def _between(values: Array, low: NDArray[np.intp], share: Array) -> Array:
-    """Linear interpolation along the first axis of ``values``."""
-    if len(values) == 1:
-        return np.asarray(values[low])
-    return values[low] * (1.0 - share) + values[low + 1] * share
+    def _mixture(self) -> Mixture:
+        return Mixture(self.theta_diff, self.kappa, self.gamma, self.center, cubic=self.interpolation == "cubic")
 
 
 def _check_angle(name: str, angle: ArrayLike) -> Array:
     angle = np.asarray(angle, dtype=float)
     slack = 1e-9  # degrees converted to radians may round to just above pi/2
-    if not np.all((angle >= 0.0) & (angle <= np.pi / 2 + slack)):
+    if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)
 
