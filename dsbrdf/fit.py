@@ -4,7 +4,7 @@ import platform
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,16 @@ from dsbrdf.options import FitOptions
 from dsbrdf.profiles import Profiles, profiles
 from dsbrdf.slicewise import fit_slicewise
 
-__all__ = ["ALGORITHM_VERSION", "FitOptions", "FitReport", "FitResult", "fit"]
+__all__ = [
+    "ALGORITHM_VERSION",
+    "FitOptions",
+    "FitReport",
+    "FitResult",
+    "fit",
+    "profiles_for",
+    "versions",
+    "with_samples",
+]
 
 Array = NDArray[np.float64]
 
@@ -85,6 +94,7 @@ def fit(
     measurement: Measurement | Profiles,
     options: FitOptions | None = None,
     *,
+    plain: Profiles | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitResult:
     """Fit the model to a measurement.
@@ -95,6 +105,8 @@ def fit(
         Profiles must have been made with the options' horizon cutoff, weighting and robustness.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
+    plain : Profiles, optional
+        Where profiles are given that are weighted: those of the same measurement without weights, for the metrics.
     progress : callable, optional
         Called with the share of the work done, 0 to 1, at least once an iteration.  What it raises ends the fit and
         reaches the caller.
@@ -119,7 +131,7 @@ def fit(
     report_progress = progress if progress is not None else _ignore
     clock = _Clock()
     report_progress(0.0)
-    data = _reduce(measurement, options)
+    data = profiles_for(measurement, options)
     clock.lap("profiles")
     report_progress(0.1)
     progress_fit = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
@@ -131,13 +143,13 @@ def fit(
         outcome = fit_global(data, options, progress_fit, clock.lap)
         model, slices, selection, rings = outcome.model, outcome.slices, outcome.selection, outcome.rings
         bound = MAX_ITERATIONS
-    metrics, by_channel, by_theta_diff = _metrics(model, measurement, data, options)
+    metrics, by_channel, by_theta_diff = _metrics(model, measurement, plain or data, options)
     clock.lap("metrics")
     energies = _energy(model)
     clock.lap("energy")
-    plain = asdict(options) | {"knots": None if options.knots is None else list(options.knots)}
+    chosen = asdict(options) | {"knots": None if options.knots is None else list(options.knots)}
     report = FitReport(
-        metrics, by_channel, by_theta_diff, slices, selection, rings, energies, clock.laps, plain, _versions()
+        metrics, by_channel, by_theta_diff, slices, selection, rings, energies, clock.laps, chosen, versions()
     )
     report_progress(1.0)
     open_slices = int(np.sum(np.logical_not(slices["converged"])))
@@ -150,7 +162,14 @@ def fit(
     return FitResult(model, report)
 
 
-def _reduce(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
+def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
+    """Return the profiles of a measurement that a fit with these options works on.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If profiles are given that were made with other options.
+    """
     if isinstance(measurement, Measurement):
         return profiles(
             measurement,
@@ -165,15 +184,36 @@ def _reduce(measurement: Measurement | Profiles, options: FitOptions) -> Profile
     return measurement
 
 
+def with_samples(result: FitResult, measurement: Measurement) -> FitResult:
+    """Complete the report of a fit of profiles with what only the samples can tell.
+
+    Parameters
+    ----------
+    result : FitResult
+        Of `fit` with the profiles of `measurement`.
+    measurement : Measurement
+
+    Returns
+    -------
+    FitResult
+        The same as a fit of `measurement` itself, apart from the timings.
+    """
+    clock, report = _Clock(), result.report
+    male = mean_absolute_log_error(result.model, measurement, report.options["horizon_cutoff"])
+    clock.lap("metrics")
+    timings = report.timings | {"metrics": report.timings["metrics"] + clock.laps["metrics"]}
+    return FitResult(result.model, replace(report, metrics=report.metrics | {"male": male}, timings=timings))
+
+
 def _metrics(
     model: DSBRDF, measurement: Measurement | Profiles, data: Profiles, options: FitOptions
 ) -> tuple[dict[str, float | None], list[dict[str, Any]], list[dict[str, Any]]]:
     male = None
     if isinstance(measurement, Measurement):
-        if data.weighting != "plain" or data.robust:
+        if data.weighted:
             data = profiles(measurement, horizon_cutoff=options.horizon_cutoff)
         male = mean_absolute_log_error(model, measurement, options.horizon_cutoff)
-    elif data.weighting != "plain" or data.robust:
+    elif data.weighted:
         return dict.fromkeys(("relative_rms", "floor", "excess", "male")), [], []
     by_channel, by_theta_diff = error_tables(model, data)
     return relative_errors(model, data) | {"male": male}, by_channel, by_theta_diff
@@ -191,7 +231,8 @@ def _energy(model: DSBRDF) -> dict[str, list[Any]]:
     }
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions that may make a difference: of the algorithm, this library and what it computes with."""
     from dsbrdf import __version__
 
     return {

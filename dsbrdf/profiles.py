@@ -61,6 +61,11 @@ class Profiles:
     name: str
     sha256: str
 
+    @property
+    def weighted(self) -> bool:
+        """Whether some samples count more than others; the metrics are defined on profiles where none does."""
+        return self.weighting != "plain" or self.robust
+
 
 def profiles(
     measurement: Measurement,

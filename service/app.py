@@ -8,10 +8,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp
 
 import dsbrdf
-from dsbrdf.engines.local import LocalEngine
 from dsbrdf.merl import MerlChecker
 from service import contract, problems
 from service.context import Context
+from service.engine import engine_of
 from service.jobs import Jobs
 from service.metrics import Metrics
 from service.models import Models
@@ -46,13 +46,13 @@ def create_app(settings: Settings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         store = await run_in_threadpool(Store, settings.data_dir)
         try:
-            engine = LocalEngine(settings.workers, settings.fit_seconds, settings.fit_memory_mb)
+            engine = engine_of(settings)
             jobs = Jobs(store, engine, settings, metrics)
             models = Models(store, settings.model_cache)
             readiness = Readiness(store, engine, settings)
             app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
             await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
-            await engine.check()
+            await engine.start()
             await jobs.start()
             try:
                 yield

@@ -72,7 +72,6 @@ class Jobs:
         self._settings = settings
         self._metrics = metrics
         self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._slots = asyncio.Semaphore(settings.workers)
         self._live: dict[FitKey, _Live] = {}
 
     async def start(self) -> None:
@@ -178,7 +177,7 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._slots:
+        async with self._engine.turn():
             row = await _once_there_is_room(self._store.start_fit, key)
             if row is None:
                 return True

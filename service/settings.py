@@ -40,7 +40,17 @@ class Settings(BaseSettings):
         default=False, description="Log GET and HEAD requests that went well too; their rate falls by a fifth."
     )
 
-    workers: int = Field(default_factory=available_cores, ge=1, description="Fits that run at once.")
+    engine: Literal["local", "dask"] = Field(default="local", description="Where fits run: here, or on a Dask cluster.")
+    scheduler: str = Field(
+        default="tcp://127.0.0.1:8786",
+        pattern=r"^(tcp|tls|ws|wss)://[^/\s]+$",
+        description="Address of the Dask scheduler; without TLS, who can reach it can run anything on its workers.",
+    )
+    workers: int = Field(
+        default_factory=available_cores,
+        ge=1,
+        description="Fits that run at once; with Dask, measurements that are read at once.",
+    )
     queue_limit: int = Field(default=1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
     fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")
     fit_memory_mb: int = Field(default=4096, ge=128, description="Address space limit of one fit's process [MB].")

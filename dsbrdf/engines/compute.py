@@ -1,85 +1,105 @@
-"""The computation of one fit, wherever it runs, and what happens in a child process around it."""
+"""The computation of one fit, in one step or in the three that an engine takes which computes elsewhere.
+
+    compute:  file -> outcome
+    reduce:   file -> parcel        fit_parcel:  parcel -> outcome        complete:  outcome, file -> outcome
+
+The first and the last of the three need the measurement's file; only the parcel travels. Both ways give the same
+document to the last bit, apart from the timings.
+"""
 
 import logging
-import os
-import signal
-import threading
+import pickle
+import time
 import warnings
-from collections.abc import Callable
-from multiprocessing import connection, parent_process
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
 
-import dsbrdf
 from dsbrdf.engines import Fault, FitTask, Fitted, Outcome
-from dsbrdf.serialize import to_json
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.fit import FitOptions, FitResult, fit, profiles_for, with_samples
+from dsbrdf.merl import read_merl
+from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.serialize import from_json, to_json
 
-try:
-    import resource
-except ImportError:  # pragma: no cover (no such limits outside POSIX)
-    resource = None  # type: ignore[assignment]
-
-_SMALLEST_STEP = 0.005  # of progress, that is worth a message
+Report = Callable[[float], None]
 
 logger = logging.getLogger(__name__)
 
 
-def compute(task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
-    """Fit the measurement of `task`; every failure of the fit is an outcome, not an exception."""
+@dataclass(frozen=True)
+class _Parcel:
+    """What travels: the profiles to fit; those to judge the fit by, where they are others; seconds that it took."""
+
+    fitted: Profiles
+    plain: Profiles | None
+    seconds: float
+
+
+def outcome_of(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Call one of the functions below; every failure of the fit is an outcome, not an exception."""
     try:
-        measurement = dsbrdf.read_merl(task.path)
-        with warnings.catch_warnings():
-            # Which slices did not converge is part of the report.
-            warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-            result = dsbrdf.fit(measurement, task.options, progress=on_progress)
-        document = to_json(result.model, result.report)
-    except dsbrdf.DSBRDFError as error:
+        return work(*arguments)
+    except DSBRDFError as error:
         return Fault("input", type(error).__name__, str(error))
     except MemoryError:
         return Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
     except OSError as error:
-        logger.exception("fit %s could not read its measurement", task.fit_id)
+        logger.exception("a measurement could not be read")
         reason = error.strerror or type(error).__name__
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
     except Exception as error:
-        logger.exception("fit %s broke", task.fit_id)
-        message = f"The computation broke with {type(error).__name__}; the service's log has the details."
+        logger.exception("a fit broke")
+        message = f"The computation broke with {type(error).__name__}; the log has the details."
         return Fault("compute", "InternalError", message)
-    return Fitted(document, dict(result.report.metrics))
 
 
-def compute_in_child(task: FitTask, pipe: connection.Connection, memory_bytes: int) -> None:
-    """Fit in a process of its own, which ends with its parent and cannot take more than `memory_bytes`.
-
-    The pipe gets the progress as floats and, last, the outcome.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # typed at a terminal it is meant for the parent
-    _end_with_parent()
-    _limit_memory(memory_bytes)
-    sent = 0.0
-
-    def report(share: float) -> None:
-        nonlocal sent
-        if share - sent >= _SMALLEST_STEP:
-            sent = float(share)
-            pipe.send(sent)
-
-    pipe.send(compute(task, report))
+def compute(task: FitTask, report: Report) -> Outcome:
+    """Fit the measurement of `task`."""
+    measurement = read_merl(task.path)
+    with _sentences() as sentences:
+        result = fit(measurement, task.options, progress=report)
+    return _fitted(result, sentences)
 
 
-def _end_with_parent() -> None:
-    """Kill this process as soon as its parent is gone, however the parent ended."""
-    parent = parent_process()
-    if parent is None:
-        return
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        connection.wait([sentinel])
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+def reduce(task: FitTask, _: Report) -> bytes:
+    """Pack what a fit of the measurement of `task` needs elsewhere; some 0.3 MB, or twice that if weighted."""
+    measurement = read_merl(task.path)
+    begin = time.perf_counter()
+    fitted = profiles_for(measurement, task.options)
+    seconds = time.perf_counter() - begin
+    plain = profiles(measurement, horizon_cutoff=task.options.horizon_cutoff) if fitted.weighted else None
+    return zlib.compress(pickle.dumps(_Parcel(fitted, plain, seconds)), 1)
 
 
-def _limit_memory(memory_bytes: int) -> None:
-    if resource is not None:
-        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+def fit_parcel(packed: bytes, options: FitOptions, report: Report) -> Outcome:
+    """Fit what `reduce` has packed; what only the samples can tell is missing from the report."""
+    parcel: _Parcel = pickle.loads(zlib.decompress(packed))  # noqa: S301 (of the machine that sends the code, too)
+    with _sentences() as sentences:
+        result = fit(parcel.fitted, options, plain=parcel.plain, progress=report)
+    timings = result.report.timings | {"profiles": parcel.seconds}
+    return _fitted(FitResult(result.model, replace(result.report, timings=timings)), sentences)
+
+
+def complete(fitted: Fitted, task: FitTask, _: Report) -> Outcome:
+    """Add to the report of `fit_parcel` what only the samples can tell."""
+    model, report = from_json(fitted.document)
+    if report is None:
+        raise ValueError("the document of a fit has a report")
+    return _fitted(with_samples(FitResult(model, report), read_merl(task.path)), fitted.warnings)
+
+
+@contextmanager
+def _sentences() -> Iterator[list[str]]:
+    """Collect what a fit says about its convergence."""
+    sentences: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConvergenceWarning)
+        yield sentences
+    sentences += [str(warning.message) for warning in caught if issubclass(warning.category, ConvergenceWarning)]
+
+
+def _fitted(result: FitResult, sentences: "list[str] | tuple[str, ...]") -> Fitted:
+    return Fitted(to_json(result.model, result.report), dict(result.report.metrics), tuple(sentences))
