@@ -9,9 +9,9 @@ import hashlib
 import json
 import logging
 import sqlite3
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
@@ -20,7 +20,6 @@ import dsbrdf
 from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Outcome
 from service.metrics import Metrics
 from service.options import from_wire, to_wire
-from service.problems import is_disk_full
 from service.rows import Caller, FitKey, FitRow
 from service.settings import Settings
 from service.store import Store
@@ -30,7 +29,7 @@ logger = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_FULL_DISK_PAUSE = 5.0  # seconds between attempts to write
+_DISK_PAUSE = 5.0  # seconds between attempts to write
 _LEAST_CHANGE = 0.01  # of progress, that is worth telling
 _LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
 
@@ -73,6 +72,7 @@ class Jobs:
         self._metrics = metrics
         self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._live: dict[FitKey, _Live] = {}
+        self._in_order = asyncio.Lock()  # a row and its task are made, or given up, without another change between
 
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
@@ -105,11 +105,12 @@ class Jobs:
         """
         key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
-        row, new = await run_in_threadpool(
-            self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
-        )
-        if new and not self._stopping.done():
-            self._begin(key)
+        async with self._in_order:
+            row, new = await run_in_threadpool(
+                self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
+            )
+            if new and not self._stopping.done():
+                self._begin(key)
         return row, new
 
     async def wait(self, key: FitKey, seconds: float) -> FitRow | None:
@@ -144,10 +145,12 @@ class Jobs:
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        row = await run_in_threadpool(self._store.cancel_fit, key)
-        live = self._live.get(key)
+        async with self._in_order:
+            row = await run_in_threadpool(self._store.cancel_fit, key)
+            live = self._live.get(key)
+            if row is not None and live is not None:
+                live.task.cancel()
         if row is not None and live is not None:
-            live.task.cancel()
             await asyncio.wait([live.task])
         return row
 
@@ -166,7 +169,7 @@ class Jobs:
     async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None") -> None:
         bind_contextvars(fit=str(key))
         if previous is not None:  # cancelled, and asked for again before its process had ended
-            await asyncio.wait([previous])
+            await _to_its_end(asyncio.wait([previous]))
         try:
             while not await self._attempt(key):
                 pass
@@ -178,7 +181,7 @@ class Jobs:
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
         async with self._engine.turn():
-            row = await _once_there_is_room(self._store.start_fit, key)
+            row = await _written(self._store.start_fit, key)
             if row is None:
                 return True
             self._tell(key, 0.0)
@@ -186,12 +189,19 @@ class Jobs:
                 self._metrics.took("waiting", row.started - row.created)
             task = FitTask(str(key), self._store.blobs.path(row.measurement), from_wire(row.options))
             with self._metrics.timing("fitting"):
-                outcome = await self._engine.run(task, lambda share: self._tell(key, share))
+                outcome = await self._compute(key, task)
             if isinstance(outcome, Fault) and outcome.origin == "system":
                 await asyncio.sleep(_LOST_PAUSE)
                 if self._stopping.done():  # its process was ended together with this one: the next one runs it
                     return True
-            return await _once_there_is_room(self._record, row, outcome)
+            return await _written(self._record, row, outcome)
+
+    async def _compute(self, key: FitKey, task: FitTask) -> Outcome:
+        try:
+            return await self._engine.run(task, lambda share: self._tell(key, share))
+        except Exception as error:
+            logger.exception("the engine broke")
+            return Fault("system", "EngineFailed", f"The engine broke with {type(error).__name__}; the log says why.")
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
@@ -214,16 +224,27 @@ class Jobs:
             live.tell()
 
 
-async def _once_there_is_room(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call `write` in a thread, again and again while the disk is full: a computed fit is not thrown away."""
+async def _written(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call `write` in a thread, again and again while the disk does not take it: a computed fit is not thrown away.
+
+    A cancelled call returns when the thread has come to its end, so that nothing is written later than one thinks.
+    """
     while True:
         try:
-            return await run_in_threadpool(write, *args, **kwargs)
+            return await _to_its_end(run_in_threadpool(write, *args, **kwargs))
         except (OSError, sqlite3.OperationalError) as error:
-            if not is_disk_full(error):
-                raise
-            logger.warning("the disk is full; trying again in %g s", _FULL_DISK_PAUSE)
-            await asyncio.sleep(_FULL_DISK_PAUSE)
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _DISK_PAUSE)
+            await asyncio.sleep(_DISK_PAUSE)
+
+
+async def _to_its_end(work: Coroutine[Any, Any, T]) -> T:
+    """Await `work`; a cancelled call returns when it has ended all the same."""
+    task = asyncio.create_task(work)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        await asyncio.wait([task])
+        raise
 
 
 def _error(fault: Fault) -> dict[str, str]:
