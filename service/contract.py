@@ -8,9 +8,9 @@ from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute
 
 from service.openapi import COMPONENTS, add_problems, restore_examples
-from service.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem
+from service.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem, Progress
 
-_BODIES = (Problem, FitRequest, AnglesRequest, DirectionsRequest)
+_BODIES = (Problem, FitRequest, AnglesRequest, DirectionsRequest, Progress)
 _OPEN = "/health/"  # what needs no key
 _KEY = {
     "type": "http",
@@ -85,21 +85,31 @@ _RANGE = {
     "example": "bytes=0-11",
 }
 
-_FIT = {"fit_id": "$response.body#/id"}
-_MEASUREMENT = {"sha256": "$response.body#/sha256"}
+_FIT = {"parameters": {"fit_id": "$response.body#/id"}}
+_MEASUREMENT = {"parameters": {"sha256": "$response.body#/sha256"}}
 # operation -> (statuses with links, operations that they lead to, what these are given)
 _LINKS: dict[str, tuple[tuple[str, ...], tuple[str, ...], dict[str, Any]]] = {
     "submit_fit": (
         ("200", "201", "202"),
         ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit"),
-        {"parameters": _FIT},
+        _FIT,
     ),
     "upload_measurement": (
         ("200", "201"),
         ("download_measurement", "probe_measurement", "delete_measurement"),
-        {"parameters": _MEASUREMENT},
+        _MEASUREMENT,
     ),
-    "get_fit": (("200",), ("get_values", "get_components", "export_fit", "delete_fit"), {"parameters": _FIT}),
+    "get_fit": (("200",), ("get_values", "get_components", "export_fit", "delete_fit"), _FIT),
+    "list_measurements": (
+        ("200",),
+        ("submit_fit",),
+        {
+            "requestBody": {
+                "measurement": "$response.body#/items/0/sha256",
+                "options": {"method": "paper", "n_lobes": 1},
+            }
+        },
+    ),
 }
 
 

@@ -43,7 +43,7 @@ def decoder(content_encoding: str | None, sink: Sink) -> Decoder:
     ProblemError
         Of the kind ``unsupported-media-type`` if it is not one that the service decodes.
     """
-    name = (content_encoding or "identity").strip().lower()
+    name = "identity" if content_encoding is None else content_encoding.strip().lower()
     if name == "identity":
         return _Identity(sink)
     if name in ("gzip", "x-gzip"):

@@ -75,6 +75,20 @@ COMPONENTS: dict[str, Any] = {
     "items": [{"label": "specular_spike", **_EMPTY}, {"label": "specular_lobe", **_EMPTY}, COMPONENT]
 }
 
+STORED_MODEL: dict[str, Any] = {
+    "format": "dsbrdf",
+    "version": 1,
+    "model": {
+        "theta_diff": [0.0],
+        "kappa": [[[0.11]], [[0.05]], [[0.03]]],
+        "gamma": [[[0.2]], [[0.2]], [[0.2]]],
+        "center": [[[0.0]], [[0.0]], [[0.0]]],
+        "delta": [[0.0], [0.0], [0.0]],
+        "interpolation": "linear",
+    },
+    "report": None,
+}
+
 EVENTS = (
     f'event: running\ndata: {{"id":"{FIT_ID}","status":"running","progress":0.42,"error":null}}\n\n'
     f'event: succeeded\ndata: {{"id":"{FIT_ID}","status":"succeeded","progress":1.0,"error":null}}\n\n'

@@ -6,7 +6,7 @@ from typing import Any
 from service import examples
 from service.points import ANGLES, DIRECTIONS, NPY
 from service.problems import KINDS, MEDIA_TYPE
-from service.schemas import OptionsDocument
+from service.schemas import OptionsDocument, Progress
 
 COMPONENTS = "#/components/schemas/"
 _BINARY = {"type": "string", "contentMediaType": "application/octet-stream", "maxLength": 34_992_012}
@@ -129,8 +129,22 @@ def binary(media_type: str, description: str) -> Responses:
 
 def events() -> Responses:
     """Return the response that is a stream of events."""
-    content = {"text/event-stream": {"schema": {"type": "string"}, "example": examples.EVENTS}}
+    data = {"type": "string", "contentMediaType": "application/json", "contentSchema": _ref("Progress")}
+    event = {
+        "type": "object",
+        "properties": {"event": Progress.model_json_schema()["properties"]["status"], "data": data},
+        "required": ["event", "data"],
+    }
+    content = {"text/event-stream": {"itemSchema": event, "example": examples.EVENTS}}
     return {200: {"description": "Events until the fit has ended.", "content": content}}
+
+
+def export() -> Responses:
+    """Return the response that is a model's file."""
+    binary_file = {"schema": {"type": "string", "contentMediaType": "application/octet-stream"}}
+    json_file = {"schema": {"type": "object"}, "example": _kept(examples.STORED_MODEL)}
+    content = {"application/octet-stream": binary_file, "application/json": json_file}
+    return {200: {"description": "The file: JSON for `json`, bytes for the other formats.", "content": content}}
 
 
 def health(status: str) -> Responses:
@@ -181,7 +195,7 @@ def _encoding() -> dict[str, Any]:
         "in": "header",
         "required": False,
         "description": "The body may be compressed.",
-        "schema": {"type": "string", "enum": ["identity", "gzip", "zstd"]},
+        "schema": {"type": "string", "enum": ["identity", "gzip", "x-gzip", "zstd"]},
     }
 
 

@@ -30,8 +30,7 @@ _FORMATS: dict[str, tuple[str, str, Callable[[DSBRDF, FitReport | None], bytes]]
     "",
     response_class=Response,
     summary="A fit for another program",
-    responses=openapi.binary("application/octet-stream", "The file.")
-    | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
+    responses=openapi.export() | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(request: Request, fit_id: FitId, export: Annotated[Export, Query()]) -> Response:
     """Return the model, or one component, as `json` or `npz` (lossless) or as a MERL table.

@@ -125,6 +125,39 @@ def test_a_measurement_comes_back_byte_for_byte(server: Server, data: bytes, sto
     assert again.headers["location"] == url
 
 
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ("bytes=0-11", slice(0, 12)),
+        ("Bytes=12-", slice(12, None)),
+        ("bytes=-8", slice(-8, None)),
+        ("bytes=34992011-99999999999", slice(-1, None)),
+        # What is not one range of bytes is as if it had not been sent (RFC 9110, section 14.2).
+        ("bytes=5-4", slice(None)),
+        ("bytes=0-1,3-4", slice(None)),
+        ("bytes=" + "0-1," * 5000, slice(None)),
+        ("lines=1-2", slice(None)),
+        ("bytes=-", slice(None)),
+        ("bytes=x-", slice(None)),
+        ("0-1", slice(None)),
+        ("bytes=" + "9" * 100 + "-", slice(None)),
+    ],
+)
+def test_a_part_of_a_measurement_can_be_had(
+    server: Server, data: bytes, stored: str, asked: str, expected: slice
+) -> None:
+    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
+    assert answer.content == data[expected]
+    assert answer.status_code == (200 if expected == slice(None) else 206)
+
+
+@pytest.mark.parametrize("asked", ["bytes=34992012-", "bytes=99999999999-99999999999", "bytes=-0"])
+def test_a_part_beyond_the_end_is_refused(server: Server, stored: str, asked: str) -> None:
+    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
+    assert_problem(answer, 416, "range-not-satisfiable")
+    assert answer.headers["content-range"] == f"bytes */{FILE_SIZE}"
+
+
 def test_a_measurement_can_be_deleted_when_no_fit_needs_it(server: Server, matte: dsbrdf.Measurement) -> None:
     sha256 = server.http.post("/v1/measurements", content=encode_merl(matte)).json()["sha256"]
     url = f"/v1/measurements/{sha256}"
@@ -308,7 +341,7 @@ def test_a_full_disk_is_507_and_recovers(tmp_path: Path, data: bytes, monkeypatc
         transport = httpx.ASGITransport(app)
         async with (
             app.router.lifespan_context(app),
-            httpx.AsyncClient(transport=transport, base_url="http://test", timeout=60) as http,
+            httpx.AsyncClient(transport=transport, base_url="http://localhost", timeout=60) as http,
         ):
             first = await http.post("/v1/fits", params=QUICK, content=data)
             left = list((tmp_path / "data").glob("tmp/*"))
