@@ -1,7 +1,7 @@
 """The ranges that the OpenAPI document tells for the options, against the library that checks them."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -55,14 +55,16 @@ CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bound
 @pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
 def test_the_ranges_are_the_library_s(name: str, value: object, inside: bool) -> None:
     text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-    for parse in (lambda: parse_options({name: value}), lambda: parse_query([(name, text)])):
-        if inside:
-            assert isinstance(parse(), FitOptions)
-        elif text == "1" and name == "robust":
-            continue  # a query has no types: 1 is refused in JSON, and below
-        else:
-            with pytest.raises(InvalidArgumentError):
-                parse()
+    assert accepted(parse_options, {name: value}) == inside
+    assert accepted(parse_query, [(name, text)]) == inside
+
+
+def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
+    try:
+        parse(values)
+    except InvalidArgumentError:
+        return False
+    return True
 
 
 def test_every_option_has_a_range() -> None:
