@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 import dsbrdf
-from dsbrdf.batch import fit_files, measurement_files
+from dsbrdf.batch import UNREADABLE, FileFit, fit_files, measurement_files
 from dsbrdf.decomposition import LABELS, decompose
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.export import FORMATS, export_model
@@ -38,7 +38,6 @@ from dsbrdf.summary import (
     parameters_table,
     result_text,
 )
-from dsbrdf.workers import UNREADABLE, FileFit
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -86,6 +85,7 @@ def _fit(arguments: argparse.Namespace) -> int:
                 options,
                 arguments.output,
                 jobs=arguments.jobs,
+                scheduler=arguments.scheduler,
                 force=arguments.force,
                 progress=progress,
             )
@@ -248,6 +248,9 @@ def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
     fit.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a MERL .binary file, or a folder of them")
     fit.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
     fit.add_argument("--jobs", type=int, metavar="N", help="fits that run at once (default: one for each CPU)")
+    fit.add_argument(
+        "--scheduler", metavar="ADDRESS", help="fit on the Dask cluster of this scheduler (tcp://host:8786)"
+    )
     fit.add_argument("--force", action="store_true", help="fit again what the folder holds already")
     fit.add_argument("--json", action="store_true", help="print one JSON document instead of text")
     add_fit_flags(fit)

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import batch, cli, extras, flags, workers
+from dsbrdf import batch, cli, extras, flags
+from dsbrdf.engines import local
 from dsbrdf.measurement import Measurement
 from dsbrdf.serialize import from_json, from_npz, load
 
@@ -147,9 +148,9 @@ def test_one_bad_file_does_not_stop_the_others(
 
 
 def test_a_fit_that_was_lost_is_not_the_users_fault(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[workers.FileFit]:
-        yield workers.FileFit(files[0], error="the process died", lost=True)
-        yield workers.FileFit(files[1], error="no measurement")
+    def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[batch.FileFit]:
+        yield batch.FileFit(files[0], error="the process died", lost=True)
+        yield batch.FileFit(files[1], error="no measurement")
 
     monkeypatch.setattr(cli, "fit_files", lost)
     assert cli.main(["fit", "a.binary", "b.binary"]) == 1
@@ -200,7 +201,7 @@ def test_a_second_run_keeps_what_is_there(
     command = ["fit", *two_files, "-o", str(tmp_path / "out"), "--json", *QUICK]
     assert cli.main(command) == 0
     first = document(capsys)["items"]
-    monkeypatch.setattr(workers, "_Worker", None)  # nothing is to be computed
+    monkeypatch.setattr(local.LocalEngine, "start", None)  # nothing is to be computed
     assert cli.main(command) == 0
     second = document(capsys)["items"]
     assert [item.pop("resumed") for item in first] == [False, False]

@@ -134,8 +134,6 @@ class Child:
 
     def _died(self) -> Fault:
         code = self._process.exitcode
-        if not self._stopped:
-            logger.warning("the process of a fit ended with exit code %s", code)
         reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
         if code in _OUTSIDE or code == _UNKNOWN_EXIT:
             return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
