@@ -112,7 +112,7 @@ def same_file(stand: Stand, times: int) -> str:
 def full_disk(stand: Stand, times: int) -> str:
     """Fill the disk while a fit runs, ask for more than there is room for, and make room again."""
     recovered = 0.0
-    model = stand.model(LONG)
+    (model,) = stand.models(LONG)
     with _small_disk(stand.folder / "disk") as disk, stand.server(disk, min_free_mb="1") as server:
         server.start()
         for number in range(times):

@@ -61,7 +61,7 @@ class Customer:
     def run(self, address: str, over: threading.Event) -> None:
         """Ask for one thing after the other until it is over; then, broken connections are no surprise."""
         sending: list[_Action] = [self._send_and_fit, self._upload]
-        using: list[_Action] = [*[self._fit] * 8, *[self._withdraw] * 3, *[self._look] * 4, self._values, self._discard]
+        using: list[_Action] = [*[self._fit] * 8, *[self._withdraw] * 2, *[self._look] * 4, self._values, self._discard]
         with httpx.Client(base_url=address, timeout=60) as http:
             while not over.is_set():
                 action = self._random.choice(sending + using if self._stored == "kept" else sending)

@@ -25,7 +25,7 @@ _LAST_BREATH = 3.0  # seconds that the processes of a server which is gone may t
 
 def server_killed(stand: Stand, times: int) -> str:
     """Kill the server at random moments under load; start it again at once."""
-    models = [stand.model(options) for options in OPTIONS]
+    models = stand.models(*OPTIONS)
     customers = [Customer(number, stand, models) for number in range(_CUSTOMERS)]
     with stand.server(workers="2") as server:
         server.start()
@@ -119,7 +119,7 @@ class _Pair:
     def __init__(self, stand: Stand) -> None:
         self._stand = stand
         self._options = [{**LONG, "mask": mask} for mask in (0.5, 0.6)]
-        self._models = [stand.model(options) for options in self._options]
+        self._models = stand.models(*self._options)
         self._fits: list[str] = []
 
     def begin(self, server: Server) -> set[int]:
