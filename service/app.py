@@ -51,6 +51,7 @@ def create_app(settings: Settings) -> FastAPI:
             models = Models(store, settings.model_cache)
             readiness = Readiness(store, engine, settings)
             app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
+            metrics.collect_from(store.database)
             await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
             await engine.start()
             await jobs.start()

@@ -4,7 +4,7 @@ Labels take few values: a path counts under its route's template, every path wit
 nothing is counted by owner, fit or measurement.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 from typing import Literal, get_args
@@ -12,6 +12,9 @@ from typing import Literal, get_args
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
+
+from service.database import Database
+from service.rows import Status
 
 Stage = Literal["upload", "waiting", "fitting", "evaluating"]
 
@@ -86,9 +89,9 @@ class Metrics:
         yield
         self.took(stage, perf_counter() - begin)
 
-    def collect_from(self, fits: Callable[[], Mapping[str, int]], stored_bytes: Callable[[], int]) -> None:
-        """Ask for the number of fits in each state and the bytes on disk whenever the metrics are read."""
-        self._registry.register(_Stored(fits, stored_bytes))
+    def collect_from(self, database: Database) -> None:
+        """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
+        self._registry.register(_Stored(database))
 
     def exposition(self) -> bytes:
         """Return everything in Prometheus' text format."""
@@ -98,17 +101,19 @@ class Metrics:
 class _Stored(Collector):
     """What the database knows better than a counter that starts at zero with the process."""
 
-    def __init__(self, fits: Callable[[], Mapping[str, int]], stored_bytes: Callable[[], int]) -> None:
-        self._fits = fits
-        self._stored_bytes = stored_bytes
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def collect(self) -> Iterator[Metric]:
         """Yield the gauges."""
         states = GaugeMetricFamily("dsbrdf_fits", "Fits by state; the accepted ones are the queue.", labels=("state",))
-        for state, number in self._fits().items():
-            states.add_metric((state,), number)
+        numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+        for state in get_args(Status):
+            states.add_metric((state,), numbers.get(state, 0))
         yield states
-        yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=self._stored_bytes())
+        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
+        ((stored_bytes,),) = self._database.rows(files)
+        yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=stored_bytes)
 
     def describe(self) -> Iterator[Metric]:
         """Yield nothing: names are known without asking the database."""

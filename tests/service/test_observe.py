@@ -1,0 +1,232 @@
+"""What an operator sees of the service: request ids, the log, the metrics."""
+
+import json
+import os
+import re
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from tests.service.running import SLOW, Server, assert_problem, wait_until
+
+SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
+KEY = f"dsbrdf_0123456789ab_{SECRET}"
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service whose log and metrics nobody else fills."""
+    running = Server(tmp_path_factory.mktemp("watched") / "data", workers="1")
+    try:
+        yield running.start()
+    finally:
+        running.close()
+
+
+@pytest.fixture(scope="module")
+def sha256(watched: Server, data: bytes) -> str:
+    answer = watched.http.post("/v1/measurements", content=data)
+    assert answer.status_code == 201
+    identity: str = answer.json()["sha256"]
+    return identity
+
+
+def lines(server: Server) -> list[dict[str, Any]]:
+    """Every line of the log; all of them have to be JSON."""
+    return [json.loads(line) for line in server.log.read_text().splitlines()]
+
+
+def lines_of(server: Server, request_id: str, requests: int = 1) -> list[dict[str, Any]]:
+    """The lines of a request; the last one is written when the client has its answer already."""
+
+    def found() -> list[dict[str, Any]]:
+        return [line for line in lines(server) if line.get("request_id") == request_id]
+
+    wait_until(lambda: sum(line["event"] == "request" for line in found()) == requests)
+    return found()
+
+
+def metrics(server: Server) -> dict[tuple[str, ...], float]:
+    """Samples by name and values of the labels."""
+    answer = server.http.get("/metrics")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    return {
+        (sample.name, *(value for _, value in sorted(sample.labels.items()))): sample.value
+        for family in text_string_to_metric_families(answer.text)
+        for sample in family.samples
+    }
+
+
+@pytest.mark.parametrize("given", ["abc", "A-b_c.9", "x" * 64])
+def test_a_sane_request_id_is_kept(watched: Server, given: str) -> None:
+    answer = watched.http.get("/health/live", headers={"X-Request-ID": given})
+    assert answer.headers.get_list("x-request-id") == [given]
+
+
+@pytest.mark.parametrize("given", ["", "x" * 65, "a b", "a;b", 'a"b', "\u00e9"])
+def test_another_request_id_is_replaced(watched: Server, given: str) -> None:
+    answer = watched.http.get("/health/live", headers=[(b"X-Request-ID", given.encode("latin-1"))])
+    assert re.fullmatch("[0-9a-f]{16}", answer.headers["x-request-id"])
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/health/live", 200),
+        ("GET", "/nowhere", 404),
+        ("PUT", "/v1/fits", 405),
+        ("GET", "/v1/fits?limit=x", 422),
+        ("HEAD", f"/v1/measurements/{'0' * 64}", 404),
+    ],
+)
+def test_every_answer_has_an_id_of_its_own(watched: Server, method: str, path: str, status: int) -> None:
+    answers = [watched.http.request(method, path) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [status, status]
+    assert len({answer.headers["x-request-id"] for answer in answers}) == 2
+
+
+def test_a_request_is_one_line(watched: Server) -> None:
+    watched.http.get("/nowhere?secret=1", headers={"X-Request-ID": "one-line"})
+    (line,) = lines_of(watched, "one-line")
+    assert line["event"] == "request"
+    assert (line["method"], line["path"], line["status"], line["level"]) == ("GET", "/nowhere", 404, "info")
+    assert line["client"] == "127.0.0.1"
+    assert 0 < line["seconds"] < 30
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", line["time"])
+
+
+def test_what_went_well_and_changed_nothing_is_not_told_unless_asked_for(
+    watched: Server, own_server: Callable[..., Server]
+) -> None:
+    talkative = own_server(access_log="true")
+    for server, expected in ((watched, 0), (talkative, 1)):
+        server.http.get("/v1/fits", headers={"X-Request-ID": "quiet"})
+        server.http.get("/nowhere", headers={"X-Request-ID": "after"})  # its line follows those of the first
+        assert len(lines_of(server, "after")) == 1
+        assert len(lines_of(server, "quiet", expected)) == expected
+
+
+def test_no_client_can_write_a_line(watched: Server, own_server: Callable[..., Server]) -> None:
+    forged = '/v1/x%0A{"event":"forged"}%0D%0A%1B[2J%E2%80%A8end'
+    readable = own_server(log_format="text")
+    for server in (watched, readable):
+        begin = len(server.log.read_text().splitlines())
+        assert server.http.get(forged, headers={"User-Agent": "a\tb"}).status_code == 404
+        assert server.http.get("/last-line").status_code == 404
+        wait_until(lambda: "/last-line" in server.log.read_text())  # noqa: B023 (called at once)
+        added = server.log.read_text().splitlines()[begin:]
+        assert len(added) == 2
+        assert "forged" in added[0]
+        assert not re.search("[\x00-\x1f\x7f-\x9f]", added[0])
+
+
+def test_a_key_never_reaches_the_log(watched: Server) -> None:
+    headers = {"X-Request-ID": "with-key"}
+    watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
+    watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
+    watched.http.get(f"/v1/{KEY}", headers={"X-Request-ID": KEY})
+    assert len(lines_of(watched, "with-key", 2)) == 2
+    text = watched.log.read_text()
+    assert "dsbrdf_0123456789ab_" in text  # whose key it was may be told
+    assert SECRET not in text
+    assert SECRET[-8:] not in text
+
+
+def test_the_lines_of_a_fit_carry_the_request_that_wanted_it(watched: Server, sha256: str) -> None:
+    document = {"measurement": sha256, "options": {"method": "paper", "n_lobes": 1, "em_iterations": 4}}
+    fit = watched.http.post("/v1/fits", json=document, headers={"X-Request-ID": "wants-fit"}).json()
+    assert fit["status"] == "succeeded"
+    told = {line["event"]: line for line in lines_of(watched, "wants-fit")}
+    assert told["the fit has succeeded"]["fit"] == fit["id"]
+    assert told["request"]["status"] == 201
+
+
+def test_a_fault_of_the_service_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    (server.data_dir / "tmp").rmdir()
+    answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "broken"})
+    assert_problem(answer, 500, "internal")
+    assert answer.headers["x-request-id"] == "broken"
+    told = lines_of(server, "broken")
+    assert [line["level"] for line in told] == ["error", "error"]
+    (with_reason,) = [line for line in told if "exception" in line]
+    assert "FileNotFoundError" in with_reason["exception"]
+    assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
+
+
+def test_requests_are_counted_by_route(watched: Server, sha256: str) -> None:
+    fit = watched.submit(sha256, n_lobes=1, em_iterations=3).json()["id"]
+    before = metrics(watched)
+    for theta in range(5):
+        watched.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg={theta}&theta_diff_deg=1")
+    watched.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg=100&theta_diff_deg=1")
+    after = metrics(watched)
+    route = "/v1/fits/{fit_id}/brdf"
+
+    def more(*sample: str) -> float:
+        return after[sample] - before.get(sample, 0.0)
+
+    assert more("dsbrdf_requests_total", "GET", route, "200") == 5
+    assert more("dsbrdf_requests_total", "GET", route, "422") == 1
+    assert more("dsbrdf_request_seconds_count", "GET", route) == 6
+    assert more("dsbrdf_stage_seconds_count", "evaluating") == 5
+    assert not [sample for sample in after if any(fit in part or sha256 in part for part in sample)]
+
+
+def test_strange_requests_do_not_make_labels(watched: Server) -> None:
+    watched.http.get("/strange/0")
+    watched.http.request("BREW", "/strange/0")
+    before = metrics(watched)
+    for number in range(20):
+        watched.http.get(f"/strange/{number}")
+        watched.http.request(f"BREW{number}", "/strange")
+    after = metrics(watched)
+    assert set(after) - set(before) <= {("dsbrdf_requests_total", "GET", "/metrics", "200")}
+    unknown = ("dsbrdf_requests_total", "GET", "unknown", "404")
+    assert after[unknown] - before[unknown] == 20
+
+
+def test_work_is_counted_and_timed(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", fit_attempts="2")
+    params = {key: str(value) for key, value in SLOW.items()}
+    headers = {"Prefer": "respond-async"}
+    running = server.http.post("/v1/fits", params=params, content=data, headers=headers).json()["id"]
+    sha256 = server.http.get("/v1/measurements").json()["items"][0]["sha256"]
+    server.until_running(running)
+    waiting = server.submit(sha256, prefer="respond-async", n_lobes=1).json()["id"]
+    (worker,) = server.workers()
+    os.kill(worker, signal.SIGKILL)
+    with server.http.stream("GET", f"/v1/fits/{waiting}/events") as stream:
+        events = stream.iter_lines()  # once nobody refers to it, httpx closes the connection
+        next(events)
+        now = metrics(server)
+    assert now["dsbrdf_event_streams",] == 1
+    assert now["dsbrdf_fits", "accepted"] + now["dsbrdf_fits", "running"] == 2
+    for fit_id in (running, waiting):
+        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    wait_until(lambda: metrics(server)["dsbrdf_event_streams",] == 0)
+    after = metrics(server)
+    assert after["dsbrdf_fits", "succeeded"] == 2
+    assert after["dsbrdf_fits", "accepted"] == after["dsbrdf_fits", "failed"] == 0
+    assert after["dsbrdf_fit_retries_total",] == 1
+    assert after["dsbrdf_stored_bytes",] == len(data)
+    assert after["dsbrdf_uploaded_bytes_total",] >= len(data)
+    assert after["dsbrdf_stage_seconds_count", "upload"] == 1
+    assert after["dsbrdf_stage_seconds_count", "waiting"] == 2
+    assert after["dsbrdf_stage_seconds_count", "fitting"] == 3  # one of them was lost
+    assert after["dsbrdf_requests_in_progress",] == 1
+
+
+def test_metrics_belong_to_one_application(tmp_path: Path) -> None:
+    from service.app import create_app
+    from service.settings import Settings
+
+    first, second = (create_app(Settings(data_dir=tmp_path / name)) for name in ("a", "b"))
+    first.state.metrics.retries.inc()
+    assert b"dsbrdf_fit_retries_total 1.0" in first.state.metrics.exposition()
+    assert b"dsbrdf_fit_retries_total 0.0" in second.state.metrics.exposition()
