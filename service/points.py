@@ -1,14 +1,13 @@
 """Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from starlette.datastructures import QueryParams
 
 from dsbrdf import DSBRDF, InvalidArgumentError
 
@@ -56,8 +55,8 @@ class Directions:
 Points = Angles | Directions
 
 
-def from_query(parameters: QueryParams) -> Points:
-    """Return the points of a query, whose parameters repeat for several points.
+def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
+    """Return the points of a query's names and values, which repeat for several points.
 
     Raises
     ------
@@ -65,7 +64,7 @@ def from_query(parameters: QueryParams) -> Points:
         With one sentence that says what is wrong and what would be right.
     """
     given: dict[str, list[str]] = {}
-    for name, text in parameters.multi_items():
+    for name, text in parameters:
         if name not in _KNOWN:
             raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; known are {', '.join(_KNOWN)}.")
         given.setdefault(name, []).append(text)
@@ -161,9 +160,9 @@ def _check_count(names: tuple[str, str], first: int, second: int) -> None:
 
 def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
     angle = np.asarray(degrees, dtype=float)
-    outside = ~((angle >= 0.0) & (angle <= 90.0))
-    if outside.any():
-        worst = angle[outside][0]
+    inside = (angle >= 0.0) & (angle <= 90.0)
+    if not inside.all():
+        worst = angle[~inside][0]
         raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {worst:g}.")
     return np.radians(angle)
 

@@ -9,7 +9,6 @@ import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
-from starlette.datastructures import QueryParams
 
 from dsbrdf import InvalidArgumentError
 from service.decoding import PIECE, decoder
@@ -187,7 +186,7 @@ texts = st.one_of(
 @given(st.lists(st.tuples(names, texts), max_size=4))
 def test_queries_are_points_or_refused(items: list[tuple[str, str]]) -> None:
     try:
-        points = from_query(QueryParams(items))
+        points = from_query(items)
     except InvalidArgumentError:
         return
     check_points(points)

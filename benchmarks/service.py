@@ -1,0 +1,232 @@
+"""How quick the service is on this machine: one row for each promise, what is asked beside what is measured.
+
+The service is the real one, in a process of its own on the loopback address.  Rates are medians of several runs, and
+what is compared with something (FastAPI alone, the library) alternates with it in the same run.  The exit code is 1 if
+a row is missed; other work on the machine makes rows miss.
+"""
+
+import argparse
+import io
+import json
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
+from benchmarks.stand import Stand
+from dsbrdf.merl import FILE_SIZE, write_merl
+from dsbrdf.serialize import from_json
+from dsbrdf.synthetic import synthetic_measurement
+from tests.service.running import Server
+
+CONNECTIONS = 16
+POINTS = 1_000_000
+UPLOADS = 32
+FITS = 20
+
+_POINT = "theta_half_deg=10&theta_diff_deg=30"
+_NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
+_RAW = {"Content-Type": "application/octet-stream"}
+_LIBRARY = """
+import sys, time, warnings, dsbrdf
+warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+begin = time.perf_counter()
+dsbrdf.fit(dsbrdf.read_merl(sys.argv[1]))
+print(time.perf_counter() - begin)
+"""
+
+
+class Row(NamedTuple):
+    """One line of the table."""
+
+    asked: str
+    measured: str
+    holds: bool
+
+
+class Place(NamedTuple):
+    """Where a row is measured: a running service, and a measurement that it has."""
+
+    stand: Stand
+    server: Server
+    runs: int
+
+    @property
+    def address(self) -> str:
+        """Where the service listens."""
+        return str(self.server.http.base_url).rstrip("/")
+
+    def fitted(self) -> str:
+        """Address of a default fit of the measurement."""
+        status, body = post(f"{self.address}/v1/fits?", [self.stand.measurement.read_bytes()], _RAW)
+        assert status in (200, 201), body
+        return f"{self.address}/v1/fits/{json.loads(body)['id']}"
+
+
+def gets(place: Place) -> list[Row]:
+    """Values of one point, beside FastAPI alone, and while fits run."""
+    url = f"{place.fitted()}/brdf?{_POINT}"
+    service, bare = [], []
+    with program([sys.executable, "-m", "benchmarks.bare"], place.stand.folder / "bare.log") as address:
+        for target, seconds in ((url, 1.0), (f"{address}/values", 1.0)):
+            get_repeatedly(target, CONNECTIONS, seconds)
+        for _ in range(place.runs):
+            bare.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
+            service.append(get_repeatedly(url, CONNECTIONS, 3.0))
+    ratio = statistics.median(ours.per_second / theirs.per_second for ours, theirs in zip(service, bare, strict=True))
+    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(bare)}"
+    with _fits_running(place):
+        busy = [get_repeatedly(url, CONNECTIONS, 3.0) for _ in range(place.runs)]
+    p99 = statistics.median(rate.p99 for rate in busy)
+    return [
+        Row(f"GET of BRDF values, {CONNECTIONS} connections: >= 0.5 of FastAPI alone", measured, ratio >= 0.5),
+        Row("the same with 2 fits running: p99 <= 150 ms", _shown(busy), p99 <= 150.0),
+    ]
+
+
+def npy(place: Place) -> list[Row]:
+    """A million points in one request, beside the library's own call."""
+    fit = place.fitted()
+    model, _ = from_json(place.server.http.get(f"{fit}/export?format=json").raise_for_status().text)
+    degrees = np.random.default_rng(0).uniform(0.0, 90.0, (POINTS, 2))
+    theta_half, theta_diff = np.radians(degrees.T)
+    buffer = io.BytesIO()
+    np.save(buffer, degrees)
+    body = buffer.getvalue()
+    here, there = [], []
+    for _ in range(place.runs + 1):  # the first does not count
+        here.append(_timed(partial(model.evaluate, theta_half, theta_diff)))
+        begin = time.perf_counter()
+        status, answer = post(f"{fit}/brdf", [body], _NPY)
+        there.append(time.perf_counter() - begin)
+        assert status == 200, answer[:500]
+    assert np.array_equal(np.load(io.BytesIO(answer)), model.evaluate(theta_half, theta_diff))
+    seconds = statistics.median(there[1:])
+    ratio = statistics.median(http / call for http, call in zip(there[1:], here[1:], strict=True))
+    rate = 3 * POINTS / seconds
+    measured = (
+        f"{rate / 1e6:.2f} million values/s ({rate / 3e6:.2f} million points/s), {ratio:.2f} times the library call "
+        f"({model.n_lobes} lobes: {seconds:.3f} s, library {statistics.median(here[1:]):.3f} s)"
+    )
+    asked = f"POST of {POINTS:,} points as .npy: >= 1.5 million values/s, <= 1.3 times the library call"
+    return [Row(asked, measured, rate >= 1.5e6 and ratio <= 1.3)]
+
+
+def uploads(place: Place) -> list[Row]:
+    """Different measurements at the same time."""
+    common = memoryview(place.stand.measurement.read_bytes())[:-8]
+    _upload(place, common, 0)
+    rates, growths = [], []
+    for run in range(place.runs):
+        memory = PeakMemory(place.server.process.pid)
+        first = 1 + run * UPLOADS
+        seconds = at_once([partial(_upload, place, common, number) for number in range(first, first + UPLOADS)])
+        rates.append(UPLOADS * FILE_SIZE / seconds / 1e6)
+        growths.append(memory.growth() / (1 << 20))
+    rate, growth = statistics.median(rates), max(growths)
+    measured = f"{rate:.0f} MB/s ({', '.join(f'{r:.0f}' for r in rates)}), at most +{growth:.1f} MB"
+    asked = f"{UPLOADS} uploads of 33 MB at once: >= 120 MB/s together, web process +32 MB at most"
+    return [Row(asked, measured, rate >= 120.0 and growth <= 32.0)]
+
+
+def overhead(place: Place) -> list[Row]:
+    """A fit by one request with the file, beside the library in a new process of its own."""
+    place.fitted()
+    extra, own = [], []
+    for number in range(FITS):
+        body = place.stand.variant(number)
+        file = place.stand.folder / "variant.binary"
+        file.write_bytes(body)
+        library = float(subprocess.run([sys.executable, "-c", _LIBRARY, file], check=True, capture_output=True).stdout)
+        begin = time.perf_counter()
+        status, answer = post(f"{place.address}/v1/fits?", [body], _RAW | {"Prefer": "wait=300"})
+        extra.append(1e3 * (time.perf_counter() - begin - library))
+        own.append(library)
+        assert status == 201, answer
+    p50, p95 = np.quantile(extra, [0.5, 0.95])
+    measured = f"p95 {p95:.0f} ms, p50 {p50:.0f} ms over {FITS} fits; the library's own {statistics.median(own):.2f} s"
+    return [Row("overhead of a fit through HTTP: p95 <= 250 ms", measured, bool(p95 <= 250.0))]
+
+
+PARTS: dict[str, Callable[[Place], list[Row]]] = {"gets": gets, "npy": npy, "uploads": uploads, "overhead": overhead}
+
+
+@contextmanager
+def _fits_running(place: Place) -> Iterator[None]:
+    """Keep two default fits running, each of another cutoff, so that none is known already."""
+    measurement = place.server.http.get("/v1/measurements").json()["items"][0]["sha256"]
+    stopped = threading.Event()
+
+    def fit_on(number: int) -> None:
+        while not stopped.is_set():
+            options = {"method": "global", "horizon_cutoff_deg": 79.0 + number * 1e-6}
+            assert place.server.submit(measurement, "wait=300", **options).status_code == 201
+            number += 2
+
+    threads = [threading.Thread(target=fit_on, args=(number,)) for number in (0, 1)]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.5)
+    yield
+    stopped.set()
+    for thread in threads:
+        thread.join()
+
+
+def _upload(place: Place, common: memoryview, number: int) -> None:
+    """Send the measurement with another last node, which lies below the horizon."""
+    body = [common, np.array([-2.0 - number], dtype="<f8").tobytes()]
+    status, answer = post(f"{place.address}/v1/measurements?", body, _RAW)
+    assert status == 201, answer
+
+
+def _timed(call: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    call()
+    return time.perf_counter() - begin
+
+
+def _shown(rates: Sequence[Rate]) -> str:
+    figures = [statistics.median(getattr(rate, name) for rate in rates) for name in ("per_second", "p50", "p99")]
+    return f"{figures[0]:.0f}/s, p50 {figures[1]:.1f} ms, p99 {figures[2]:.1f} ms"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks service", description=__doc__)
+    parser.add_argument("--only", nargs="+", choices=PARTS, metavar="PART", help=f"some of: {', '.join(PARTS)}")
+    parser.add_argument("--runs", type=int, default=5, metavar="N", help="runs of each rate (default: 5)")
+    parser.add_argument("--file", type=Path, metavar="MERL", help="a measurement, instead of a generated one")
+    arguments = parser.parse_args(argv)
+    print(f"load generator: {load_generator()}; load of the machine: {os.getloadavg()[0]:.1f}")
+    print("| asked | measured | |\n|---|---|---|", flush=True)
+    missed = False
+    for name in arguments.only or PARTS:
+        with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
+            measurement = arguments.file
+            if measurement is None:
+                measurement = Path(folder) / "plastic.binary"
+                write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
+            stand = Stand(Path(folder), measurement, random.Random(0))
+            with stand.server() as server:
+                server.start()
+                for row in PARTS[name](Place(stand, server, arguments.runs)):
+                    print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
+                    missed |= not row.holds
+    return int(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
