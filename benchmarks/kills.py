@@ -94,14 +94,20 @@ def out_of_memory(stand: Stand, times: int) -> str:
         server.start()
         while starved < times and spared < 2 * times:
             victim = stand.random.choice(sorted(pair.begin(server)))
-            time.sleep(stand.random.uniform(0.0, 0.1))
             with suppress(ProcessLookupError):
-                resource.prlimit(victim, resource.RLIMIT_AS, (_NO_MEMORY, _NO_MEMORY))
+                _starve_soon(stand, victim)
             failed = pair.check(server, _STARVED)
             starved, spared = starved + failed, spared + 1 - failed
         stand.expect(starved == times, f"only {starved} fits ran out of memory")
         _end(stand, server)
     return f"{starved} fits out of memory ({spared} had all they needed by then): {len(stand.faults)} faults"
+
+
+def _starve_soon(stand: Stand, pid: int) -> None:
+    """Lower the limit of a process's memory, from when it has one: that is when it begins to compute."""
+    happens(lambda: resource.prlimit(pid, resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY, 10.0)
+    time.sleep(stand.random.uniform(0.0, 0.1))
+    resource.prlimit(pid, resource.RLIMIT_AS, (_NO_MEMORY, _NO_MEMORY))
 
 
 # How two fits may end, as pairs of end and attempts.
