@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: synthetic measurements, and measured ones where they are at hand."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import HealthCheck, settings
 from dsbrdf.measurement import Measurement
 from dsbrdf.merl import write_merl
 from dsbrdf.synthetic import synthetic_measurement
+from tests.dask_cluster import DaskCluster
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 
@@ -65,3 +67,15 @@ def reference_files() -> dict[str, Path]:
     if not files:
         pytest.fail(f"{REFERENCE_VARIABLE} is set to {folder}, which has no .binary files")
     return files
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
+    """A Dask cluster with one worker, to be shared; what breaks it takes one of its own."""
+    running = DaskCluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        running.start_scheduler()
+        running.add_worker()
+        yield running
+    finally:
+        running.close()

@@ -93,17 +93,18 @@ class Cluster:
         client_of: Any = import_module("distributed").Client  # half of it is typed
         options = {"asynchronous": True, "set_as_default": False, "timeout": _PATIENCE, "name": "dsbrdf"}
         while True:
+            client = client_of(self._address, **options)
             try:
-                async with client_of(self._address, **options) as client:
-                    try:
-                        await self._attend(client)
-                    finally:
-                        self._lose("the connection was lost")
+                await client
+                await self._attend(client)
+                self._lose("the connection was lost")
             except Exception as error:  # whatever a connection may meet, it is tried again
                 reason = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
                 if reason != self._reason:
                     logger.warning("the Dask scheduler at %s cannot be reached: %s", self._address, reason)
                 self._lose(reason)
+            finally:
+                await client.close()
             await asyncio.sleep(_PAUSE)
 
     async def call(self, worker: str, tell: Callable[[float], None], function: Callable[..., Any], *given: Any) -> Any:
