@@ -1,7 +1,7 @@
 """Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -10,6 +10,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf.geometry import check_directions, half_difference
 
 Array = NDArray[np.float64]
 
@@ -18,12 +19,13 @@ DIRECTIONS = ("omega_in", "omega_out")
 NPY = "application/x-npy"
 _KNOWN = (*ANGLES, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
+_BLOCK = 8192  # directions whose angles are found at a time, so that what is in between stays small
 _NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 
 
 @dataclass(frozen=True)
-class Angles:
+class Points:
     """Half and difference angles, shape (n,) each [rad]."""
 
     theta_half: Array
@@ -36,23 +38,11 @@ class Angles:
         """Return the model's values, shape (n, 3) [1/sr]."""
         return model.evaluate(self.theta_half, self.theta_diff)
 
-
-@dataclass(frozen=True)
-class Directions:
-    """Pairs of unit vectors, shape (n, 3) each."""
-
-    omega_in: Array
-    omega_out: Array
-
-    def __len__(self) -> int:
-        return len(self.omega_in)
-
-    def values(self, model: DSBRDF) -> Array:
-        """Return the model's values, shape (n, 3) [1/sr]."""
-        return model.evaluate_directions(self.omega_in, self.omega_out)
-
-
-Points = Angles | Directions
+    def blocks(self, size: int) -> "Iterator[Points]":
+        """Yield the points in blocks of at most `size`; there is one, even if it is empty."""
+        for start in range(0, max(len(self), 1), size):
+            block = slice(start, start + size)
+            yield Points(self.theta_half[block], self.theta_diff[block])
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
@@ -74,24 +64,30 @@ def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
     return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
 
 
-def from_angles(theta_half_deg: Sequence[float] | Array, theta_diff_deg: Sequence[float] | Array) -> Angles:
+def from_angles(theta_half_deg: Sequence[float] | Array, theta_diff_deg: Sequence[float] | Array) -> Points:
     """Return the points of two equally long sequences of angles in degrees."""
     _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
-    return Angles(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg))
+    return Points(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg))
 
 
 def from_directions(
     omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
-) -> Directions:
-    """Return the points of two equally long sequences of unit vectors; the model checks the vectors."""
+) -> Points:
+    """Return the points of two equally long sequences of unit vectors."""
     _check_count(DIRECTIONS, len(omega_in), len(omega_out))
     for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
         if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
             raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
-    return Directions(np.asarray(omega_in, dtype=float), np.asarray(omega_out, dtype=float))
+    pairs = np.asarray(omega_in, dtype=float).reshape(-1, 3), np.asarray(omega_out, dtype=float).reshape(-1, 3)
+    points = Points(np.empty(len(omega_in)), np.empty(len(omega_in)))
+    for start in range(0, len(points), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        checked = (check_directions(name, part[block]) for name, part in zip(DIRECTIONS, pairs, strict=True))
+        points.theta_half[block], points.theta_diff[block], _ = half_difference(*checked)
+    return points
 
 
-def from_npy(data: bytes) -> Points:
+def from_npy(data: bytes | bytearray) -> Points:
     """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
     Raises
@@ -106,16 +102,9 @@ def from_npy(data: bytes) -> Points:
     return from_directions(pairs[:, 0], pairs[:, 1])
 
 
-def to_npy(values: Array) -> bytes:
-    """Return an array as the bytes of a .npy file."""
-    buffer = BytesIO()
-    np.save(buffer, values, allow_pickle=False)
-    return buffer.getvalue()
-
-
-def _read_npy(data: bytes) -> Array:
-    """Return the array of a .npy file without trusting its header."""
-    stream = BytesIO(data)
+def _read_npy(data: bytes | bytearray) -> Array:
+    """Return the array of a .npy file, which is not copied, without trusting its header."""
+    stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
     try:
         version = npy.read_magic(stream)
         read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
@@ -169,14 +158,20 @@ def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
 
 def _number(name: str, text: str) -> float:
     try:
-        return float(text)
+        return _float(text)
     except ValueError:
         raise InvalidArgumentError(f"{name} must be a number of degrees, not {text[:40]!r}.") from None
 
 
 def _vector(name: str, text: str) -> list[float]:
     try:
-        x, y, z = (float(part) for part in text.split(","))
+        x, y, z = (_float(part) for part in text.split(","))
     except ValueError:
         raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
     return [x, y, z]
+
+
+def _float(text: str) -> float:
+    if "_" in text or not text.isascii():  # which Python takes for numbers, and nobody else
+        raise ValueError(text)
+    return float(text)

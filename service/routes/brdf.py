@@ -1,7 +1,6 @@
 """BRDF values of a fit and of its components."""
 
 from collections.abc import Callable, Coroutine
-from json import JSONEncoder
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
 
@@ -11,16 +10,17 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf import InvalidArgumentError
 from dsbrdf.decomposition import LABELS
 from service import examples, openapi
 from service.context import Context, context_of
 from service.gate import fit_of
-from service.points import NPY, Points, from_angles, from_directions, from_npy, from_query, to_npy
+from service.points import NPY, Points, from_angles, from_directions, from_npy, from_query
 from service.problems import ProblemError, sentence
 from service.routes.fits import FitId
 from service.schemas import AnglesRequest, DirectionsRequest, Values
 from service.uploads import receive_small
+from service.values import JSON, values_reply
 
 
 class _DirectRoute(APIRoute):
@@ -46,9 +46,7 @@ Label = Annotated[
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
 ]
 
-_JSON = "application/json"
-_encode = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
-_INLINE_POINTS = 64  # evaluated faster than another thread is reached
+_MOST_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_A_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_A_POINT = 48
 _ASKED = openapi.example(examples.VALUES, "One RGB triple for each point.") | openapi.problems(
@@ -94,7 +92,7 @@ async def post_values(request: Request, fit_id: FitId) -> Response:
     """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
 
     A .npy array holds (n, 2) half and difference angles in degrees, or (n, 6) or (n, 2, 3) directions;
-    the answer is (n, 3) float64.
+    the answer is (n, 3) float64. JSON may have 100,000 points, .npy a million.
     """
     return await _posted(request, fit_id, None)
 
@@ -115,39 +113,38 @@ async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
     context = context_of(request)
     model = await context.models.part(fit_of(request, fit_id), label)
     points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    with context.metrics.timing("evaluating"):
-        if len(points) <= _INLINE_POINTS:
-            return _json_values(model, points)
-        return await run_in_threadpool(_json_values, model, points)
+    return await values_reply(model, points, JSON, context.metrics)
 
 
 async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
     context = context_of(request)
-    as_npy = _wants_npy(request)
+    media_type = _wanted_type(request)
     model = await context.models.part(fit_of(request, fit_id), label)
     points = await _batch(request, context)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise ProblemError("too-large", detail)
-    with context.metrics.timing("evaluating"):
-        return await run_in_threadpool(_npy_values if as_npy else _json_values, model, points)
+    return await values_reply(model, points, media_type, context.metrics)
 
 
 async def _batch(request: Request, context: Context) -> Points:
     """Return the points in the body."""
-    media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
+    media_type = request.headers.get("content-type", JSON).partition(";")[0].strip().lower()
     most = context.settings.max_points
     if media_type == NPY:
         body = await receive_small(request, most * _NPY_BYTES_A_POINT + 4096)
         return await run_in_threadpool(from_npy, body)
-    if media_type == _JSON:
+    if media_type == JSON:
+        most = min(most, _MOST_JSON_POINTS)
         body = await receive_small(request, most * _JSON_BYTES_A_POINT + 4096)
+        if body.count(b",") > 6 * most:
+            raise ProblemError("too-large", f"A JSON body may have {most} points; send more of them as {NPY}.")
         return await run_in_threadpool(_from_json, body)
-    detail = f"The content type {media_type[:60]!r} is not supported; send {_JSON} or {NPY}."
-    raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{_JSON}, {NPY}"})
+    detail = f"The content type {media_type[:60]!r} is not supported; send {JSON} or {NPY}."
+    raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{JSON}, {NPY}"})
 
 
-def _from_json(body: bytes) -> Points:
+def _from_json(body: bytes | bytearray) -> Points:
     # Which of the two documents is meant shows in the message for one that is neither.
     directions = b'"omega_' in body[:64]
     try:
@@ -160,20 +157,20 @@ def _from_json(body: bytes) -> Points:
     return from_angles(angles.theta_half_deg, angles.theta_diff_deg)
 
 
-def _wants_npy(request: Request) -> bool:
-    """Return whether ``Accept`` prefers .npy to JSON."""
-    weights = {_JSON: 0.0, NPY: 0.0}
+def _wanted_type(request: Request) -> str:
+    """Return which of JSON and .npy ``Accept`` prefers."""
+    weights = {JSON: 0.0, NPY: 0.0}
     for entry in request.headers.get("accept", "*/*").split(","):
         media_type, *parameters = (part.strip().lower() for part in entry.split(";"))
         weight = _quality(parameters)
         for name in weights:
             if media_type in (name, "*/*", "application/*"):
                 # A range counts less than a type that is named, so that JSON is the default.
-                found = weight if media_type == name else weight * (0.5 if name == _JSON else 0.25)
+                found = weight if media_type == name else weight * (0.5 if name == JSON else 0.25)
                 weights[name] = max(weights[name], found)
     if not any(weights.values()):
-        raise ProblemError("not-acceptable", f"The values can be had as {_JSON} or {NPY}; accept one of them.")
-    return weights[NPY] > weights[_JSON]
+        raise ProblemError("not-acceptable", f"The values can be had as {JSON} or {NPY}; accept one of them.")
+    return NPY if weights[NPY] > weights[JSON] else JSON
 
 
 def _quality(parameters: list[str]) -> float:
@@ -185,11 +182,3 @@ def _quality(parameters: list[str]) -> float:
             except ValueError:
                 return 1.0
     return 1.0
-
-
-def _json_values(model: DSBRDF, points: Points) -> Response:
-    return Response(_encode({"values": points.values(model).tolist()}), media_type=_JSON)
-
-
-def _npy_values(model: DSBRDF, points: Points) -> Response:
-    return Response(to_npy(points.values(model)), media_type=NPY)

@@ -97,10 +97,44 @@ def test_batches_of_npy(server: Server, fitted: str, model: dsbrdf.DSBRDF, dtype
 def test_batches_of_directions_as_npy(
     server: Server, fitted: str, model: dsbrdf.DSBRDF, shape: tuple[int, ...]
 ) -> None:
-    omega = np.stack([directions(500, 4), directions(500, 5)], axis=1)
+    omega = np.stack([directions(10_000, 4), directions(10_000, 5)], axis=1)
     expected = model.evaluate_directions(omega[:, 0], omega[:, 1])
     headers = {"Content-Type": "application/x-npy"}
     close(server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(omega.reshape(shape)), headers=headers), expected)
+
+
+@pytest.mark.parametrize("count", [4096, 4097, 131_072, 131_073, 300_000])
+def test_a_large_batch_comes_in_blocks_and_whole(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
+    angles = np.random.default_rng(count).uniform(0, 90, size=(count, 2))
+    expected = model.evaluate(np.radians(angles[:, 0]), np.radians(angles[:, 1]))
+    headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(angles), headers=headers)
+    assert answer.headers["content-length"] == str(len(answer.content))
+    np.testing.assert_array_equal(np.load(io.BytesIO(answer.content), allow_pickle=False), expected)
+    if count < 10_000:
+        del headers["Accept"]
+        text = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(angles), headers=headers)
+        assert text.headers["content-type"] == "application/json"
+        np.testing.assert_array_equal(text.json()["values"], expected)
+
+
+def test_a_fault_at_the_end_of_a_large_batch_is_refused(server: Server, fitted: str) -> None:
+    angles = np.full((150_000, 2), 45.0)
+    angles[-1, 1] = 90.5
+    headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(angles), headers=headers)
+    assert "90.5" in assert_problem(answer, 422, "invalid-argument")
+    omega = np.stack([directions(20_000, 4), directions(20_000, 5)], axis=1)
+    omega[-1, 1] = 0.6, 0.0, -0.8
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(omega), headers=headers)
+    assert "omega_out" in assert_problem(answer, 422, "invalid-argument")
+
+
+@pytest.mark.parametrize("shape", [(0, 2), (0, 6), (0, 2, 3)])
+def test_an_empty_npy_batch_has_no_values(server: Server, fitted: str, shape: tuple[int, ...]) -> None:
+    headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(np.zeros(shape)), headers=headers)
+    assert np.load(io.BytesIO(answer.content)).shape == (0, 3)
 
 
 def test_json_in_and_npy_out(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
