@@ -35,13 +35,16 @@ class Server:
 
     def start(self) -> "Server":
         """Start the process and return when it is ready."""
-        begin = self.launch()
+        self.connect(self.launch())
+        with Client(str(self.http.base_url)) as client:
+            client.wait_until_ready()
+        return self
+
+    def connect(self, begin: int) -> None:
+        """Find out where the process listens; it may not be ready."""
         address = self._address(begin)
         self.http.close()
         self.http = httpx.Client(base_url=address, timeout=60.0)
-        with Client(address) as client:
-            client.wait_until_ready()
-        return self
 
     def launch(self) -> int:
         """Start the process, without waiting for anything; return where its log begins."""
