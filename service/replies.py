@@ -2,13 +2,16 @@
 
 import hashlib
 import math
+import os
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from urllib.parse import urlencode
 
 from pydantic import BaseModel
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import FileResponse, Response
+from starlette.types import Receive, Scope, Send
 
 from service.problems import ProblemError
 
@@ -40,6 +43,38 @@ def not_modified(request: Request, etag: str) -> bool:
     """Return whether the client already has what `etag` names."""
     candidates = request.headers.get("if-none-match", "")
     return candidates.strip() == "*" or etag in (part.strip().removeprefix("W/") for part in candidates.split(","))
+
+
+class OpenFileResponse(FileResponse):
+    """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
+
+    Parameters
+    ----------
+    path : Path
+    headers : mapping
+    media_type : str
+
+    Raises
+    ------
+    FileNotFoundError
+        If it has been deleted already.
+    """
+
+    def __init__(self, path: Path, headers: Mapping[str, str], media_type: str) -> None:
+        self._file = path.open("rb")
+        number = self._file.fileno()
+        super().__init__(
+            f"/dev/fd/{number}",
+            headers=headers,
+            media_type=media_type,
+            filename=path.name,
+            stat_result=os.fstat(number),
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the file, or the part of it that is asked for."""
+        with self._file:
+            await super().__call__(scope, receive, send)
 
 
 def check_range(request: Request, size: int) -> None:

@@ -12,7 +12,7 @@ from service.documents import measurement_document
 from service.gate import owner_of
 from service.models import no_such_measurement
 from service.problems import ProblemError
-from service.replies import check_range, json_reply, next_page, not_modified
+from service.replies import OpenFileResponse, check_range, json_reply, next_page, not_modified
 from service.rows import MeasurementRow
 from service.schemas import SHA256, MeasurementDocument, MeasurementList, Page
 from service.store import MeasurementInUseError
@@ -79,7 +79,10 @@ async def download_measurement(request: Request, sha256: Sha256) -> Response:
         return Response(None, 304, headers)
     check_range(request, row.size)
     path = context_of(request).store.blobs.path(sha256)
-    return FileResponse(path, headers=headers, media_type=_RAW, filename=path.name)
+    try:
+        return await run_in_threadpool(OpenFileResponse, path, headers, _RAW)
+    except FileNotFoundError:  # deleted since its row was read
+        raise no_such_measurement(sha256) from None
 
 
 @router.head(

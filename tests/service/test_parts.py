@@ -1,5 +1,6 @@
 """Parts of the service on their own: decoders, options, store, preferences."""
 
+import asyncio
 import gzip
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from starlette.requests import Request
+from starlette.types import Message
 
 import dsbrdf
 from service.blobs import Blobs
@@ -20,7 +22,7 @@ from service.migrations import STEPS
 from service.option_parsing import parse_options, parse_query
 from service.options import DEFAULTS, from_wire, to_wire
 from service.problems import ProblemError
-from service.replies import preferred_wait
+from service.replies import OpenFileResponse, preferred_wait
 from service.rows import Caller, FitKey
 from service.store import MissingMeasurementError, Store
 
@@ -165,6 +167,28 @@ def test_a_discarded_file_is_gone_and_a_placed_one_stays(tmp_path: Path) -> None
     assert list(blobs.all()) == [sha256]
     assert blobs.path(sha256).read_bytes() == b"b"
     assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_file_that_is_deleted_before_its_first_byte_is_sent_whole(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"content")
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        await asyncio.sleep(60)
+        return {"type": "http.disconnect"}
+
+    response = OpenFileResponse(path, {}, "text/plain")
+    path.unlink()
+    scope = {"type": "http", "method": "GET", "headers": [(b"range", b"bytes=3-")]}
+    asyncio.run(response(scope, receive, send))
+    assert sent[0]["status"] == 206
+    assert b"".join(message.get("body", b"") for message in sent) == b"tent"
+    with pytest.raises(FileNotFoundError):
+        OpenFileResponse(path, {}, "text/plain")
 
 
 @pytest.mark.parametrize(
