@@ -92,7 +92,10 @@ class Store:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is not None:
-                incoming.discard()
+                if self.blobs.path(sha256).exists():
+                    incoming.discard()
+                else:  # its removal could not be committed
+                    self.blobs.place(incoming, sha256)
                 return MeasurementRow.of(known), False
             _check_storage(db, caller, incoming.size)
             values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
@@ -129,7 +132,8 @@ class Store:
             delete = "DELETE FROM measurements WHERE owner = ? AND sha256 = ?"
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
             # If the commit fails, the row stays without its file; if the file went after the commit, the same
-            # file could come in between and be lost. The row is the smaller loss: it is dropped at the start.
+            # file could come in between and be lost. The row is the smaller loss: it is dropped at the start,
+            # or the same file comes again.
             if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
                 self.blobs.remove(sha256)
         return removed

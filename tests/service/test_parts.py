@@ -154,6 +154,18 @@ def test_a_folder_is_opened_once_and_again_after_it_is_closed(tmp_path: Path) ->
     assert len(STEPS) >= 1
 
 
+def test_a_measurement_that_has_lost_its_file_takes_it_again(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for expected_new in (True, False):
+        incoming = store.blobs.incoming()
+        incoming.write(b"content")
+        sha256 = incoming.close()
+        assert store.add_measurement(LOCAL, incoming, sha256, 1)[1] is expected_new
+        assert store.blobs.path(sha256).read_bytes() == b"content"
+        store.blobs.remove(sha256)
+    store.close()
+
+
 def test_a_discarded_file_is_gone_and_a_placed_one_stays(tmp_path: Path) -> None:
     blobs = Blobs(tmp_path)
     dropped, kept = blobs.incoming(), blobs.incoming()
