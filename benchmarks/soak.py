@@ -1,9 +1,10 @@
 """A mixed load for a long time, and what the server's process takes meanwhile: memory, descriptors, threads, disk.
 
-The samples are in out/soak.csv and out/soak.png.  Drift is the median over the last fifth of the time against the
-median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was an answer of 500 or more or
-any other wrong one, if memory has drifted by more than 5 %, or if descriptors have not stayed flat: their median may
-not grow by more than 3, and when the clients have gone there are as many as before they came, but for 3.
+The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log.  Drift is the median over the last
+fifth of the time against the median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was
+an answer of 500 or more or any other wrong one, if memory has drifted by more than 5 %, or if descriptors have not
+stayed flat: their median may not grow by more than 3, and when the clients have gone there are as many as before they
+came, but for 3.
 """
 
 import argparse
@@ -61,6 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _OUT.mkdir(exist_ok=True)
     _write(samples, _OUT / "soak.csv")
     _draw(samples, _OUT / "soak.png")
+    (_OUT / "soak.log").write_text(log)
     print(f"seed {arguments.seed}")
     return _judge(samples, idle, tally, log)
 
