@@ -69,6 +69,7 @@ def create_app(settings: Settings) -> FastAPI:
         description=_DESCRIPTION,
         lifespan=lifespan,
         redoc_url=None,
+        redirect_slashes=False,  # every resource has one name
         generate_unique_id_function=contract.operation_id,
     )
     app.state.settings, app.state.metrics = settings, metrics

@@ -87,7 +87,7 @@ def from_directions(
     return points
 
 
-def from_npy(data: bytes | bytearray) -> Points:
+def from_npy(data: bytes | memoryview) -> Points:
     """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
     Raises
@@ -102,7 +102,7 @@ def from_npy(data: bytes | bytearray) -> Points:
     return from_directions(pairs[:, 0], pairs[:, 1])
 
 
-def _read_npy(data: bytes | bytearray) -> Array:
+def _read_npy(data: bytes | memoryview) -> Array:
     """Return the array of a .npy file, which is not copied, without trusting its header."""
     stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
     try:

@@ -136,15 +136,15 @@ async def _batch(request: Request, context: Context) -> Points:
         return await run_in_threadpool(from_npy, body)
     if media_type == JSON:
         most = min(most, _MOST_JSON_POINTS)
-        body = await receive_small(request, most * _JSON_BYTES_A_POINT + 4096)
-        if body.count(b",") > 6 * most:
+        text = bytes(await receive_small(request, most * _JSON_BYTES_A_POINT + 4096))
+        if text.count(b",") > 6 * most:
             raise ProblemError("too-large", f"A JSON body may have {most} points; send more of them as {NPY}.")
-        return await run_in_threadpool(_from_json, body)
+        return await run_in_threadpool(_from_json, text)
     detail = f"The content type {media_type[:60]!r} is not supported; send {JSON} or {NPY}."
     raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{JSON}, {NPY}"})
 
 
-def _from_json(body: bytes | bytearray) -> Points:
+def _from_json(body: bytes) -> Points:
     # Which of the two documents is meant shows in the message for one that is neither.
     directions = b'"omega_' in body[:64]
     try:

@@ -153,7 +153,7 @@ async def _stored_submission(request: Request) -> tuple[str, FitOptions]:
     """Return measurement and options of a JSON body."""
     if request.query_params:
         raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
-    body = await receive_small(request, _LARGEST_JSON)
+    body = bytes(await receive_small(request, _LARGEST_JSON))
     try:
         document = FitRequest.model_validate_json(body)
     except ValidationError as error:
