@@ -15,10 +15,12 @@ import uvicorn
 from fastapi import FastAPI
 from pydantic import ValidationError
 
+from dsbrdf.extras import MissingExtraError
 from service import logs
 from service.app import create_app
 from service.connections import connection_class
 from service.context import Context
+from service.engine import engine_of
 from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
@@ -38,8 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "listen on 127.0.0.1, or add --insecure to let everyone in."
         )
     try:
+        engine_of(settings)  # what it needs may not be installed
         Store(settings.data_dir).close()
-    except (DataFolderError, OSError) as error:
+    except (DataFolderError, MissingExtraError, OSError) as error:
         return _refuse(str(error))
     logs.configure(settings)
     _keep_temporary_files_in(settings.data_dir)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Limits, Outcome
+from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Limits, Outcome, child
 from dsbrdf.engines import cluster as cluster_room
 from dsbrdf.engines.compute import reduce
 from dsbrdf.engines.dask import DaskEngine
@@ -310,6 +311,14 @@ def test_nothing_goes_on_after_a_kill(stage: Stage, plastic_file: Path, tmp_path
         victims = forked(process.pid) + ([] if local else stage.fitting())
         process.kill()
     wait_until(lambda: not any(alive(pid) for pid in victims), 5.0)
+
+
+def test_without_fork_servers_processes_are_started_afresh(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
+    assert child._context().get_start_method() == "spawn"
+    outcome, shares = run(Stage(None), FitTask("one", plastic_file, QUICK))
+    assert isinstance(outcome, Fitted)
+    assert shares[-1] == 1.0
 
 
 # the cluster alone
