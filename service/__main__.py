@@ -21,6 +21,7 @@ from service.app import create_app
 from service.connections import connection_class
 from service.context import Context
 from service.engine import engine_of
+from service.keys import has_active_key
 from service.migrations import DataFolderError
 from service.problems import sentence
 from service.settings import Settings
@@ -34,12 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings = Settings(**given)
     except ValidationError as error:
         return _refuse(_wrong_setting(error, given))
-    if not settings.loopback and not settings.insecure:
-        return _refuse(
-            f"{settings.host} can be reached from other machines and no API keys are set: "
-            "listen on 127.0.0.1, or add --insecure to let everyone in."
-        )
     try:
+        if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
+            return _refuse(
+                f"{settings.host} can be reached from other machines and there is no API key: add one with "
+                "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
+            )
         engine_of(settings)  # what it needs may not be installed
         Store(settings.data_dir).close()
     except (DataFolderError, MissingExtraError, OSError) as error:

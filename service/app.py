@@ -1,7 +1,8 @@
 """The application: `create_app` puts the parts together, and the lifespan opens and closes them."""
 
+import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
@@ -10,14 +11,17 @@ from starlette.types import ASGIApp
 import dsbrdf
 from dsbrdf.merl import MerlChecker
 from service import contract, problems
+from service.changes import follow
 from service.context import Context
 from service.engine import engine_of
+from service.gate import Gate
 from service.jobs import Jobs
+from service.keys import Keys
 from service.metrics import Metrics
 from service.models import Models
 from service.observe import Observe
 from service.readiness import Readiness
-from service.routes import brdf, exports, fits, health, lobes, measurements
+from service.routes import brdf, docs, exports, fits, health, lobes, measurements
 from service.settings import Settings
 from service.store import Store
 
@@ -35,12 +39,15 @@ class _Application(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         """Return the layers of the application."""
-        return Observe(super().build_middleware_stack(), self.state.settings, self.state.metrics)
+        state = self.state
+        guarded = Gate(super().build_middleware_stack(), state.settings, state.keys)
+        return Observe(guarded, state.settings, state.metrics)
 
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the application for `settings`; nothing is opened before it starts."""
     metrics = Metrics()
+    keys = Keys(settings)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -49,15 +56,20 @@ def create_app(settings: Settings) -> FastAPI:
             engine = engine_of(settings)
             jobs = Jobs(store, engine, settings, metrics)
             models = Models(store, settings.model_cache)
+            await run_in_threadpool(keys.load, store.database)
             readiness = Readiness(store, engine, settings)
             app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
             metrics.collect_from(store.database)
             await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
             await engine.start()
             await jobs.start()
+            following = asyncio.create_task(follow(store.database, keys, models))
             try:
                 yield
             finally:
+                following.cancel()
+                with suppress(asyncio.CancelledError):
+                    await following
                 await jobs.close()
                 await engine.close()
         finally:
@@ -68,14 +80,15 @@ def create_app(settings: Settings) -> FastAPI:
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
         lifespan=lifespan,
+        docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # every resource has one name
         generate_unique_id_function=contract.operation_id,
     )
-    app.state.settings, app.state.metrics = settings, metrics
+    app.state.settings, app.state.metrics, app.state.keys = settings, metrics, keys
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
-    for routes in (brdf, fits, lobes, exports, measurements, health):
+    for routes in (brdf, fits, lobes, exports, measurements, health, docs):
         app.include_router(routes.router)
     contract.install(app)
     return app

@@ -28,6 +28,7 @@ Source = str | os.PathLike[str] | bytes | Measurement
 
 _RAW = "application/octet-stream"
 _POLL = 20.0  # seconds that one request waits for a fit
+_WITHOUT_BODY = {401: "The service wants a valid API key.", 429: "The API key has made too many requests."}
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -48,6 +49,24 @@ class ServiceError(Exception):
     def __init__(self, problem: Mapping[str, Any]) -> None:
         super().__init__(problem.get("detail") or problem.get("title") or "the service failed")
         self.problem = dict(problem)
+
+
+class AccessError(ServiceError):
+    """The service wants an API key, or does not take the one that was sent."""
+
+
+class LimitError(ServiceError):
+    """The key has reached its rate of requests, its unfinished fits or its stored bytes.
+
+    Attributes
+    ----------
+    retry_after : float or None
+        Time after which it is worth asking again [s]; None if it does not pass by itself.
+    """
+
+    def __init__(self, problem: Mapping[str, Any], retry_after: float | None) -> None:
+        super().__init__(problem)
+        self.retry_after = retry_after
 
 
 @dataclass(frozen=True)
@@ -103,12 +122,26 @@ class Client:
     ----------
     base_url : str
         Address of the service.
+    key : str, optional
+        API key; by default that of the environment variable ``DSBRDF_KEY``, if there is one.
     timeout : float
         Longest silence of the service that is not waiting for a fit [s].
+
+    Raises
+    ------
+    ValueError
+        If the key cannot be one.
     """
 
-    def __init__(self, base_url: str = "http://127.0.0.1:8000", *, timeout: float = 30.0) -> None:
-        self._http = httpx.Client(base_url=base_url, timeout=httpx.Timeout(timeout, read=timeout + _POLL))
+    def __init__(
+        self, base_url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout: float = 30.0
+    ) -> None:
+        key = os.environ.get("DSBRDF_KEY") if key is None else key
+        if key and not (key.isascii() and key.isprintable() and " " not in key):
+            raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        patience = httpx.Timeout(timeout, read=timeout + _POLL)
+        self._http = httpx.Client(base_url=base_url, headers=headers, timeout=patience)
 
     def __enter__(self) -> "Client":
         return self
@@ -189,8 +222,11 @@ class Client:
         if isinstance(measurement, Measurement):
             measurement = encode_merl(measurement)
         sha256 = _sha256(measurement)
-        if self._http.head(f"/v1/measurements/{sha256}").status_code == 200:
+        probe = self._http.head(f"/v1/measurements/{sha256}")
+        if probe.is_success:
             return sha256
+        if probe.status_code != 404:
+            raise _error(probe)
         headers = {"Content-Type": _RAW}
         if isinstance(measurement, bytes):
             self._call("POST", "/v1/measurements", content=measurement, headers=headers)
@@ -233,12 +269,7 @@ class Client:
         answer = self._http.request(method, url, **arguments)
         if answer.is_success:
             return answer
-        try:
-            problem = answer.json()
-        except json.JSONDecodeError:  # from a proxy, or the server before it knew the request
-            problem = {"status": answer.status_code, "title": answer.reason_phrase}
-        kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
-        raise ServiceError(problem) if kind is None else kind(problem["detail"])
+        raise _error(answer)
 
     def _fit(self, document: Mapping[str, Any]) -> Fit:
         names = ("id", "status", "progress", "measurement", "metrics", "error")
@@ -247,6 +278,24 @@ class Client:
 
     def _export(self, fit_id: str) -> str:
         return self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"}).text
+
+
+def _error(answer: httpx.Response) -> Exception:
+    """Return what an answer that is no success stands for."""
+    try:
+        problem = answer.json()
+    except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request
+        status, title = answer.status_code, answer.reason_phrase
+        problem = {"status": status, "title": title, "detail": _WITHOUT_BODY.get(status, title)}
+    kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
+    if kind is not None:
+        return kind(problem["detail"])
+    if answer.status_code == 401:
+        return AccessError(problem)
+    if answer.status_code == 429 or problem.get("type") == "urn:dsbrdf:problem:storage-quota":
+        seconds = answer.headers.get("retry-after", "")
+        return LimitError(problem, float(seconds) if seconds.isdecimal() else None)
+    return ServiceError(problem)
 
 
 def _sha256(measurement: str | os.PathLike[str] | bytes) -> str:

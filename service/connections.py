@@ -9,6 +9,7 @@ from http import HTTPStatus
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service import problems
+from service.security_headers import secured
 from service.settings import Settings
 
 
@@ -92,7 +93,7 @@ class Connection(H11Protocol):
         if not self.transport.is_closing():
             answer = problems.response(kind, detail, "/", {"Connection": "close"})
             head = [f"HTTP/1.1 {answer.status_code} {HTTPStatus(answer.status_code).phrase}".encode()]
-            head += [name + b": " + value for name, value in answer.raw_headers]
+            head += [name + b": " + value for name, value in secured(answer.raw_headers)]
             self.transport.write(b"\r\n".join([*head, b"", bytes(answer.body)]))
             self.transport.close()
 

@@ -91,6 +91,11 @@ class Models:
         self._deletions += 1
         self._kept.pop(key, None)
 
+    def forget_all(self) -> None:
+        """Drop every model, since fits may have been deleted by another process."""
+        self._deletions += 1
+        self._kept.clear()
+
     def _load(self, key: FitKey) -> Loaded:
         document = self._store.result(key)
         if document is None:

@@ -14,6 +14,7 @@ from structlog.contextvars import bind_contextvars
 
 from service import problems
 from service.metrics import NO_ROUTE, Metrics
+from service.security_headers import secured
 from service.settings import Settings
 from service.slow_bodies import PatientReceive
 
@@ -133,7 +134,8 @@ class _Exchange:
         """Pass a part of the answer on; its head gets the request's id."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            message["headers"] = [*message.get("headers", ()), (b"x-request-id", self.request_id.encode())]
+            message["headers"] = secured(message.get("headers", ()))
+            message["headers"].append((b"x-request-id", self.request_id.encode()))
         elif not message.get("more_body", False):
             self.complete = True
         await self._send(message)

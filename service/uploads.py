@@ -12,10 +12,10 @@ from dsbrdf.merl import FILE_SIZE, MerlChecker, check_header, check_length
 from dsbrdf.merl_check import HEADER_SIZE
 from service.blobs import Incoming
 from service.decoding import decoder
-from service.gate import caller_of
+from service.gate import caller_of, over_quota
 from service.problems import ProblemError
 from service.rows import MeasurementRow
-from service.store import Store
+from service.store import StorageQuotaError, Store
 
 _PIECE = 1 << 18  # worth a switch to another thread, small enough for many uploads at once
 # Compressors add less than this to what they cannot compress.
@@ -45,6 +45,8 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
             await run_in_threadpool(receiver.take, piece)
         sha256, valid_nodes = await run_in_threadpool(receiver.finish)
         return await run_in_threadpool(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
+    except StorageQuotaError as error:
+        raise over_quota(error) from None
     except ClientDisconnect:
         raise ProblemError("bad-request", "The client went away before the end of the body.") from None
     finally:

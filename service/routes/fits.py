@@ -13,14 +13,14 @@ from dsbrdf import FitOptions, InvalidArgumentError
 from service import examples, openapi
 from service.context import Context, context_of
 from service.documents import fit_document, fit_progress, fit_summary
-from service.gate import caller_of, fit_of, owner_of
+from service.gate import caller_of, fit_of, over_quota, owner_of
 from service.models import no_such_fit, no_such_measurement
 from service.option_parsing import parse_options, parse_query
 from service.problems import ProblemError, sentence
 from service.replies import json_reply, next_page, preferred_wait, tagged_reply
 from service.rows import Caller, FitKey, FitRow
 from service.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
-from service.store import MissingMeasurementError, QueueFullError
+from service.store import MissingMeasurementError, QueueFullError, QueueQuotaError, StorageQuotaError
 from service.uploads import receive_measurement, receive_small
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
@@ -166,6 +166,8 @@ async def _submit(context: Context, caller: Caller, measurement: str, options: F
         return await context.jobs.submit(caller, measurement, options)
     except MissingMeasurementError:
         raise no_such_measurement(measurement) from None
+    except (QueueQuotaError, StorageQuotaError) as error:
+        raise over_quota(error) from None
     except QueueFullError:
         limit = context.settings.queue_limit
         detail = f"{limit} fits are waiting already, as many as may; the measurement is stored, ask again later."

@@ -1,11 +1,15 @@
 """Services to test against, one shared and others for one test alone."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.service.running import Server
+from service.database import Database
+from service.keys import Limits, add_key
+from tests.service.running import Server, wait_until
 
 
 @pytest.fixture(scope="session")
@@ -56,3 +60,38 @@ def fitted(server: Server, stored: str) -> str:
     assert answer.json()["status"] == "succeeded", answer.text
     fit_id: str = answer.json()["id"]
     return fit_id
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A service that wants keys, and the headers that hold the keys of two users."""
+
+    server: Server
+    alice: dict[str, str]
+    bob: dict[str, str]
+
+    def new_key(self, name: str = "another", **limits: Any) -> dict[str, str]:
+        """Return the header of a further key, when the service knows it."""
+        return new_key(self.server, name, **limits)[1]
+
+
+def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
+    """Make a key beside a running service, and use it once; return its id and the header that holds it."""
+    database = Database(server.data_dir, beside=True)
+    row, key = add_key(database, name, Limits(**limits))
+    database.close()
+    header = {"Authorization": f"Bearer {key}"}
+    wait_until(lambda: server.http.get("/metrics", headers=header).status_code == 200)
+    return row.id, header
+
+
+@pytest.fixture(scope="session")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    """A service that wants keys, for tests to share."""
+    running = Server(tmp_path_factory.mktemp("guarded") / "data", require_keys="true", workers="2")
+    try:
+        running.start()
+        alice, bob = (new_key(running, name)[1] for name in ("alice", "bob"))
+        yield Guarded(running, alice, bob)
+    finally:
+        running.close()

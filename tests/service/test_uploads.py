@@ -284,7 +284,7 @@ def test_many_uploads_at_once_stay_small(own_server: Callable[..., Server], data
 def test_a_client_that_goes_away_leaves_nothing(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     address = (str(server.http.base_url.host), server.http.base_url.port)
-    lines = f"POST /v1/fits HTTP/1.1\r\nHost: test\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
+    lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
     for share in (0, 12, 100_000, FILE_SIZE - 1):
         with socket.create_connection(address) as connection:
             connection.sendall(lines.encode() + data[:share])
@@ -297,7 +297,7 @@ def test_a_client_that_goes_away_leaves_nothing(own_server: Callable[..., Server
 
 def test_a_wrong_length_is_refused_before_the_body_has_come(server: Server) -> None:
     address = (str(server.http.base_url.host), server.http.base_url.port)
-    lines = b"POST /v1/fits HTTP/1.1\r\nHost: test\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
+    lines = b"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
     with socket.create_connection(address, timeout=5) as connection:
         connection.sendall(lines)
         reply = connection.recv(65536)
