@@ -8,7 +8,7 @@ document to the last bit, apart from the timings.
 """
 
 import logging
-import pickle
+import pickle  # nosec B403
 import time
 import warnings
 import zlib
@@ -76,7 +76,7 @@ def reduce(task: FitTask, _: Report) -> bytes:
 
 def fit_parcel(packed: bytes, options: FitOptions, report: Report) -> Outcome:
     """Fit what `reduce` has packed; what only the samples can tell is missing from the report."""
-    parcel: _Parcel = pickle.loads(zlib.decompress(packed))  # noqa: S301 (of the machine that sends the code, too)
+    parcel: _Parcel = pickle.loads(zlib.decompress(packed))  # noqa: S301  # nosec B301 (who sends it also sends the code)
     with _sentences() as sentences:
         result = fit(parcel.fitted, options, plain=parcel.plain, progress=report)
     timings = result.report.timings | {"profiles": parcel.seconds}
