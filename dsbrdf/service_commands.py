@@ -10,6 +10,8 @@ from dsbrdf.extras import require
 # command -> (module of the service, modules that it cannot do without, what it does)
 _COMMANDS = {
     "keys": ("service.keys_command", ("pydantic_settings",), "add, list and revoke API keys of the service"),
+    "purge": ("service.purge", ("pydantic_settings",), "remove old fits and measurements of the service"),
+    "doctor": ("service.doctor", ("pydantic_settings",), "look for what is wrong with the service's folder"),
 }
 
 

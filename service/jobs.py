@@ -113,11 +113,12 @@ class Jobs:
                 self._begin(key)
         return row, new
 
-    async def wait(self, key: FitKey, seconds: float) -> FitRow | None:
-        """Return the fit's row when it has ended, or after `seconds`; None if there is no such fit."""
+    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
+        """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
         live = self._live.get(key)
         if live is not None and seconds > 0:
-            await asyncio.wait([live.task, self._stopping], timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+            ends = (live.task, self._stopping, *ends)
+            await asyncio.wait(ends, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         return await run_in_threadpool(self._store.fit, key)
 
     def progress(self, row: FitRow) -> float:

@@ -1,6 +1,8 @@
 """Fits: submit, look up, follow, cancel and delete."""
 
+import asyncio
 from collections.abc import AsyncIterable
+from contextlib import suppress
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -69,7 +71,7 @@ async def submit_fit(request: Request) -> Response:
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{_RAW}, application/json"})
     fit, new = await _submit(context, caller_of(request), measurement, options)
     wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
-    return await _answer(context, fit, new, wait)
+    return await _answer(request, fit, new, wait)
 
 
 @router.get(
@@ -97,7 +99,7 @@ async def list_fits(request: Request, page: Annotated[Page, Query()]) -> Respons
 async def get_fit(request: Request, fit_id: FitId, waiting: Annotated[Waiting, Query()]) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     context = context_of(request)
-    row = await context.jobs.wait(fit_of(request, fit_id), min(waiting.wait, context.settings.max_wait))
+    row = await _wait(request, fit_of(request, fit_id), min(waiting.wait, context.settings.max_wait))
     if row is None:
         raise no_such_fit(fit_id)
     document = await _document(context, row)
@@ -174,9 +176,29 @@ async def _submit(context: Context, caller: Caller, measurement: str, options: F
         raise ProblemError("queue-full", detail, {"Retry-After": "10"}) from None
 
 
-async def _answer(context: Context, fit: FitRow, new: bool, wait: float) -> Response:
+async def _wait(request: Request, key: FitKey, seconds: float) -> FitRow | None:
+    """Return the fit's row when it has ended or after `seconds`; at once if the client goes, which frees its place."""
+    jobs = context_of(request).jobs
+    if not seconds:
+        return await jobs.wait(key, 0)
+    gone = asyncio.create_task(_departure(request))
+    try:
+        return await jobs.wait(key, seconds, gone)
+    finally:
+        gone.cancel()
+
+
+async def _departure(request: Request) -> None:
+    """Return when the client has closed the connection."""
+    with suppress(ProblemError):  # of a body that nobody wants and that comes too slowly
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+
+
+async def _answer(request: Request, fit: FitRow, new: bool, wait: float) -> Response:
     """Return the fit when it has ended, or after `wait` seconds."""
-    row = fit if fit.ended else await context.jobs.wait(fit.key, wait)
+    context = context_of(request)
+    row = fit if fit.ended else await _wait(request, fit.key, wait)
     if row is None:  # deleted meanwhile by someone else
         raise no_such_fit(fit.id)
     headers = {"Location": f"/v1/fits/{row.id}"}

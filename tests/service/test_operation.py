@@ -1,0 +1,311 @@
+"""Readiness, slow clients, too many of them, and settings that are wrong."""
+
+import asyncio
+import json
+import socket
+import sqlite3
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import cast
+
+import httpx
+import pytest
+
+from dsbrdf.engines import Engine
+from dsbrdf.merl import FILE_SIZE
+from service import readiness
+from service.__main__ import main
+from service.database import FILE_NAME
+from service.readiness import Readiness
+from service.settings import Settings
+from service.store import Store
+from tests.service.running import SLOW, Server, assert_problem, wait_until
+
+PATIENCE = 1.0  # seconds that the service has with slow clients here
+
+
+@pytest.fixture(scope="module")
+def impatient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service that soon gives slow clients up, and has few places."""
+    settings = {"head_seconds": "1", "silence_seconds": "1", "least_upload_rate": "100000", "limit_concurrency": "4"}
+    running = Server(tmp_path_factory.mktemp("impatient") / "data", workers="1", **settings)
+    try:
+        yield running.start()
+    finally:
+        running.close()
+
+
+def connect(server: Server, sent: bytes = b"") -> socket.socket:
+    url = server.http.base_url
+    connection = socket.create_connection((url.host, url.port or 80), timeout=20)
+    connection.sendall(sent)
+    return connection
+
+
+def rest(connection: socket.socket) -> bytes:
+    """Everything that comes until the service closes the connection."""
+    parts = []
+    while part := connection.recv(1 << 16):
+        parts.append(part)
+    return b"".join(parts)
+
+
+def problem(answer: bytes) -> tuple[int, str]:
+    """Status and kind of a problem document that came over a plain connection."""
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert b"application/problem+json" in head
+    assert b"connection: close" in head.lower()
+    document = json.loads(body)
+    assert document["status"] == int(head.split()[1])
+    return document["status"], document["type"].removeprefix("urn:dsbrdf:problem:")
+
+
+def head_of_upload(length: int) -> bytes:
+    return f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n".encode()
+
+
+def test_a_body_that_stops_is_given_up(impatient: Server, data: bytes) -> None:
+    with connect(impatient, head_of_upload(len(data)) + data[:1_000_000]) as connection:
+        wait_until(lambda: bool(impatient.files()))
+        begin = time.monotonic()
+        assert problem(rest(connection)) == (408, "request-timeout")
+        assert time.monotonic() - begin < 10 * PATIENCE
+    wait_until(lambda: not impatient.files())
+
+
+@pytest.mark.parametrize(
+    ("path", "media_type", "length"),
+    [("/v1/measurements", "application/octet-stream", FILE_SIZE), ("/v1/fits", "application/json", 1000)],
+)
+def test_a_body_that_trickles_is_given_up(
+    impatient: Server, data: bytes, path: str, media_type: str, length: int
+) -> None:
+    head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
+    with connect(impatient, head.encode()) as connection:
+        connection.settimeout(0.05)
+        answer = b""
+        for byte in data[:400]:  # 20 s of never being silent
+            try:
+                connection.sendall(bytes([byte]))
+                answer = connection.recv(1 << 16)
+                break
+            except TimeoutError:
+                continue
+        connection.settimeout(20)
+        assert problem(answer + rest(connection)) == (408, "request-timeout")
+    wait_until(lambda: not impatient.files())
+
+
+def test_a_body_that_is_fast_enough_may_take_longer_than_the_patience(impatient: Server, data: bytes) -> None:
+    step = len(data) // 8
+
+    async def in_steps() -> AsyncIterator[bytes]:
+        for start in range(0, len(data), step):
+            await asyncio.sleep(0.3 * PATIENCE)
+            yield data[start : start + step]
+
+    async def upload() -> httpx.Response:
+        async with httpx.AsyncClient(base_url=impatient.http.base_url, timeout=60) as client:
+            return await client.post("/v1/measurements", content=in_steps())
+
+    assert asyncio.run(upload()).status_code == 201
+    assert impatient.http.delete(f"/v1/measurements/{impatient.files()[0].stem}").status_code == 204
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET /health/live HT", b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Slow: "])
+def test_a_head_that_does_not_end_is_given_up(impatient: Server, sent: bytes) -> None:
+    with connect(impatient, sent) as connection:
+        assert problem(rest(connection)) == (408, "request-timeout")
+
+
+def test_a_head_that_trickles_is_given_up(impatient: Server) -> None:
+    first = b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
+    with connect(impatient, first) as connection:
+        connection.settimeout(0.05)
+        answered = b""
+        while b'"live"' not in answered:
+            try:
+                answered += connection.recv(1 << 16)
+            except TimeoutError:
+                continue
+        answer = b""
+        for byte in first[:10] * 40:  # the second request of the connection; 20 s of never being silent
+            try:
+                connection.sendall(bytes([byte]))
+                answer = connection.recv(1 << 16)
+                break
+            except TimeoutError:
+                continue
+        connection.settimeout(20)
+        assert problem(answer + rest(connection)) == (408, "request-timeout")
+
+
+def test_an_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    with connect(impatient, f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: x\r\n\r\n".encode()) as connection:
+        assert connection.recv(1000)
+        time.sleep(5 * PATIENCE)
+        received = 0
+        try:
+            while part := connection.recv(1 << 20):
+                received += len(part)
+        except ConnectionResetError:
+            pass
+        assert received < len(data)  # what the sockets' buffers held
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [b"nonsense\r\n\r\n", b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"\0" * 99],
+)
+def test_what_is_not_http_gets_a_problem_document(impatient: Server, sent: bytes) -> None:
+    with connect(impatient, sent) as connection:
+        assert problem(rest(connection)) == (400, "bad-request")
+
+
+def test_requests_beyond_the_limit_are_refused(impatient: Server, data: bytes) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    fit = impatient.submit(sha256, prefer="respond-async", **SLOW).json()["id"]
+    last = impatient.submit(sha256, prefer="respond-async", **{**SLOW, "em_iterations": 9_999}).json()["id"]
+    poll = f"GET /v1/fits/{last}?wait=60 HTTP/1.1\r\nHost: x\r\n\r\n".encode()
+    polls = [connect(impatient, poll) for _ in range(4)]
+    try:
+        with httpx.Client(base_url=impatient.http.base_url, timeout=20) as client:
+            wait_until(lambda: client.get("/v1/fits").status_code == 503)
+            refused = client.get("/v1/fits")
+            assert_problem(refused, 503, "overloaded")
+            assert refused.headers["retry-after"] == "1"
+            assert client.get("/health/live").status_code == 200
+    finally:
+        for connection in polls:
+            connection.close()
+        for name in (last, fit):
+            wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 204, 404))  # noqa: B023
+    wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
+
+
+def test_connections_beyond_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
+    server = own_server(limit_concurrency="4")
+    server.http.close()
+    idle = [connect(server) for _ in range(8)]
+    try:
+        with connect(server, b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n") as connection:
+            assert problem(rest(connection)) == (503, "overloaded")
+    finally:
+        for connection in idle:
+            connection.close()
+    wait_until(lambda: httpx.get(f"{server.http.base_url}/health/live").status_code == 200)
+
+
+def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., Server]) -> None:
+    server = own_server()
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
+        db.execute("BEGIN IMMEDIATE")
+        wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+        assert "The database has not answered" in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+        begin = time.monotonic()
+        assert server.http.get("/health/live").status_code == 200
+        assert time.monotonic() - begin < readiness.LIMIT
+        db.execute("ROLLBACK")
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+
+
+def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path) -> None:
+    server = Server(tmp_path / "data", min_free_mb="1000000000")
+    try:
+        begin = server.launch()
+        wait_until(lambda: b"Uvicorn running on " in server.log.read_bytes()[begin:], seconds=60)
+        address = server.log.read_text().partition("Uvicorn running on ")[2].split()[0]
+        answer = httpx.get(f"{address}/health/ready", timeout=20)
+        assert "the service wants 1000000000 MB" in assert_problem(answer, 503, "not-ready")
+        assert answer.headers["retry-after"]
+    finally:
+        server.close()
+
+
+class Asked:
+    """An engine that counts how often it is asked whether it is ready."""
+
+    def __init__(self) -> None:
+        self.times = 0
+        self.fault: str | None = None
+        self.hangs = asyncio.Event()
+        self.hangs.set()
+
+    async def check(self) -> None:
+        self.times += 1
+        await self.hangs.wait()
+        if self.fault is not None:
+            raise RuntimeError(self.fault)
+
+
+@contextmanager
+def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
+    with closing(Store(folder)) as store:
+        yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
+
+
+def test_asking_often_asks_the_parts_once_a_second(tmp_path: Path) -> None:
+    async def ask() -> None:
+        engine = Asked()
+        with with_engine(tmp_path, engine) as ready:
+            assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
+            assert engine.times == 1
+            engine.fault = "No worker is there"
+            await asyncio.sleep(1.1)
+            assert await ready.fault() == "The engine is not ready: No worker is there."
+            assert engine.times == 2
+            ready.stop()
+            assert await ready.fault() == "The service is shutting down."
+
+    asyncio.run(ask())
+
+
+def test_a_part_that_hangs_is_not_asked_again_beside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "LIMIT", 0.5)
+
+    async def ask() -> None:
+        engine = Asked()
+        with with_engine(tmp_path, engine) as ready:
+            engine.hangs.clear()
+            for _ in range(4):
+                fault = await ready.fault()
+                assert fault is not None
+                assert "The engine has not answered" in fault
+            assert engine.times == 1
+            engine.hangs.set()
+            while await ready.fault() is not None:
+                await asyncio.sleep(0.01)
+
+    asyncio.run(ask())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("DSBRDF_PORT", "eighty"),
+        ("DSBRDF_LOG_LEVEL", "loud"),
+        ("DSBRDF_WORKERS", "0"),
+        ("DSBRDF_HEAD_SECONDS", "-1"),
+        ("DSBRDF_ACCESS_LOG", "perhaps"),
+    ],
+)
+def test_a_wrong_setting_is_one_sentence_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    assert main(["--data-dir", str(tmp_path / "data")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"dsbrdf: {name}: ")
+    assert repr(value) in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "data").exists()
+
+
+def test_every_setting_is_described() -> None:
+    for name, field in Settings.model_fields.items():
+        assert field.description, name
+        assert field.description.endswith("."), name
+    assert Settings().shutdown_seconds < 10
