@@ -9,17 +9,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
 
-from dsbrdf import FitOptions
+from dsbrdf import FitOptions, batch, cli
 from dsbrdf.batch import FileFit, default_jobs, fit_files
 from dsbrdf.engines.child import ONE_THREAD
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.serialize import load
+from tests.dask_cluster import DaskCluster
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
@@ -250,3 +252,34 @@ def test_a_damaged_file_beside_good_ones(files: list[Path], tmp_path: Path) -> N
     assert bad.error is not None
     assert "1000" in bad.error
     assert not bad.lost
+
+
+def test_a_batch_on_a_cluster_is_that_of_this_machine(files: list[Path], tmp_path: Path, cluster: DaskCluster) -> None:
+    missing = tmp_path / "none.binary"
+    shares: list[float] = []
+    fits = fit_files([*files, missing], QUICK, tmp_path / "out", scheduler=cluster.address, progress=shares.append)
+    with closing(fits) as items:
+        results = list(items)
+    assert [item.error for item in results] == [None, None, None, "No such file or directory"]
+    with closing(fit_files(files[:1], QUICK)) as items:
+        (expected,) = items
+    assert expected.result is not None
+    for item in results[:3]:
+        assert item.output is not None
+        assert item.result is not None
+        assert item.warnings == expected.warnings
+        assert replace(item.result.report, timings={}) == replace(expected.result.report, timings={})
+        assert load(item.output).kappa.tolist() == expected.result.model.kappa.tolist()
+    assert shares[-1] == 4.0
+
+
+def test_a_cluster_that_is_away_is_told_in_one_sentence(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(batch, "_PATIENCE", 0.5)
+    address = "tcp://127.0.0.1:1"
+    assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"dsbrdf: The Dask scheduler at {address} cannot be reached")
+    assert captured.err.count("\n") == 1

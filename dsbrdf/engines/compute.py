@@ -76,7 +76,8 @@ def reduce(task: FitTask, _: Report) -> bytes:
 
 def fit_parcel(packed: bytes, options: FitOptions, report: Report) -> Outcome:
     """Fit what `reduce` has packed; what only the samples can tell is missing from the report."""
-    parcel: _Parcel = pickle.loads(zlib.decompress(packed))  # noqa: S301  # nosec B301 (who sends it also sends the code)
+    # Who sends the parcel also sends the code that opens it.
+    parcel: _Parcel = pickle.loads(zlib.decompress(packed))  # noqa: S301  # nosec B301
     with _sentences() as sentences:
         result = fit(parcel.fitted, options, plain=parcel.plain, progress=report)
     timings = result.report.timings | {"profiles": parcel.seconds}
