@@ -23,6 +23,7 @@ OPTIONS: tuple[dict[str, Any], ...] = (
 """Fits that customers ask for; the last two take about a second, the others a fraction of it."""
 
 _ACCEPTED = (200, 201, 202)
+_PATIENCE = 10  # times half a minute
 
 Promise = Literal["none", "kept", "cancelled", "gone", "unknown"]
 
@@ -78,8 +79,8 @@ class Customer:
             self._want(http.head(f"/v1/measurements/{self._sha256}"), 200)
         for order in self._orders:
             if order.promise == "kept":
-                while self._look(http, order, wait=30.0) in ("accepted", "running"):
-                    pass
+                ended = any(self._look(http, order, wait=30.0) not in ("accepted", "running") for _ in range(_PATIENCE))
+                self._stand.expect(ended, f"the fit {order.options} has not come to its end")
                 exported = http.get(f"/v1/fits/{order.id}/export", params={"format": "json"})
                 self._want(exported, 200)
                 same = exported.status_code == 200 and same_bits(exported.text, order.model)
