@@ -187,7 +187,7 @@ def _fits_running(place: Place) -> Iterator[None]:
 
 def _upload(place: Place, common: memoryview, number: int) -> None:
     """Send the measurement with another last node, which lies below the horizon."""
-    body = [common, np.array([-2.0 - number], dtype="<f8").tobytes()]
+    body: list[bytes | memoryview] = [common, np.array([-2.0 - number], dtype="<f8").tobytes()]
     status, answer = post(f"{place.address}/v1/measurements?", body, _RAW)
     assert status == 201, answer
 

@@ -35,6 +35,13 @@ class Incoming:
         self._digest.update(data)
         self.size += len(data)
 
+    def pieces(self, size: int) -> Iterator[memoryview]:
+        """Yield what has been written, in pieces of at most `size` bytes, each only until the next one."""
+        buffer = memoryview(bytearray(size))
+        with self.path.open("rb", buffering=0) as file:
+            while length := file.readinto(buffer):
+                yield buffer[:length]
+
     def close(self) -> str:
         """Make the content durable and return its sha256."""
         os.fsync(self._file.fileno())

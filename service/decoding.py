@@ -123,8 +123,8 @@ class _Zstd:
     def feed(self, data: bytes) -> None:
         try:
             self._writer.write(data)
-        except zstandard.ZstdError as error:
-            raise _damaged("zstd", str(error)) from None
+        except zstandard.ZstdError:  # whose words depend on the pieces that the body came in
+            raise _damaged("zstd", "it is damaged") from None
 
     def finish(self) -> None:
         # The writer does not tell whether it is inside a frame; a frame of our own is read only where none is open.

@@ -1,10 +1,12 @@
-"""Request bodies: measurements that are checked and hashed while they are written, and small ones kept whole."""
+"""Request bodies: measurements that are hashed while they are written, and small ones kept whole."""
 
 import asyncio
 import mmap
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from functools import partial
+from typing import ParamSpec, TypeVar
 
-from starlette.concurrency import run_in_threadpool
+from anyio import CapacityLimiter, to_thread
 from starlette.requests import ClientDisconnect, Request
 
 from dsbrdf import MeasurementFormatError
@@ -17,7 +19,12 @@ from service.problems import ProblemError
 from service.rows import MeasurementRow
 from service.store import StorageQuotaError, Store
 
-_PIECE = 1 << 18  # worth a switch to another thread, small enough for many uploads at once
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
+# Few threads for all uploads: each that has ever worked keeps memory for its next piece.
+_threads = CapacityLimiter(4)
 # Compressors add less than this to what they cannot compress.
 _LARGEST_ENCODED = FILE_SIZE + FILE_SIZE // 64
 
@@ -38,19 +45,19 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
     declared = request.headers.get("content-length", "")
     if encoding is None and declared.isdecimal() and int(declared) != FILE_SIZE:
         await _refuse(request, int(declared))
-    incoming = await run_in_threadpool(store.blobs.incoming)
+    incoming = await _in_thread(store.blobs.incoming)
     try:
         receiver = _Receiver(incoming, encoding)
         async for piece in _pieces(request):
-            await run_in_threadpool(receiver.take, piece)
-        sha256, valid_nodes = await run_in_threadpool(receiver.finish)
-        return await run_in_threadpool(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
+            await _in_thread(receiver.take, piece)
+        sha256, valid_nodes = await _in_thread(receiver.finish)
+        return await _in_thread(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
     except StorageQuotaError as error:
         raise over_quota(error) from None
     except ClientDisconnect:
         raise ProblemError("bad-request", "The client went away before the end of the body.") from None
     finally:
-        await asyncio.shield(run_in_threadpool(incoming.discard))
+        await asyncio.shield(_in_thread(incoming.discard))
 
 
 async def receive_small(request: Request, limit: int) -> memoryview:
@@ -89,12 +96,20 @@ async def receive_small(request: Request, limit: int) -> memoryview:
     return body[:size]
 
 
+async def _in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    return await to_thread.run_sync(partial(call, *args, **kwargs), limiter=_threads)
+
+
 class _Receiver:
-    """Takes the pieces of a body, in a worker thread, and checks what they decode to while writing it."""
+    """Takes the pieces of a body, in a worker thread, and writes what they decode to.
+
+    Header and length are checked as they arrive; the values when all are there, from the file, since a check takes
+    memory that many uploads at once should not have at the same time.
+    """
 
     def __init__(self, incoming: Incoming, encoding: str | None) -> None:
         self._incoming = incoming
-        self._checker = MerlChecker()
+        self._header = b""
         self._decoder = decoder(encoding, self._write)
         self._encoded = 0
 
@@ -107,16 +122,20 @@ class _Receiver:
 
     def finish(self) -> tuple[str, int]:
         self._decoder.finish()
-        valid_nodes = int(self._checker.finish().sum())
+        checker = MerlChecker()
+        for piece in self._incoming.pieces(4 * _PIECE):
+            checker.update(piece)
+        valid_nodes = int(checker.finish().sum())
         return self._incoming.close(), valid_nodes
 
     def _write(self, data: bytes) -> None:
-        try:
-            self._checker.update(data)
-        except MeasurementFormatError as error:
-            if self._checker.n_bytes > FILE_SIZE:
-                raise ProblemError("measurement-too-large", str(error)) from None
-            raise
+        if len(self._header) < HEADER_SIZE:
+            self._header += data[: HEADER_SIZE - len(self._header)]
+            if len(self._header) == HEADER_SIZE:
+                check_header(self._header)
+        n_bytes = self._incoming.size + len(data)
+        if n_bytes > FILE_SIZE:
+            _refuse_length(n_bytes)
         self._incoming.write(data)
 
 
@@ -128,7 +147,7 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
         parts.append(part)
         size += len(part)
         if size >= _PIECE:
-            piece = b"".join(parts)
+            piece = part if size == len(part) else b"".join(parts)
             parts.clear()
             size = 0
             yield piece
@@ -144,9 +163,14 @@ async def _refuse(request: Request, length: int) -> None:
         if len(start) >= HEADER_SIZE:
             check_header(start)
             break
+    _refuse_length(length)
+
+
+def _refuse_length(n_bytes: int) -> None:
+    """Refuse a file that does not have the length of a measurement."""
     try:
-        check_length(length)
+        check_length(n_bytes)
     except MeasurementFormatError as error:
-        if length > FILE_SIZE:
+        if n_bytes > FILE_SIZE:
             raise ProblemError("measurement-too-large", str(error)) from None
         raise
