@@ -34,7 +34,7 @@ class Database:
     Raises
     ------
     DataFolderError
-        If another process holds the lock and it is needed, or a newer release has written the database.
+        If another process holds the lock and it is needed, a newer release has written the database, or it is damaged.
     """
 
     def __init__(self, folder: Path, *, beside: bool = False) -> None:
@@ -49,6 +49,9 @@ class Database:
                 self._db.execute(f"PRAGMA {pragma}")
             self._bring_up_to_date(folder)
             self._version = self._data_version()
+        except sqlite3.DatabaseError as error:
+            self.close()
+            raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}") from error
         except BaseException:
             self.close()
             raise

@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import sqlite3
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -39,6 +40,9 @@ def main(words: Sequence[str] | None = None) -> int:
         return _refuse(sentence(error.errors()))
     except (DataFolderError, OSError) as error:
         return _refuse(str(error))
+    except sqlite3.Error as error:
+        _refuse(f"the database cannot be written to: {error}")
+        return 1
 
 
 def _add(database: Database, arguments: argparse.Namespace) -> int:

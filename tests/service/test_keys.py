@@ -335,6 +335,24 @@ def test_the_start_needs_a_key_where_others_can_come(tmp_path: Path) -> None:
         server.close()
 
 
+def test_a_damaged_or_busy_database_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "dsbrdf.sqlite").write_bytes(b"no database" * 1000)
+    refused = command("list", "--data-dir", str(tmp_path))
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert "cannot be opened" in refused.stderr
+    (tmp_path / "dsbrdf.sqlite").unlink()
+    monkeypatch.setattr("service.database._BUSY_SECONDS", 0.1)
+    database = Database(tmp_path)
+    with database.transaction():
+        busy = command("add", "x", "--data-dir", str(tmp_path))
+    assert busy.returncode in (1, 2)
+    assert busy.stderr.count("\n") == 1
+    assert "locked" in busy.stderr
+    assert busy.stdout == ""
+    database.close()
+
+
 def test_a_new_folder_is_for_its_user_alone(tmp_path: Path) -> None:
     Database(tmp_path / "data").close()
     assert (tmp_path / "data").stat().st_mode & 0o777 == 0o700
