@@ -43,6 +43,7 @@ def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
         ExtraAdder(),
         _drop_foreign,
         format_exc_info,
+        _with_traceback_of_child,
     ]
     if text:
         console = structlog.dev.ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0)
@@ -55,6 +56,14 @@ def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
 
 def _drop_foreign(_: Any, __: str, event: EventDict) -> EventDict:
     event.pop(_OF_UVICORN, None)
+    return event
+
+
+def _with_traceback_of_child(_: Any, __: str, event: EventDict) -> EventDict:
+    """Add the traceback of a record that came from another process as text."""
+    text = event["_record"].exc_text
+    if text and "exception" not in event:
+        event["exception"] = text
     return event
 
 

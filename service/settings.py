@@ -37,7 +37,7 @@ class Settings(BaseSettings):
         default="auto", description="Form of the log; auto is text on a terminal and JSON lines elsewhere."
     )
     access_log: bool = Field(
-        default=False, description="Log GET and HEAD requests that went well too; their rate falls by a fifth."
+        default=False, description="Log GET and HEAD requests that went well too; their rate falls by a third."
     )
 
     engine: Literal["local", "dask"] = Field(default="local", description="Where fits run: here, or on a Dask cluster.")

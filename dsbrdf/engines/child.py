@@ -123,9 +123,13 @@ class Child:
                     return Fault("system", "NotWanted", "The fit was stopped because its result is not wanted.")
                 if self._reader.poll(_LOOK_UP if wanted is not None else min(left, 3600.0)):
                     message = self._reader.recv()
-                    if not isinstance(message, float):
+                    if isinstance(message, logging.LogRecord):
+                        if logging.getLogger(message.name).isEnabledFor(message.levelno):
+                            logging.getLogger(message.name).handle(message)
+                    elif isinstance(message, float):
+                        tell(message)
+                    else:
                         return message
-                    tell(message)
         except (EOFError, OSError):
             self._process.join()
             return self._died()
@@ -154,13 +158,14 @@ def _work(
     pipe: "connection.Connection[Any, Any]",
     memory_mb: int | None,
 ) -> None:
-    """What the process does: the pipe gets the progress as floats and, last, the outcome."""
+    """What the process does: the pipe gets the progress as floats, what is logged, and, last, the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # typed at a terminal it is meant for the parent
     _end_with_parent()
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         if memory_mb is not None:
             resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
+    logging.basicConfig(handlers=[_ToParent(pipe)], level=logging.INFO, force=True)
     sent = 0.0
 
     def report(share: float) -> None:
@@ -170,6 +175,21 @@ def _work(
             pipe.send(sent)
 
     pipe.send(outcome_of(work, *arguments, report))
+
+
+class _ToParent(logging.Handler):
+    """Leaves what is logged to the parent, which knows where it goes."""
+
+    def __init__(self, pipe: "connection.Connection[Any, Any]") -> None:
+        super().__init__()
+        self._pipe = pipe
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record.msg, record.args = record.getMessage(), None
+        if record.exc_info:
+            record.exc_text = logging.Formatter().formatException(record.exc_info)
+            record.exc_info = None  # a traceback cannot travel
+        self._pipe.send(record)
 
 
 def _end_with_parent() -> None:

@@ -1,6 +1,7 @@
 """Fits on this machine: one child process a fit."""
 
 import asyncio
+import contextvars
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager
@@ -40,7 +41,8 @@ class Children:
         def tell_loop(share: float) -> None:
             loop.call_soon_threadsafe(tell, share)
 
-        supervision = loop.run_in_executor(self._threads, child.supervise, tell_loop)
+        context = contextvars.copy_context()  # what the caller has bound for its log lines
+        supervision = loop.run_in_executor(self._threads, context.run, child.supervise, tell_loop)
         try:
             return await asyncio.shield(supervision)
         except asyncio.CancelledError:

@@ -230,3 +230,17 @@ def test_metrics_belong_to_one_application(tmp_path: Path) -> None:
     first.state.metrics.retries.inc()
     assert b"dsbrdf_fit_retries_total 1.0" in first.state.metrics.exposition()
     assert b"dsbrdf_fit_retries_total 0.0" in second.state.metrics.exposition()
+
+
+def test_what_a_process_that_fits_has_to_say_is_in_the_same_log(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fit_attempts="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    for path in server.files():
+        path.unlink()
+    document = {"measurement": sha256, "options": {"method": "paper"}}
+    fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "unreadable"}).json()
+    assert fit["status"] == "failed"
+    (told,) = [line for line in lines_of(server, "unreadable") if "exception" in line]
+    assert told["logger"] == "dsbrdf.engines.compute"
+    assert told["fit"] == fit["id"]
+    assert "FileNotFoundError" in told["exception"]
