@@ -32,18 +32,25 @@ options = st.integers(0, len(OPTIONS) - 1)
 class Life(RuleBasedStateMachine):
     """What was stored and asked for, newest last, and how each fit is known to have ended (None: not yet seen)."""
 
-    server: Server
+    start: Callable[[], Server]
     files: list[bytes]
     ids: dict[tuple[int, int], str]  # of fits, by content and options: they must never change
     metrics: dict[str, Any]  # of fits that succeeded once: they must never change
 
     @initialize()
     def begin(self) -> None:
+        self.server = self.start()
         self.measurements: list[int] = []
         self.fits: dict[tuple[int, int], str | None] = {}
 
     def teardown(self) -> None:
         """Everything unfinished comes to its end, and everything can be removed."""
+        try:
+            self.come_to_an_end()
+        finally:
+            self.server.close()
+
+    def come_to_an_end(self) -> None:
         for key in list(self.fits):
             self.cancel(key) if OPTIONS[key[1]] is SLOW else self.see(key, wait=60)
             if key in self.fits:
@@ -84,6 +91,15 @@ class Life(RuleBasedStateMachine):
         self.stored(content)
         self.submitted((content, chosen), answer)
         assert self.fits[content, chosen] == "succeeded"
+
+    @precondition(lambda self: self.measurements)
+    @rule(data=st.data())
+    def cancel_and_ask_again(self, data: st.DataObject) -> None:
+        content = data.draw(st.sampled_from(self.measurements))
+        slow = OPTIONS.index(SLOW)
+        self.submit_a_stored_one(content, slow, "respond-async")
+        self.cancel((content, slow))
+        self.submit_a_stored_one(content, slow, "respond-async")
 
     @precondition(lambda self: self.fits)
     @rule(data=st.data(), wait=st.sampled_from([0, 0.3]))
@@ -210,7 +226,7 @@ def life(own_server: Callable[..., Server], data: bytes) -> type[Life]:
     files = [data[:-8] + struct.pack("<d", 0.25 + content) for content in range(N_CONTENTS)]
 
     class Here(Life):
-        server = own_server()
+        start = staticmethod(own_server)
         ids: dict[tuple[int, int], str] = {}  # noqa: RUF012 (shared by all lives on purpose)
         metrics: dict[str, Any] = {}  # noqa: RUF012
 
