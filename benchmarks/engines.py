@@ -216,7 +216,7 @@ def _unfinished(server: Server) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print one table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks engines", description=__doc__)
-    parser.add_argument("--fits", type=int, default=8, metavar="N", help="fits for each rate, even (default: 8)")
+    parser.add_argument("--fits", type=int, default=24, metavar="N", help="fits for each rate, even (default: 24)")
     parser.add_argument("--breaks", action="store_true", help="break a cluster instead")
     parser.add_argument("--workers", type=int, default=20, metavar="N", help="workers to kill (default: 20)")
     parser.add_argument("--schedulers", type=int, default=10, metavar="N", help="schedulers to kill (default: 10)")

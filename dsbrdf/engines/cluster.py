@@ -57,7 +57,8 @@ class Cluster:
     address : str
         Of the scheduler.
     on_size : callable
-        Called with the number of threads that can be used, whenever it changes.
+        Called with the number of threads that can be used, and whether some are of other machines, whenever that
+        changes.
 
     Attributes
     ----------
@@ -65,11 +66,12 @@ class Cluster:
         Threads of the workers that can be used, by their addresses.
     """
 
-    def __init__(self, address: str, on_size: Callable[[int], None]) -> None:
+    def __init__(self, address: str, on_size: Callable[[int, bool], None]) -> None:
         self.threads = Places()
         self._address = address
         self._on_size = on_size
         self._client: Any = None
+        self._host = ""
         self._reason = "it has not been reached yet"
         self._usable: dict[str, int] = {}
         self._present: set[str] = set()
@@ -140,6 +142,7 @@ class Cluster:
     async def _attend(self, client: Any) -> None:
         client.subscribe_topic(TOPIC, self._hear)
         self._client = client
+        self._host = _host(client.scheduler_comm.comm.local_address)
         logger.info("connected to the Dask scheduler at %s", self._address)
         while client.status == "running":
             workers = (await client.scheduler.identity(n_workers=-1))["workers"]
@@ -167,7 +170,7 @@ class Cluster:
         if threads != self._usable:
             self._usable = threads
             self.threads.resize(threads)
-            self._on_size(sum(threads.values()))
+            self._on_size(sum(threads.values()), any(_host(worker) != self._host for worker in threads))
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
         call = self._calls.get(event[1]["key"])
@@ -194,6 +197,10 @@ async def _answer_of(future: Any) -> Any:
         return await future
     except FutureCancelledError:  # by the scheduler, because it lost what it knew
         raise LostError(worker=False) from None
+
+
+def _host(address: str) -> str:
+    return address.partition("://")[2].rpartition(":")[0]
 
 
 def _answered(task: "asyncio.Task[str | None]") -> bool:

@@ -38,7 +38,8 @@ class DaskEngine:
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     helpers : int
-        Child processes of this machine at once, which read measurements; so many fits are prepared ahead.
+        Child processes of this machine at once, which read measurements.  So many fits are prepared ahead for workers
+        of other machines, which then need not wait; those of this machine would only have to share its cores.
     limits : Limits, optional
         Of each process, here and on the workers.
 
@@ -53,9 +54,8 @@ class DaskEngine:
         self._limits = limits or Limits()
         self._children = Children(helpers, self._limits)
         self._turns = Places()
-        self._cluster = Cluster(
-            scheduler, lambda threads: self._turns.resize({"cluster": threads + helpers} if threads else {})
-        )
+        self._helpers = helpers
+        self._cluster = Cluster(scheduler, self._make_room)
         self._keeping: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
@@ -67,7 +67,7 @@ class DaskEngine:
         self._keeping = asyncio.create_task(self._cluster.keep())
 
     def turn(self) -> AbstractAsyncContextManager[object]:
-        """Wait until the cluster has a thread for one more fit, or one can be prepared meanwhile."""
+        """Wait until the cluster has a thread for one more fit, or one may be prepared meanwhile."""
         return self._turns.one()
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
@@ -93,6 +93,9 @@ class DaskEngine:
             self._keeping.cancel()
             await asyncio.wait([self._keeping])
         await self._children.close()
+
+    def _make_room(self, threads: int, elsewhere: bool) -> None:
+        self._turns.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
 
     async def _fit(self, packed: bytes, options: FitOptions, tell: Callable[[float], None]) -> Fitted | Fault:
         lost = 0
