@@ -9,17 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NoReturn
 
 from pydantic import ValidationError
 
+from service.command_line import Parser, refuse, settings_of
 from service.database import FILE_NAME, Database
 from service.keys import KeyRow, Limits, add_key, all_keys, revoke_key
 from service.migrations import DataFolderError
 from service.problems import sentence
-from service.settings import Settings
 
-BAD_INPUT = 2
 _LONGEST_NAME = 100
 
 
@@ -27,9 +25,9 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     arguments = _parser().parse_args(words)
     try:
-        folder: Path = arguments.data_dir or Settings().data_dir
+        folder = settings_of(arguments).data_dir
         if arguments.run is not _add and not (folder / FILE_NAME).exists():
-            return _refuse(f"{folder} is no data folder of a service; --data-dir names one")
+            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
         database = Database(folder, beside=True)
         try:
             run: Callable[[Database, argparse.Namespace], int] = arguments.run
@@ -37,11 +35,11 @@ def main(words: Sequence[str] | None = None) -> int:
         finally:
             database.close()
     except ValidationError as error:
-        return _refuse(sentence(error.errors()))
+        return refuse(sentence(error.errors()))
     except (DataFolderError, OSError) as error:
-        return _refuse(str(error))
+        return refuse(str(error))
     except sqlite3.Error as error:
-        _refuse(f"the database cannot be written to: {error}")
+        refuse(f"the database cannot be written to: {error}")
         return 1
 
 
@@ -69,7 +67,7 @@ def _list(database: Database, arguments: argparse.Namespace) -> int:
 def _revoke(database: Database, arguments: argparse.Namespace) -> int:
     if not revoke_key(database, arguments.id):
         # What was given is not repeated: it could be a whole key.
-        return _refuse("there is no key with this id; dsbrdf keys list tells the ids")
+        return refuse("there is no key with this id; dsbrdf keys list tells the ids")
     return 0
 
 
@@ -110,17 +108,8 @@ def _count(text: str) -> int:
     return count
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one sentence instead of printing the whole usage."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="dsbrdf keys", description="API keys of the service; a running server heeds a change at once."
-    )
+def _parser() -> Parser:
+    parser = Parser(prog="dsbrdf keys", description="API keys of the service; a running server heeds a change at once.")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     add = commands.add_parser("add", help="make a key and print it, this once")
     add.set_defaults(run=_add)
@@ -137,11 +126,6 @@ def _parser() -> argparse.ArgumentParser:
     for command in (add, listing, revoke):
         command.add_argument("--data-dir", type=Path, metavar="DIR", help="the service's folder")
     return parser
-
-
-def _refuse(reason: str) -> int:
-    sys.stderr.write(f"dsbrdf: {reason}\n")
-    return BAD_INPUT
 
 
 if __name__ == "__main__":
