@@ -22,7 +22,8 @@ OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/docs", "/openapi.json
 
 _CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()
-_LOOPBACK = re.compile(rb"(localhost|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+# A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
+_LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _Headers = list[tuple[bytes, bytes]]
 
 
@@ -92,8 +93,10 @@ class Gate:
             raise _key_needed("An API key is needed here; send it as 'Authorization: Bearer <key>'.")
         if self._local_only:
             hosts = [value for name, value in headers if name == b"host"]
-            if not all(_LOOPBACK.fullmatch(host) for host in hosts):
-                raise _key_needed("Without an API key the service goes by the names 127.0.0.1 and localhost only.")
+            if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
+                raise _key_needed(
+                    "Without an API key the service goes by 127.0.0.1, localhost and names without a dot only."
+                )
             origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
             if not all(origin in hosts for origin in origins):
                 raise _key_needed("Without an API key the service does not answer to pages of other sites.")
