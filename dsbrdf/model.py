@@ -29,6 +29,13 @@ INTERPOLATIONS = ("linear", "cubic")
 """How parameters run between knots: linear in kappa and gamma, or a cubic spline in their logarithms."""
 
 
+# Beyond any reflectance, and far enough from the largest float64 for the sum of all lobes and between knots.
+_LARGEST = {
+    "linear": {"kappa": 700.0, "gamma": 1e100, "delta": 1e300},
+    "cubic": {"kappa": 350.0, "gamma": 1e100, "delta": 1e300},  # a spline may go to twice the values at its knots
+}
+
+
 @dataclass(frozen=True, eq=False)
 class DSBRDF:
     """A fitted model of an isotropic BRDF.
@@ -219,3 +226,6 @@ def _check_model(model: DSBRDF) -> None:
     if model.interpolation not in INTERPOLATIONS:
         known = ", ".join(INTERPOLATIONS)
         raise InvalidArgumentError(f"interpolation must be one of {known}, not {model.interpolation!r}")
+    for name, largest in _LARGEST[model.interpolation].items():
+        if getattr(model, name).max(initial=-np.inf) > largest or getattr(model, name).min(initial=np.inf) < -largest:
+            raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")

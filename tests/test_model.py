@@ -155,6 +155,26 @@ def test_extreme_lobes_are_finite() -> None:
             assert np.all(values == values[0])  # Lambertian to the horizon
 
 
+@pytest.mark.parametrize(
+    ("interpolation", "kappa", "gamma", "delta", "name"),
+    [("linear", 701.0, 1.0, 0.0, "kappa"), ("cubic", 351.0, 1.0, 0.0, "kappa"), ("linear", 1.0, 2e100, 0.0, "gamma"),
+     ("cubic", 1.0, 1.0, -2e300, "delta")],
+)  # fmt: skip
+def test_parameters_whose_values_would_overflow_are_refused(
+    interpolation: str, kappa: float, gamma: float, delta: float, name: str
+) -> None:
+    shape = (3, KNOTS.size, 1)
+    with pytest.raises(InvalidArgumentError, match=f"no {name} may exceed"):
+        DSBRDF(
+            KNOTS,
+            np.full(shape, kappa),
+            np.full(shape, gamma),
+            np.zeros(shape),
+            np.full((3, KNOTS.size), delta),
+            interpolation,
+        )
+
+
 def test_model_keeps_its_own_read_only_arrays() -> None:
     kappa = np.ones((3, 4, 2))
     model = DSBRDF(KNOTS, kappa, kappa, np.zeros_like(kappa), np.zeros((3, 4)))
