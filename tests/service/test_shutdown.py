@@ -6,8 +6,9 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import httpx
 import pytest
@@ -30,6 +31,17 @@ def start_fits(server: Server, data: bytes, number: int) -> list[str]:
 
 def address(server: Server) -> str:
     return str(server.http.base_url).rstrip("/")
+
+
+@contextmanager
+def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
+    """A connection on which the rest of a measurement does not come."""
+    url, before = server.http.base_url, len(server.files())
+    with socket.create_connection((url.host, url.port or 80), timeout=20) as connection:
+        head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
+        connection.sendall(head.encode() + data[:1_000_000])
+        wait_until(lambda: len(server.files()) > before)
+        yield connection
 
 
 def ended(server: Server, begin: float) -> tuple[int, float]:
@@ -99,14 +111,15 @@ def test_more_signals_are_harmless(own_server: Callable[..., Server], data: byte
 
 
 def test_fits_whose_processes_get_the_signal_too_are_not_failed(own_server: Callable[..., Server], data: bytes) -> None:
-    """As a service manager does it that signals every process of the service."""
-    server = own_server(workers="2", fit_attempts="1")
+    """As a service manager does it that signals every process; an upload keeps the service from ending at once."""
+    server = own_server(workers="2", fit_attempts="1", shutdown_seconds="3")
     fits = start_fits(server, data, 2)
     wait_until(lambda: len(server.workers()) == 2)
     everyone = [*server.workers(), *children(server.process.pid), server.process.pid]
-    for pid in everyone:
-        os.kill(pid, signal.SIGTERM)
-    assert server.process.wait(timeout=20) == 0
+    with upload_in_progress(server, data):
+        for pid in everyone:
+            os.kill(pid, signal.SIGTERM)
+        assert server.process.wait(timeout=20) == 0
     server.start()
     for fit in fits:
         assert server.status(fit) in ("accepted", "running", "succeeded")
@@ -114,11 +127,7 @@ def test_fits_whose_processes_get_the_signal_too_are_not_failed(own_server: Call
 
 def test_a_request_that_cannot_be_finished_is_told_so(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(shutdown_seconds="1")
-    url = server.http.base_url
-    with socket.create_connection((url.host, url.port or 80), timeout=20) as connection:
-        head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
-        connection.sendall(head.encode() + data[:1_000_000])
-        wait_until(lambda: bool(server.files()))
+    with upload_in_progress(server, data) as connection:
         server.process.send_signal(signal.SIGTERM)
         answer = connection.makefile("rb").read()
     head_of_answer, _, body = answer.partition(b"\r\n\r\n")
