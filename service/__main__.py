@@ -1,12 +1,14 @@
 """``python -m service``: run the HTTP service."""
 
 import argparse
+import ctypes
 import os
 import shutil
 import signal
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from socket import socket
 from typing import Any
@@ -27,6 +29,8 @@ from service.problems import sentence
 from service.settings import Settings
 from service.store import Store
 
+_MMAP_THRESHOLD = -3  # glibc's M_MMAP_THRESHOLD
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the service until it is stopped; return the exit code."""
@@ -46,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DataFolderError, MissingExtraError, OSError) as error:
         return _refuse(str(error))
     logs.configure(settings)
+    _give_memory_back()
     _keep_temporary_files_in(settings.data_dir)
     return _run(settings)
 
@@ -122,6 +127,16 @@ def _wrong_setting(error: ValidationError, given: Mapping[str, Any]) -> str:
         written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
         faults.append({**fault, "loc": (written,), "msg": f"{fault['msg']}, not {str(fault['input'])[:60]!r}"})
     return sentence(faults)
+
+
+def _give_memory_back() -> None:
+    """Let the C library return large buffers when they are freed.
+
+    By itself, glibc keeps ever larger ones among the small ones once it has seen some, and the process grows for as
+    long as it works. A threshold that is set stays where it is. Other C libraries have none.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 17)
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:
