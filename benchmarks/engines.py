@@ -30,8 +30,8 @@ from tests.service.running import Server, wait_until
 
 ASKED = 1.8
 PATIENCE = 600.0
-SHORT = {"method": "paper", "n_lobes": 8}
-"""Options of the fits of a cluster that is broken: a second or more, and a kill every few seconds."""
+SHORT = {"method": "paper", "n_lobes": 4}
+"""Options of the fits of a cluster that is broken: about a second each, and a kill every few seconds."""
 
 
 @contextmanager
@@ -160,7 +160,7 @@ def _break(
         asked = 0
         for _ in range(times):
             while _unfinished(server) < 4:
-                _submit(server, sha256, **SHORT, em_iterations=200 + asked)
+                _submit(server, sha256, **SHORT, em_iterations=100 + asked)
                 asked += 1
             wait_until(lambda: bool(running.fitting()), PATIENCE)
             time.sleep(moments.uniform(0.0, 1.0))
