@@ -8,13 +8,14 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 
-from service.points import NPY, to_npy
+from service.points import NPY
 from service.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
 from tests.service.running import SLOW, Server, wait_until
@@ -148,8 +149,9 @@ def test_a_body_that_is_too_long_is_refused_by_nginx(proxy: Proxy, path: str, le
 
 
 def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str) -> None:
-    points = to_npy(np.zeros((900_000, 6)))  # no unit vectors, as the service says when it has all of them
-    answer = proxy.http.post(f"/v1/fits/{fitted}/brdf", content=points, headers={"Content-Type": NPY})
+    points = BytesIO()
+    np.save(points, np.zeros((900_000, 6)))  # no unit vectors, as the service says when it has all of them
+    answer = proxy.http.post(f"/v1/fits/{fitted}/brdf", content=points.getvalue(), headers={"Content-Type": NPY})
     assert_problem(answer, "invalid-argument")
 
 
