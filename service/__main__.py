@@ -136,7 +136,7 @@ def _give_memory_back() -> None:
     long as it works. A threshold that is set stays where it is. Other C libraries have none.
     """
     with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 17)
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 20)
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:
