@@ -10,7 +10,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check audit fix bench soak lock clean
+.PHONY: help demo serve test check audit fix bench soak prove lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -44,12 +44,15 @@ fix: $(READY)  ## format and mend what can be mended
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(READY)  ## run the benchmarks
+bench: $(READY)  ## run the benchmarks but the two long ones
 	$(BIN)/python -m benchmarks
 
 soak: $(READY)  ## load the service for DURATION minutes (30), then look for odd inputs for longer than the tests do
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
 	$(BIN)/python -m pytest --hypothesis-profile=soak tests/test_fuzz.py tests/service/test_fuzz_bodies.py
+
+prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
+	docker/prove.sh
 
 lock: $(READY)  ## pin the newest dependencies
 	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv

@@ -1,4 +1,4 @@
-"""Run one benchmark with its options, several by name, or all of them: ``python -m benchmarks [name ...]``."""
+"""Run one benchmark with its options, several by name, or all the short ones: ``python -m benchmarks [name ...]``."""
 
 import os
 import subprocess
@@ -8,6 +8,8 @@ from pathlib import Path
 
 MAIN = "def main("
 """A module of this package that has it is a benchmark; the others are what benchmarks share."""
+BY_NAME_ONLY = ("durability", "soak")
+"""Those that take half an hour."""
 ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Times are those of one core: threads for small matrices cost more than they bring, most of all on a busy machine."""
 
@@ -30,7 +32,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{what}; the benchmarks are: {', '.join(known())}", file=sys.stderr)
         return 2
     codes = []
-    for name in names or known():
+    for name in names or [name for name in known() if name not in BY_NAME_ONLY]:
         if len(names) != 1:  # a single benchmark has the output to itself: it may be JSON
             print(f"== {name}", flush=True)
         command = [sys.executable, "-m", f"benchmarks.{name}", *flags]
