@@ -39,11 +39,10 @@ FITS = 20
 _POINT = "theta_half_deg=10&theta_diff_deg=30"
 _NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
 _RAW = {"Content-Type": "application/octet-stream"}
-_LIBRARY = """
-import sys, time, warnings, dsbrdf
-warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+_READ = """
+import sys, time, dsbrdf
 begin = time.perf_counter()
-dsbrdf.fit(dsbrdf.read_merl(sys.argv[1]))
+dsbrdf.read_merl(sys.argv[1])
 print(time.perf_counter() - begin)
 """
 
@@ -142,19 +141,26 @@ def uploads(place: Place) -> list[Row]:
 
 
 def overhead(place: Place) -> list[Row]:
-    """A fit by one request with the file, beside the library in a new process of its own."""
+    """A fit by one request with the file, beside the library's own time for it.
+
+    The library's time is that of the very fit, as its report tells, and what reading a file takes in a process of its
+    own: the same fit a second time takes up to a third longer or shorter, which is more than what is looked for.
+    """
     place.fitted()
+    file = place.stand.folder / "variant.binary"
     extra, own = [], []
     for number in range(FITS):
         body = place.stand.variant(number)
-        file = place.stand.folder / "variant.binary"
         file.write_bytes(body)
-        library = float(subprocess.run([sys.executable, "-c", _LIBRARY, file], check=True, capture_output=True).stdout)
+        read = float(subprocess.run([sys.executable, "-c", _READ, file], check=True, capture_output=True).stdout)
+        os.sync()  # the file written above is not the service's to wait for
         begin = time.perf_counter()
         status, answer = post(f"{place.address}/v1/fits?", [body], _RAW | {"Prefer": "wait=300"})
-        extra.append(1e3 * (time.perf_counter() - begin - library))
-        own.append(library)
+        seconds = time.perf_counter() - begin
         assert status == 201, answer
+        exported = place.server.http.get(f"/v1/fits/{json.loads(answer)['id']}/export?format=json").raise_for_status()
+        own.append(read + sum(exported.json()["report"]["timings"].values()))
+        extra.append(1e3 * (seconds - own[-1]))
     p50, p95 = np.quantile(extra, [0.5, 0.95])
     measured = f"p95 {p95:.0f} ms, p50 {p50:.0f} ms over {FITS} fits; the library's own {statistics.median(own):.2f} s"
     return [Row("overhead of a fit through HTTP: p95 <= 250 ms", measured, bool(p95 <= 250.0))]
