@@ -44,48 +44,48 @@ class _Application(FastAPI):
         return Observe(guarded, state.settings, state.metrics)
 
 
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Open what the service works with, and close it in the opposite order."""
+    settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
+    store = await run_in_threadpool(Store, settings.data_dir)
+    try:
+        engine = engine_of(settings)
+        jobs = Jobs(store, engine, settings, metrics)
+        models = Models(store, settings.model_cache)
+        await run_in_threadpool(keys.load, store.database)
+        readiness = Readiness(store, engine, settings)
+        app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
+        metrics.collect_from(store.database)
+        await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
+        await engine.start()
+        await jobs.start()
+        following = asyncio.create_task(follow(store.database, keys, models))
+        try:
+            yield
+        finally:
+            following.cancel()
+            with suppress(asyncio.CancelledError):
+                await following
+            await jobs.close()
+            await engine.close()
+    finally:
+        store.close()
+
+
 def create_app(settings: Settings) -> FastAPI:
     """Return the application for `settings`; nothing is opened before it starts."""
-    metrics = Metrics()
-    keys = Keys(settings)
-
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        store = await run_in_threadpool(Store, settings.data_dir)
-        try:
-            engine = engine_of(settings)
-            jobs = Jobs(store, engine, settings, metrics)
-            models = Models(store, settings.model_cache)
-            await run_in_threadpool(keys.load, store.database)
-            readiness = Readiness(store, engine, settings)
-            app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
-            metrics.collect_from(store.database)
-            await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
-            await engine.start()
-            await jobs.start()
-            following = asyncio.create_task(follow(store.database, keys, models))
-            try:
-                yield
-            finally:
-                following.cancel()
-                with suppress(asyncio.CancelledError):
-                    await following
-                await jobs.close()
-                await engine.close()
-        finally:
-            store.close()
-
     app = _Application(
         title="dsbrdf",
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
-        lifespan=lifespan,
+        lifespan=_lifespan,
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # every resource has one name
         generate_unique_id_function=contract.operation_id,
     )
-    app.state.settings, app.state.metrics, app.state.keys = settings, metrics, keys
+    app.state.settings, app.state.metrics, app.state.keys = settings, Metrics(), Keys(settings)
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
     for routes in (brdf, fits, lobes, exports, measurements, health, docs):

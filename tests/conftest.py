@@ -79,3 +79,13 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
         yield running
     finally:
         running.close()
+
+
+@pytest.fixture
+def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    """A cluster to be broken; nothing of it runs yet."""
+    running = DaskCluster(tmp_path / "cluster")
+    try:
+        yield running
+    finally:
+        running.close()

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -52,16 +52,6 @@ class Stage:
 @pytest.fixture(params=["local", "dask"])
 def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
-
-
-@pytest.fixture
-def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
-    """A cluster to be broken; nothing of it runs yet."""
-    running = DaskCluster(tmp_path / "cluster")
-    try:
-        yield running
-    finally:
-        running.close()
 
 
 @asynccontextmanager

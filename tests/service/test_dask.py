@@ -1,7 +1,7 @@
 """The service with a Dask cluster: the same answers, nothing lost, and readiness that says what is missing."""
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,6 @@ from tests.service.running import QUICK, Server, alive, assert_problem, wait_unt
 PATIENCE = 60.0
 LONG: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2}
 MIDDLE: dict[str, Any] = {"n_lobes": 8, "em_iterations": 100}
-
-
-@pytest.fixture
-def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
-    running = DaskCluster(tmp_path / "cluster")
-    try:
-        yield running
-    finally:
-        running.close()
 
 
 @pytest.fixture

@@ -66,6 +66,21 @@ def head_of_upload(length: int) -> bytes:
     return f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n".encode()
 
 
+def trickle(connection: socket.socket, data: bytes) -> bytes:
+    """Send a byte every 0.05 s, 400 of them being 20 s of never being silent, and return what is answered."""
+    connection.settimeout(0.05)
+    answer = b""
+    for byte in data:
+        try:
+            connection.sendall(bytes([byte]))
+            answer = connection.recv(1 << 16)
+            break
+        except TimeoutError:
+            continue
+    connection.settimeout(20)
+    return answer + rest(connection)
+
+
 def test_a_body_that_stops_is_given_up(impatient: Server, data: bytes) -> None:
     with connect(impatient, head_of_upload(len(data)) + data[:1_000_000]) as connection:
         wait_until(lambda: bool(impatient.files()))
@@ -84,17 +99,7 @@ def test_a_body_that_trickles_is_given_up(
 ) -> None:
     head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
     with connect(impatient, head.encode()) as connection:
-        connection.settimeout(0.05)
-        answer = b""
-        for byte in data[:400]:  # 20 s of never being silent
-            try:
-                connection.sendall(bytes([byte]))
-                answer = connection.recv(1 << 16)
-                break
-            except TimeoutError:
-                continue
-        connection.settimeout(20)
-        assert problem(answer + rest(connection)) == (408, "request-timeout")
+        assert problem(trickle(connection, data[:400])) == (408, "request-timeout")
     wait_until(lambda: not impatient.files())
 
 
@@ -130,16 +135,8 @@ def test_a_head_that_trickles_is_given_up(impatient: Server) -> None:
                 answered += connection.recv(1 << 16)
             except TimeoutError:
                 continue
-        answer = b""
-        for byte in first[:10] * 40:  # the second request of the connection; 20 s of never being silent
-            try:
-                connection.sendall(bytes([byte]))
-                answer = connection.recv(1 << 16)
-                break
-            except TimeoutError:
-                continue
-        connection.settimeout(20)
-        assert problem(answer + rest(connection)) == (408, "request-timeout")
+        # The second request of the connection.
+        assert problem(trickle(connection, first[:10] * 40)) == (408, "request-timeout")
 
 
 def test_an_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) -> None:
