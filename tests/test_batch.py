@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from multiprocessing import active_children
@@ -132,8 +132,9 @@ def test_processes_have_one_thread_each_and_this_one_keeps_its_own(
     def look(_: float) -> None:
         for worker in active_children():
             assert worker.pid is not None
-            seen.append(environment(worker.pid))
-            threads.append(len(list(Path(f"/proc/{worker.pid}/task").iterdir())))
+            with suppress(FileNotFoundError, ProcessLookupError):  # it may end while it is looked at
+                seen.append(environment(worker.pid))
+                threads.append(len(list(Path(f"/proc/{worker.pid}/task").iterdir())))
 
     with closing(fit_files(files[:2], QUICK, jobs=2, progress=look)) as items:
         assert all(item.error is None for item in items)
