@@ -1,5 +1,6 @@
 """Fits in processes: what they are given, and that nothing outlives or outweighs the command that started them."""
 
+import math
 import os
 import re
 import shutil
@@ -7,10 +8,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
-from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -18,16 +18,31 @@ import pytest
 
 from dsbrdf import FitOptions, batch, cli
 from dsbrdf.batch import FileFit, default_jobs, fit_files
+from dsbrdf.engines import local
 from dsbrdf.engines.child import ONE_THREAD
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.serialize import load
-from tests.dask_cluster import DaskCluster
+from tests.dask_cluster import DaskCluster, forked
+from tests.deadly import compute_unless_named_one
+from tests.service.running import alive, wait_until
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
-SLOW = ("--lobes", "8", "--ring-lobes", "2")
-PATIENCE = 30.0
+# With a knot every degree a fit takes minutes: it does not end while a test looks at it.
+KNOTS = range(81)
+ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, KNOTS)))
+ENDLESS_FLAGS = ("--lobes", "8", "--ring-lobes", "2", "--knots", ",".join(map(str, KNOTS)))
+PATIENCE = 60.0
+SOON = 10.0
+
+
+@pytest.fixture(autouse=True)
+def interrupts() -> Iterator[None]:
+    """Let Ctrl-C reach what is started here: what runs in the background of a shell ignores it, and so would that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
@@ -38,41 +53,9 @@ def files(plastic_file: Path, tmp_path: Path) -> list[Path]:
     return names
 
 
-def offspring(pid: int) -> list[int]:
-    """The processes that any thread of a process has started."""
-    return [int(child) for path in Path(f"/proc/{pid}/task").glob("*/children") for child in path.read_text().split()]
-
-
-def children(pid: int) -> list[int]:
-    """The processes that fit for another one: they are forked by its fork server."""
-    found = []
-    for child in offspring(pid):
-        try:
-            if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes():
-                found += offspring(child)
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-    return found
-
-
 def environment(pid: int) -> dict[str, str]:
     entries = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     return dict(entry.decode().split("=", 1) for entry in entries if entry)
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, "it took too long"
-        time.sleep(0.01)
-
-
-def is_gone(pid: int) -> bool:
-    status = Path(f"/proc/{pid}/status")
-    try:
-        return "State:\tZ" in status.read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return True
 
 
 def works(pid: int) -> bool:
@@ -81,10 +64,19 @@ def works(pid: int) -> bool:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") > 0.1
 
 
+@contextmanager
+def endless_fits(files: list[Path]) -> Iterator[list[int]]:
+    """Fit two files while the block runs; the processes that do it are given."""
+    with closing(fit_files([Path("none.binary"), *files[:2]], ENDLESS, jobs=2)) as items:
+        assert next(items).error == "No such file or directory"
+        wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
+        yield forked(os.getpid())
+
+
 @pytest.fixture
 def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
-    """``dsbrdf fit`` of slow fits in a process group of its own, as a terminal has it, with two processes at work."""
-    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *SLOW]
+    """``dsbrdf fit`` of endless fits with two processes at work, in a process group of its own as a terminal has it."""
+    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
     process = subprocess.Popen(
         [sys.executable, "-m", "dsbrdf.cli", *words],
         stdout=subprocess.PIPE,
@@ -93,14 +85,13 @@ def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str
         start_new_session=True,
     )
     try:
-        wait_for(lambda: len(children(process.pid)) == 2)
+        wait_until(lambda: len(forked(process.pid)) == 2, PATIENCE)
         yield process
     finally:
-        workers = children(process.pid) if process.poll() is None else []
+        workers = forked(process.pid) if process.poll() is None else []
         process.kill()
         process.communicate()
-        for worker in workers:
-            wait_for(partial(is_gone, worker))
+        wait_until(lambda: not any(map(alive, workers)), PATIENCE)
 
 
 def test_the_results_come_in_order_and_are_written(files: list[Path], tmp_path: Path) -> None:
@@ -126,30 +117,22 @@ def test_processes_have_one_thread_each_and_this_one_keeps_its_own(
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    seen: list[dict[str, str]] = []
-    threads: list[int] = []
-
-    def look(_: float) -> None:
-        for worker in active_children():
-            assert worker.pid is not None
-            with suppress(FileNotFoundError, ProcessLookupError):  # it may end while it is looked at
-                seen.append(environment(worker.pid))
-                threads.append(len(list(Path(f"/proc/{worker.pid}/task").iterdir())))
-
-    with closing(fit_files(files[:2], QUICK, jobs=2, progress=look)) as items:
-        assert all(item.error is None for item in items)
-    assert seen
-    assert all(found | ONE_THREAD == found for found in seen)
-    assert max(threads) == 2  # the fit, and the watch over the parent
-    assert os.environ["OMP_NUM_THREADS"] == "7"
-    assert "MKL_NUM_THREADS" not in os.environ
+    with endless_fits(files) as workers:
+        wait_until(lambda: all(map(works, workers)), PATIENCE)
+        for worker in workers:
+            found = environment(worker)
+            assert found | ONE_THREAD == found
+            assert len(list(Path(f"/proc/{worker}/task").iterdir())) == 2  # the fit, and the watch over the parent
+        assert os.environ["OMP_NUM_THREADS"] == "7"
+        assert "MKL_NUM_THREADS" not in os.environ
+    assert not any(map(alive, workers))
 
 
 def test_closing_early_ends_the_processes(files: list[Path]) -> None:
-    with closing(fit_files(files, QUICK, jobs=2)) as items:
-        next(items)
-        assert active_children()
+    with endless_fits(files) as workers:
+        assert all(map(alive, workers))
     assert active_children() == []
+    assert not any(map(alive, workers))
 
 
 def test_jobs() -> None:
@@ -158,17 +141,11 @@ def test_jobs() -> None:
         next(fit_files([], QUICK, jobs=0))
 
 
-def test_a_process_that_dies_takes_only_its_file(files: list[Path], tmp_path: Path, plastic_file: Path) -> None:
-    killed: list[int] = []
-
-    def kill_once(_: float) -> None:
-        if not killed:
-            (worker,) = active_children()
-            assert worker.pid is not None
-            killed.append(worker.pid)
-            os.kill(worker.pid, signal.SIGKILL)
-
-    with closing(fit_files(files, QUICK, tmp_path / "out", jobs=1, progress=kill_once)) as items:
+def test_a_process_that_dies_takes_only_its_file(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "compute", compute_unless_named_one)
+    with closing(fit_files(files, QUICK, tmp_path / "out", jobs=1)) as items:
         first, *others = items
     assert first.error is not None
     assert first.lost
@@ -177,34 +154,33 @@ def test_a_process_that_dies_takes_only_its_file(files: list[Path], tmp_path: Pa
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["three.json", "two.json"]
 
 
-def test_a_killed_process_is_told_in_one_sentence(command: "subprocess.Popen[str]", files: list[Path]) -> None:
-    victim = children(command.pid)[0]
-    wait_for(lambda: works(victim))
-    os.kill(victim, signal.SIGKILL)
-    wait_for(lambda: victim not in children(command.pid) and len(children(command.pid)) == 2)  # the third file's turn
-    os.killpg(command.pid, signal.SIGINT)
-    out, err = command.communicate(timeout=PATIENCE)
-    assert command.returncode == 130
-    assert out == ""
-    lost, end = err.splitlines()
+def test_a_killed_process_is_told_in_one_sentence(command: "subprocess.Popen[str]") -> None:
+    victims = forked(command.pid)
+    for victim in victims:
+        os.kill(victim, signal.SIGKILL)
+    assert command.stderr is not None
     words = r"The fit's process was ended from outside \(SIGKILL\); run the command again"
-    assert re.match(rf"dsbrdf: .*(one|two)\.binary: {words}", lost)
-    assert end == "dsbrdf: interrupted"
+    for name in ("one", "two"):
+        assert re.match(rf"dsbrdf: .*{name}\.binary: {words}", command.stderr.readline())
+    wait_until(lambda: len({*forked(command.pid)} - {*victims}) == 1, PATIENCE)  # the third file's turn
+    os.killpg(command.pid, signal.SIGINT)
+    assert command.communicate(timeout=PATIENCE) == ("", "dsbrdf: interrupted\n")
+    assert command.returncode == 130
 
 
 @pytest.mark.parametrize("at_once", [True, False], ids=["while they start", "while they fit"])
 def test_an_interrupt_ends_everything_at_once(
     command: "subprocess.Popen[str]", tmp_path: Path, *, at_once: bool
 ) -> None:
-    workers = children(command.pid)
+    workers = forked(command.pid)
     if not at_once:
-        wait_for(lambda: all(works(worker) for worker in workers))
+        wait_until(lambda: all(map(works, workers)), PATIENCE)
     begin = time.monotonic()
     os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C does: all processes of the terminal get it
     out, err = command.communicate(timeout=PATIENCE)
-    assert time.monotonic() - begin < 3.0
+    assert time.monotonic() - begin < SOON
     assert (command.returncode, out, err) == (130, "", "dsbrdf: interrupted\n")
-    assert all(is_gone(worker) for worker in workers)
+    assert not any(map(alive, workers))
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -212,23 +188,22 @@ def test_an_interrupt_ends_everything_at_once(
 def test_no_process_outlives_the_command(
     command: "subprocess.Popen[str]", tmp_path: Path, number: signal.Signals
 ) -> None:
-    workers = children(command.pid)
-    wait_for(lambda: all(works(worker) for worker in workers))
+    workers = forked(command.pid)
+    wait_until(lambda: all(map(works, workers)), PATIENCE)
     command.send_signal(number)
     command.wait(PATIENCE)
-    for worker in workers:
-        wait_for(partial(is_gone, worker))
+    wait_until(lambda: not any(map(alive, workers)), PATIENCE)
     assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_an_interrupted_run_resumes(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--lobes", "3"]
+    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--lobes", "8"]
     command = [sys.executable, "-m", "dsbrdf.cli", *words, "--em-iterations", "200"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    wait_for(lambda: (out / "one.json").exists())
+    wait_until(lambda: (out / "one.json").exists(), PATIENCE)
     os.killpg(process.pid, signal.SIGINT)
     process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
