@@ -1,11 +1,14 @@
 """The real service as a process of its own, and what tests want to know of it."""
 
 import os
+import random
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +16,11 @@ import httpx
 
 from service.client import Client
 
-# Options of a fit that takes no time, and of one that takes a second or more.
+# Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
+# not have to hurry.
 QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
 SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
+ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2, "knots_deg": [*range(81)]}
 
 
 class Server:
@@ -25,7 +30,7 @@ class Server:
         self.data_dir = data_dir
         self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
         self.log = data_dir.parent / f"{data_dir.name}.log"
-        self.http = httpx.Client()
+        self.http = httpx.Client()  # of no use until there is an address
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -37,14 +42,15 @@ class Server:
         """Start the process and return when it is ready."""
         self.connect(self.launch())
         with Client(str(self.http.base_url)) as client:
-            client.wait_until_ready()
+            client.wait_until_ready(60.0)
         return self
 
     def connect(self, begin: int) -> None:
         """Find out where the process listens; it may not be ready."""
         address = self._address(begin)
         self.http.close()
-        self.http = httpx.Client(base_url=address, timeout=60.0)
+        # A connection is not used once more when the service may be about to close it.
+        self.http = httpx.Client(base_url=address, timeout=60.0, limits=httpx.Limits(keepalive_expiry=0.5))
 
     def launch(self) -> int:
         """Start the process, without waiting for anything; return where its log begins."""
@@ -72,7 +78,7 @@ class Server:
     def _address(self, start: int) -> str:
         """Find the address in the log, which says it when the server listens."""
         mark = "Uvicorn running on "
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             text = self.log.read_bytes()[start:].decode()
             if mark in text:
@@ -135,7 +141,16 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 15.0) -> float:
+def free_port() -> int:
+    """Return a port that is free, and that the system gives to nobody by itself, so that it can be taken later."""
+    while True:
+        port = random.SystemRandom().randrange(10_000, 30_000)
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
     """Return how long it took until the condition held."""
     start = time.monotonic()
     while not condition():

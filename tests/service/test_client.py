@@ -9,7 +9,8 @@ import pytest
 
 import dsbrdf
 from service.client import Client, ServiceError
-from tests.service.running import SLOW, Server
+from service.options import from_wire
+from tests.service.running import ENDLESS, Server
 
 pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
@@ -67,8 +68,7 @@ def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, p
 def test_fits_can_be_followed_listed_and_deleted(own_server: Callable[..., Server], plastic_file: Path) -> None:
     server = own_server(workers="1")
     with Client(str(server.http.base_url)) as client:
-        slow = dsbrdf.FitOptions(method="paper", n_lobes=8, robust=True, em_iterations=SLOW["em_iterations"])
-        first = client.submit(plastic_file, slow)
+        first = client.submit(plastic_file, from_wire(ENDLESS))
         second = client.submit(plastic_file, OPTIONS)
         assert not first.ended
         assert [fit.id for fit in client.fits()] == [second.id, first.id]
@@ -87,4 +87,4 @@ def test_a_service_that_is_not_there_is_named() -> None:
         start = time.monotonic()
         with pytest.raises(ServiceError, match=r"127\.0\.0\.1:9 is not ready"):
             client.wait_until_ready(0.3)
-        assert time.monotonic() - start < 3
+        assert time.monotonic() - start < 10  # of the 30 s that it waits by itself

@@ -3,8 +3,10 @@
 import re
 import shutil
 import socket
+import ssl
 import subprocess
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -18,7 +20,7 @@ import pytest
 from service.points import NPY
 from service.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
-from tests.service.running import SLOW, Server, wait_until
+from tests.service.running import ENDLESS, Server, free_port, wait_until
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"
 BINARY = {"Content-Type": "application/octet-stream"}
@@ -72,13 +74,6 @@ class Proxy:
         self.http.close()
         self.process.terminate()
         self.process.wait(timeout=20)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port: int = free.getsockname()[1]
-        return port
 
 
 def address_of(server: Server) -> str:
@@ -215,13 +210,58 @@ def test_events_pass_as_they_come(
     server = own_server()
     proxy = own_proxy(address_of(server))
     sha256 = proxy.http.post("/v1/measurements", content=data, headers=BINARY).json()["sha256"]
-    fit_id = server.submit(sha256, "respond-async", **SLOW).json()["id"]
+    fit_id = server.submit(sha256, "respond-async", **ENDLESS).json()["id"]
     with proxy.http.stream("GET", f"/v1/fits/{fit_id}/events") as events:
         assert events.headers["content-type"].startswith("text/event-stream")
         first = next(line for line in events.iter_lines() if line.startswith("event:"))
         assert first.removeprefix("event:").strip() in ("accepted", "running")
         assert server.status(fit_id) in ("accepted", "running")
     server.http.delete(f"/v1/fits/{fit_id}")
+
+
+def test_a_long_answer_to_a_slow_client_is_not_written_to_the_memory_of_the_container(
+    server: Server, own_proxy: Callable[..., Proxy], fitted: str
+) -> None:
+    """Its /tmp is 64 MB of memory; two tables of 35 MB there would break off both answers."""
+    proxy = own_proxy(address_of(server))
+    with proxy.http.stream("GET", f"/v1/fits/{fitted}/export?format=merl") as answer:
+        parts = answer.iter_raw(1 << 16)
+        received = len(next(parts))
+        time.sleep(0.5)  # the service could have sent all of it by now
+        received += sum(map(len, parts))
+    assert received == 34_992_012
+    assert "temporary file" not in proxy.errors.read_text()
+
+
+def test_nginx_speaks_tls_when_it_is_given_a_certificate(
+    server: Server, own_proxy: Callable[..., Proxy], tmp_path: Path, data: bytes
+) -> None:
+    port, folder = free_port(), tmp_path / "tls"
+    folder.mkdir()
+    certificate, key = folder / "fullchain.pem", folder / "key.pem"
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
+    names = ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
+    subprocess.run([*make, *names, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    text = (CONFIGURATION.parent / "tls" / "tls.conf").read_text()
+    text = text.replace("listen 8443", f"listen 127.0.0.1:{port}").replace("/etc/nginx/tls", str(folder))
+    (folder / "tls.conf").write_text(text)
+    own_proxy(address_of(server), **{"/etc/nginx/tls/*.conf": f"{folder}/*.conf"})
+    trusted = ssl.create_default_context(cafile=certificate)
+    with httpx.Client(base_url=f"https://127.0.0.1:{port}", verify=trusted, timeout=60) as client:
+        answer = client.post("/v1/fits?method=paper&n_lobes=1", content=data, headers=BINARY)
+        assert answer.json()["status"] == "succeeded"
+        assert answer.headers["strict-transport-security"] == "max-age=31536000"
+        with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
+            httpx.get(f"https://127.0.0.1:{port}/health/live", timeout=60)
+    old = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    old.load_verify_locations(certificate)
+    old.set_ciphers("DEFAULT@SECLEVEL=0")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        old.minimum_version = old.maximum_version = ssl.TLSVersion.TLSv1_1
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(f"https://127.0.0.1:{port}/health/live", verify=old, timeout=60)
+    assert_problem(httpx.get(f"http://127.0.0.1:{port}/health/live", timeout=60), "bad-request")
 
 
 def test_the_service_being_away_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:

@@ -13,16 +13,16 @@ from contextlib import contextmanager
 import httpx
 import pytest
 
-from tests.service.running import SLOW, Server, alive, children, wait_until
+from tests.service.running import ENDLESS, Server, alive, children, wait_until
 
 SOON = 10.0  # seconds; what is asked for, on a machine that does much else
 
 
 def start_fits(server: Server, data: bytes, number: int) -> list[str]:
-    """Begin slow fits that all differ; return their ids when the first one is being computed."""
+    """Begin endless fits that all differ; return their ids when the first one is being computed."""
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     fits = [
-        server.submit(sha256, prefer="respond-async", **{**SLOW, "em_iterations": 10_000 - index}).json()["id"]
+        server.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 10_000 - index}).json()["id"]
         for index in range(number)
     ]
     server.until_running(fits[0])
@@ -67,7 +67,7 @@ def test_a_signal_ends_it_soon_and_who_waits_gets_an_answer(own_server: Callable
     helpers = set(children(server.process.pid))
     workers = server.workers()
     following = threading.Barrier(3, timeout=30)
-    document = {"measurement": sha256, "options": {**SLOW, "em_iterations": 9_000}}
+    document = {"measurement": sha256, "options": {**ENDLESS, "em_iterations": 9_000}}
     with ThreadPoolExecutor(8) as threads:
         streams = [threads.submit(follow, server, fit, following) for fit in fits[:2]]
         polls = [threads.submit(httpx.get, f"{url}/v1/fits/{fit}?wait=60", timeout=30) for fit in fits]
