@@ -18,7 +18,8 @@ from service.rows import Caller, FitKey
 from service.settings import Settings
 from service.store import QueueQuotaError, StorageQuotaError
 
-OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/docs", "/openapi.json"))  # they tell nothing of anyone
+_PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
+OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *_PAGE))  # they tell nothing of anyone
 
 _CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()

@@ -1,7 +1,5 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
-import base64
-import hashlib
 import http.client
 import io
 import json
@@ -27,7 +25,7 @@ from service.settings import Settings
 from tests.service.conftest import Guarded, new_key
 from tests.service.running import QUICK, SLOW, Server, assert_problem, wait_until
 
-OPEN = ("/health/live", "/health/ready", "/docs", "/openapi.json")
+OPEN = ("/health/live", "/health/ready", "/docs", "/docs/page.js", "/openapi.json")
 
 
 def command(*words: str) -> "subprocess.CompletedProcess[str]":
@@ -150,6 +148,10 @@ def test_every_route_wants_a_key(guarded: Guarded) -> None:
         "/health/live%2f..%2f..%2fv1%2ffits",
         "/docs/../v1/fits",
         "/docs/oauth2-redirect",
+        "/docs/",
+        "/docs/page.js/",
+        "/docs/page.js/../../v1/fits",
+        "/docs/page.js%2f..%2f..%2fv1%2ffits",
         "/openapi.json/../v1/fits",
         "/%2e%2e/v1/fits",
         "/metrics",
@@ -504,6 +506,7 @@ def test_every_answer_is_protected(guarded: Guarded) -> None:
     answers = {
         "open": http_client.get("/health/live"),
         "documentation": http_client.get("/docs"),
+        "script": http_client.get("/docs/swagger-ui-bundle.js"),
         "without key": http_client.get("/v1/fits"),
         "with key": http_client.get("/v1/fits", headers=guarded.alice),
         "missing": http_client.get("/nothing", headers=guarded.alice),
@@ -524,22 +527,38 @@ def test_every_answer_is_protected(guarded: Guarded) -> None:
         assert ("script-src" in policy) is (name == "documentation")
 
 
-def test_the_page_of_the_documentation_may_run_what_is_in_it_and_nothing_else(guarded: Guarded) -> None:
-    answer = guarded.server.http.get("/docs")
-    policy = dict(part.split(" ", 1) for part in answer.headers["content-security-policy"].split("; "))
-    scripts = re.findall(r"<script([^>]*)>(.*?)</script>", answer.text, re.DOTALL)
-    assert len(scripts) == 2
-    allowed = policy["script-src"].split()
-    for attributes, inline in scripts:
-        address = re.search(r'src="([^"]+)"', attributes)
-        if address is not None:
-            assert address[1] in allowed
-        else:
-            assert "/openapi.json" in inline
-            digest = base64.b64encode(hashlib.sha256(inline.encode()).digest()).decode()
-            assert f"'sha256-{digest}'" in allowed
-    assert len(allowed) == 2
-    assert policy["connect-src"] == "'self'"
+def test_the_page_of_the_documentation_needs_nothing_from_elsewhere(guarded: Guarded) -> None:
+    http_client = guarded.server.http
+    page = http_client.get("/docs")
+    policy = dict(part.split(" ", 1) for part in page.headers["content-security-policy"].split("; "))
+    assert {source for sources in policy.values() for source in sources.split()} == {"'none'", "'self'", "data:"}
+    assert (policy["default-src"], policy["script-src"], policy["style-src"]) == ("'none'", "'self'", "'self'")
+    assert re.findall(r"<script(?! src=)|<style| style=| on[a-z]+=", page.text) == []
+    named = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    script = http_client.get("/docs/page.js").text
+    named += re.findall(r'url: "([^"]+)"', script)
+    named.remove("data:,")
+    types = {}
+    for address in named:
+        assert re.fullmatch(r"[\w./-]+", address)  # relative, and so of this service
+        answer = http_client.get(page.url.join(address))
+        assert answer.status_code == 200
+        types[address] = answer.headers["content-type"].partition(";")[0]
+        known = http_client.get(page.url.join(address), headers={"If-None-Match": answer.headers.get("etag", "")})
+        assert known.status_code == (304 if address.startswith("docs/") else 200)
+    assert types == {
+        "docs/swagger-ui.css": "text/css",
+        "docs/swagger-ui-bundle.js": "text/javascript",
+        "docs/page.js": "text/javascript",
+        "openapi.json": "application/json",
+    }
+    call = re.match(r'(\w+)\(.*dom_id: "#(\w+)"', script)
+    assert call is not None
+    assert f'id="{call[2]}"' in page.text
+    assert call[1] in http_client.get("/docs/swagger-ui-bundle.js").text
+    assert ".swagger-ui" in http_client.get("/docs/swagger-ui.css").text
+    for other in ("redoc.standalone.js", "favicon.png", "..%2fcore.py", ""):
+        assert_problem(http_client.get(f"/docs/{other}", headers=guarded.alice), 404)
 
 
 def test_the_client_sends_its_key_and_tells_what_was_refused(
