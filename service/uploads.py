@@ -2,9 +2,9 @@
 
 import asyncio
 import mmap
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 from anyio import CapacityLimiter, to_thread
 from starlette.requests import ClientDisconnect, Request
@@ -20,6 +20,7 @@ from service.rows import MeasurementRow
 from service.store import StorageQuotaError, Store
 
 P = ParamSpec("P")
+S = TypeVar("S")
 T = TypeVar("T")
 
 _PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
@@ -48,9 +49,9 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
     incoming = await _in_thread(store.blobs.incoming)
     try:
         receiver = _Receiver(incoming, encoding)
-        async for piece in _pieces(request):
-            await _in_thread(receiver.take, piece)
-        sha256, valid_nodes = await _in_thread(receiver.finish)
+        await _take_all(request, receiver)
+        # The disk and the processor have work of their own here, and neither waits for the other.
+        valid_nodes, sha256 = await _both(_in_thread(receiver.check), _in_thread(incoming.close))
         return await _in_thread(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
     except StorageQuotaError as error:
         raise over_quota(error) from None
@@ -96,6 +97,30 @@ async def receive_small(request: Request, limit: int) -> memoryview:
     return body[:size]
 
 
+async def _take_all(request: Request, receiver: "_Receiver") -> None:
+    """Let the receiver take the body, each piece while the next one arrives."""
+    taking: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    taking.set_result(None)
+    try:
+        async for piece in _pieces(request):
+            await taking
+            taking = asyncio.ensure_future(_in_thread(receiver.take, piece))
+            if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
+                await taking
+        await taking
+    finally:
+        await asyncio.gather(taking, return_exceptions=True)
+
+
+async def _both(one: Awaitable[S], other: Awaitable[T]) -> tuple[S, T]:
+    """Return what both return, or raise what one raises, when both have ended."""
+    first, second = await asyncio.gather(one, other, return_exceptions=True)
+    for outcome in (first, second):
+        if isinstance(outcome, BaseException):
+            raise outcome
+    return cast("S", first), cast("T", second)
+
+
 async def _in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     return await to_thread.run_sync(partial(call, *args, **kwargs), limiter=_threads)
 
@@ -120,13 +145,13 @@ class _Receiver:
             raise ProblemError("too-large", detail)
         self._decoder.feed(piece)
 
-    def finish(self) -> tuple[str, int]:
+    def check(self) -> int:
+        """Check all that has been taken; return the number of valid nodes."""
         self._decoder.finish()
         checker = MerlChecker()
         for piece in self._incoming.pieces(4 * _PIECE):
             checker.update(piece)
-        valid_nodes = int(checker.finish().sum())
-        return self._incoming.close(), valid_nodes
+        return int(checker.finish().sum())
 
     def _write(self, data: bytes) -> None:
         if len(self._header) < HEADER_SIZE:
