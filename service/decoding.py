@@ -14,6 +14,7 @@ import zstandard
 from service.problems import ProblemError
 
 PIECE = 1 << 18
+_BLOCK = 1 << 16
 _MOST_MEMBERS = 10_000
 _LARGEST_WINDOW = 1 << 23  # what RFC 9659 asks every decoder of zstd content to support
 _LAST_WORD = b"the end"
@@ -119,14 +120,17 @@ class _Zstd:
         # Typed as a file, of which nothing but write is called.
         target = cast("IO[bytes]", self._target)
         self._writer = decompressor.stream_writer(target, write_size=PIECE, closefd=False)
+        self._waiting = bytearray()
 
     def feed(self, data: bytes) -> None:
-        try:
-            self._writer.write(data)
-        except zstandard.ZstdError:  # whose words depend on the pieces that the body came in
-            raise _damaged("zstd", "it is damaged") from None
+        # zstd is stricter with a frame that it has whole: blocks of a fixed size, so that one body has one verdict.
+        self._waiting += data
+        while len(self._waiting) >= _BLOCK:
+            self._write(bytes(self._waiting[:_BLOCK]))
+            del self._waiting[:_BLOCK]
 
     def finish(self) -> None:
+        self._write(bytes(self._waiting))
         # The writer does not tell whether it is inside a frame; a frame of our own is read only where none is open.
         # It is written byte by byte, because zstd reads a frame in one piece even behind a piece of a header.
         found: list[bytes] = []
@@ -136,6 +140,12 @@ class _Zstd:
                 self._writer.write(_LAST_FRAME[place : place + 1])
         if b"".join(found) != _LAST_WORD:
             raise _damaged("zstd", "it is cut off")
+
+    def _write(self, block: bytes) -> None:
+        try:
+            self._writer.write(block)
+        except zstandard.ZstdError:
+            raise _damaged("zstd", "it is damaged") from None
 
 
 class _Writer:

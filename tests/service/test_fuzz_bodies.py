@@ -96,6 +96,13 @@ def test_what_is_cut_off_is_refused(encoding: str, content: bytes, cut: float, s
         assert answer == whole if not part else "is not valid" in str(answer)
 
 
+def test_a_frame_that_belies_its_length_gets_one_verdict_whatever_the_pieces() -> None:
+    body = bytearray(zstd(b""))
+    body[5] = 1  # the length of the content, which zstd compares only for a frame that it has whole
+    whole = decoded("zstd", bytes(body), len(body))
+    assert {decoded("zstd", bytes(body), step) for step in range(1, len(body))} == {whole}
+
+
 @examples(3)
 @given(
     encoding=encodings,
