@@ -46,17 +46,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
         engine_of(settings)  # what it needs may not be installed
-        Store(settings.data_dir).close()
+        store = Store(settings.data_dir)  # from here on no other server has the folder
     except (DataFolderError, MissingExtraError, OSError) as error:
         return _refuse(str(error))
     logs.configure(settings)
     _give_memory_back()
     _keep_temporary_files_in(settings.data_dir)
-    return _run(settings)
+    return _run(settings, store)
 
 
-def _run(settings: Settings) -> int:
-    app = create_app(settings)
+def _run(settings: Settings, store: Store) -> int:
+    app = create_app(settings, store)
     config = uvicorn.Config(
         app,
         host=settings.host,

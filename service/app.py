@@ -48,7 +48,7 @@ class _Application(FastAPI):
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open what the service works with, and close it in the opposite order."""
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
-    store = await run_in_threadpool(Store, settings.data_dir)
+    store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
         engine = engine_of(settings)
         jobs = Jobs(store, engine, settings, metrics)
@@ -73,8 +73,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         store.close()
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Return the application for `settings`; nothing is opened before it starts."""
+def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
+    """Return the application for `settings`.
+
+    It takes over `store`, which is the one of its data folder; without one, nothing is opened before it starts.
+    """
     app = _Application(
         title="dsbrdf",
         version=dsbrdf.__version__,
@@ -85,7 +88,8 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,  # every resource has one name
         generate_unique_id_function=contract.operation_id,
     )
-    app.state.settings, app.state.metrics, app.state.keys = settings, Metrics(), Keys(settings)
+    app.state.settings, app.state.store = settings, store
+    app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
     for routes in (brdf, fits, lobes, exports, measurements, health, docs):

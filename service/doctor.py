@@ -1,7 +1,6 @@
 """What may be wrong with an installation and a data folder: ``dsbrdf doctor`` looks, and changes nothing."""
 
 import asyncio
-import hashlib
 import json
 import os
 import platform
@@ -34,7 +33,6 @@ from service.settings import Settings
 _EXTRAS = {"service": "uvicorn", "client": "httpx", "plot": "matplotlib", "progress": "tqdm", "dask": "distributed"}
 _ANSWER = 10.0  # seconds that the scheduler may take
 _QUICK = dsbrdf.FitOptions(method="paper", n_lobes=1, em_iterations=3)
-_PIECE = 1 << 20
 _MOMENT = 1.0  # seconds
 
 
@@ -106,7 +104,7 @@ def _database(folder: Path) -> str:
 def _measurements(folder: Path) -> str:
     """Compare every file with its row; what may be coming or going in this moment is looked at again."""
     blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _rows(folder) if (fault := _damage(blobs.path(sha256), sha256))}
+    faults = {sha256: fault for sha256 in _rows(folder) if (fault := blobs.damage(sha256))}
     strays = set(blobs.all()) - _rows(folder)
     if faults or strays:
         time.sleep(_MOMENT)
@@ -116,8 +114,8 @@ def _measurements(folder: Path) -> str:
     if faults:
         sha256, fault = next(iter(faults.items()))
         raise WrongError(
-            f"{len(faults)} of {len(still)} files are damaged or missing, first {sha256} ({fault}): delete that "
-            "measurement and upload it again"
+            f"{len(faults)} of {len(still)} files are damaged or missing, first {sha256} ({fault}): upload that "
+            "measurement again"
         )
     if strays:
         raise WrongError(
@@ -135,17 +133,6 @@ def _connection(folder: Path) -> sqlite3.Connection:
     """Open the database for reading only."""
     uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
     return sqlite3.connect(uri, uri=True, timeout=10.0)
-
-
-def _damage(path: Path, sha256: str) -> str | None:
-    digest = hashlib.sha256()
-    try:
-        with path.open("rb") as file:
-            while piece := file.read(_PIECE):
-                digest.update(piece)
-    except OSError as error:
-        return error.strerror or str(error)
-    return None if digest.hexdigest() == sha256 else "its sha256 is another one"
 
 
 async def _fit(settings: Settings) -> str:

@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
 
 import dsbrdf
-from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
 from service.metrics import Metrics
 from service.options import from_wire, to_wire
 from service.rows import Caller, FitKey, FitRow
@@ -29,9 +29,16 @@ logger = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_DISK_PAUSE = 5.0  # seconds between attempts to write
+_PAUSE = 5.0  # seconds between attempts at what the machine does not allow just now: to write, to start a process
+_LAST_PATIENCE = 1.0  # seconds that a write may wait for others when the service is about to end
+_OF_THE_DISK = (OSError, sqlite3.DatabaseError)
 _LEAST_CHANGE = 0.01  # of progress, that is worth telling
 _LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
+# A fit that runs whenever the service breaks off may be the cause: beyond the first number it waits, ever
+# longer, so that there is a service that can be asked to cancel it; at the second one it is given up.
+_INTERRUPTIONS_FORGIVEN = 8
+_REST = 1.0  # seconds; twice as many with each further interruption
+_INTERRUPTIONS_ALLOWED = 16
 
 
 def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
@@ -77,10 +84,11 @@ class Jobs:
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
         for row in await run_in_threadpool(self._store.resume):
-            self._begin(row.key)
+            self._begin(row.key, row.interruptions)
 
     def let_go(self) -> None:
         """Let everyone who waits for a fit or follows one have its present state: the service is about to end."""
+        self._store.database.patience = _LAST_PATIENCE
         if not self._stopping.done():
             self._stopping.set_result(None)
         for live in self._live.values():
@@ -88,10 +96,15 @@ class Jobs:
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
+        self.let_go()
         tasks = [live.task for live in self._live.values()]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        try:
+            await run_in_threadpool(self._store.hand_over)
+        except _OF_THE_DISK as error:
+            logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
     async def submit(self, caller: Caller, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
         """Accept a fit of a stored measurement, or find the same one.
@@ -155,9 +168,9 @@ class Jobs:
             await asyncio.wait([live.task])
         return row
 
-    def _begin(self, key: FitKey) -> None:
+    def _begin(self, key: FitKey, interruptions: int = 0) -> None:
         previous = self._live.get(key)
-        task = asyncio.create_task(self._live_through(key, previous.task if previous else None))
+        task = asyncio.create_task(self._live_through(key, previous.task if previous else None, interruptions))
         self._live[key] = live = _Live(task)
 
         def forget(_: "asyncio.Task[None]") -> None:
@@ -167,11 +180,17 @@ class Jobs:
 
         task.add_done_callback(forget)
 
-    async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None") -> None:
+    async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
         bind_contextvars(fit=str(key))
         if previous is not None:  # cancelled, and asked for again before its process had ended
             await _to_its_end(asyncio.wait([previous]))
         try:
+            if interruptions >= _INTERRUPTIONS_ALLOWED:
+                reason = f"The service has broken off {interruptions} times while it ran this fit."
+                await _written(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
+                return
+            if interruptions > _INTERRUPTIONS_FORGIVEN:
+                await asyncio.sleep(_REST * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN))
             while not await self._attempt(key):
                 pass
         except Exception:
@@ -181,28 +200,42 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._engine.turn():
+        async with self._engine.turn(key.owner):
             row = await _written(self._store.start_fit, key)
             if row is None:
                 return True
             self._tell(key, 0.0)
             if row.started is not None and row.attempts == 1:
-                self._metrics.took("waiting", row.started - row.created)
-            task = FitTask(str(key), self._store.blobs.path(row.measurement), from_wire(row.options))
+                self._metrics.took("waiting", max(0.0, row.started - row.created))  # clocks are set back, too
             with self._metrics.timing("fitting"):
-                outcome = await self._compute(key, task)
+                outcome = await self._compute(row)
             if isinstance(outcome, Fault) and outcome.origin == "system":
                 await asyncio.sleep(_LOST_PAUSE)
                 if self._stopping.done():  # its process was ended together with this one: the next one runs it
                     return True
             return await _written(self._record, row, outcome)
 
-    async def _compute(self, key: FitKey, task: FitTask) -> Outcome:
-        try:
-            return await self._engine.run(task, lambda share: self._tell(key, share))
-        except Exception as error:
-            logger.exception("the engine broke")
-            return Fault("system", "EngineFailed", f"The engine broke with {type(error).__name__}; the log says why.")
+    async def _compute(self, row: FitRow) -> Outcome:
+        """Run the fit of a row, with a file that is what it should be; wait as long as no process can be started."""
+        while True:
+            damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
+            try:
+                task = FitTask(str(row.key), self._store.blobs.path(row.measurement), from_wire(row.options))
+                outcome = await self._engine.run(task, lambda share: self._tell(row.key, share))
+                found = await damage
+            except OSError as error:
+                outcome, found = Fault("system", NOT_STARTED, f"The fit could not be started: {error}."), None
+            except Exception as error:
+                logger.exception("the engine broke")
+                message = f"The engine broke with {type(error).__name__}; the log says why."
+                return Fault("system", "EngineFailed", message)
+            if found is not None:
+                message = f"The stored measurement is damaged ({found}); upload it again and ask for the fit once more."
+                return Fault("system", "MeasurementDamaged", message)
+            if not (isinstance(outcome, Fault) and outcome.type == NOT_STARTED):
+                return outcome
+            logger.warning("%s Trying again in %g s.", outcome.message, _PAUSE)
+            await asyncio.sleep(_PAUSE)
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
@@ -233,9 +266,9 @@ async def _written(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> 
     while True:
         try:
             return await _to_its_end(run_in_threadpool(write, *args, **kwargs))
-        except (OSError, sqlite3.OperationalError) as error:
-            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _DISK_PAUSE)
-            await asyncio.sleep(_DISK_PAUSE)
+        except _OF_THE_DISK as error:
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _PAUSE)
+            await asyncio.sleep(_PAUSE)
 
 
 async def _to_its_end(work: Coroutine[Any, Any, T]) -> T:

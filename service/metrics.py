@@ -4,6 +4,8 @@ Labels take few values: a path counts under its route's template, every path wit
 nothing is counted by owner, fit or measurement.
 """
 
+import logging
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
@@ -22,6 +24,8 @@ MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 NO_ROUTE = "unknown"
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 _SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+
+logger = logging.getLogger(__name__)
 
 
 class Metrics:
@@ -107,12 +111,16 @@ class _Stored(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the gauges."""
         states = GaugeMetricFamily("dsbrdf_fits", "Fits by state; the accepted ones are the queue.", labels=("state",))
-        numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
+        try:
+            numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+            ((stored_bytes,),) = self._database.rows(files)
+        except sqlite3.Error as error:  # what has been counted is wanted all the more
+            logger.warning("the metrics are without those of the database: %s", error)
+            return
         for state in get_args(Status):
             states.add_metric((state,), numbers.get(state, 0))
         yield states
-        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
-        ((stored_bytes,),) = self._database.rows(files)
         yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=stored_bytes)
 
     def describe(self) -> Iterator[Metric]:

@@ -95,6 +95,10 @@ STEPS = (
         queued_fits INTEGER
     ) STRICT;
     """,
+    # How often the service has broken off while a fit ran: no fault of the fit, unless it happens again and again.
+    """
+    ALTER TABLE fits ADD COLUMN interruptions INTEGER NOT NULL DEFAULT 0;
+    """,
 )
 
 

@@ -95,7 +95,7 @@ def install(app: FastAPI) -> None:
         InvalidArgumentError,
         FitError,
         OSError,
-        sqlite3.OperationalError,
+        sqlite3.DatabaseError,
     ):
         app.add_exception_handler(expected, _on_exception)
 
@@ -113,6 +113,10 @@ async def _on_exception(request: Request, error: Exception) -> Response:
     if is_disk_full(error):
         detail = "The service has no disk space left for this request; try again when space has been freed."
         return response("disk-full", detail, path, {"Retry-After": "30"})
+    if isinstance(error, (OSError, sqlite3.DatabaseError)):
+        logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
+        detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
+        return response("not-ready", detail, path, {"Retry-After": "10"})
     logger.error("%s %s failed", request.method, path, exc_info=error)
     return response("internal", "The service failed at this request; its log says why.", path)
 

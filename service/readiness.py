@@ -1,6 +1,7 @@
 """Whether the service can take work: each part is asked, within a time limit, and at most once a second."""
 
 import asyncio
+import logging
 import shutil
 import sqlite3
 import time
@@ -18,6 +19,8 @@ LIMIT = 3.0  # seconds that a part may take to answer
 _FRESH = 1.0  # seconds that its answer is believed, so that asking costs the service nothing
 
 T = TypeVar("T")
+
+logger = logging.getLogger(__name__)
 
 
 class Readiness:
@@ -73,7 +76,10 @@ class _Part:
         try:
             await self._check()
         except (OSError, sqlite3.Error, RuntimeError) as error:
-            return f"{self._name} is not ready: {str(error).rstrip('.')}."
+            # Whoever asks is told what is wrong, the log also where.
+            logger.warning("%s is not ready: %s", self._name, error)
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            return f"{self._name} is not ready: {reason.rstrip('.')}."
         return None
 
 

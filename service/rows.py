@@ -57,10 +57,14 @@ class MeasurementRow:
 
 @dataclass(frozen=True)
 class FitRow:
-    """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner."""
+    """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner.
+
+    `attempts` counts the processes that were begun for it, without those that ended because the service did;
+    `interruptions` those that ran when the service broke off.
+    """
 
     COLUMNS: ClassVar[str] = (
-        "owner, seq, id, measurement, status, attempts, created, started, finished,"
+        "owner, seq, id, measurement, status, attempts, interruptions, created, started, finished,"
         " options, algorithm, library, metrics, error"
     )
 
@@ -70,6 +74,7 @@ class FitRow:
     measurement: str
     status: Status
     attempts: int
+    interruptions: int
     created: float
     started: float | None
     finished: float | None

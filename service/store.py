@@ -13,12 +13,14 @@ from typing import Any, TypeVar
 
 from service.blobs import Blobs, Incoming
 from service.database import Database
+from service.migrations import DataFolderError
 from service.rows import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
 
 _SELECT_FIT = f"SELECT {FitRow.COLUMNS} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {MeasurementRow.COLUMNS} FROM measurements"  # noqa: S608
+_SET_BACK = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
 _THE_FIT = "WHERE owner = ? AND id = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 _INSERT_FIT = (
@@ -64,15 +66,22 @@ class Store:
     Raises
     ------
     DataFolderError
-        If another server has the folder open, or a newer release has written it.
+        If another server has the folder open, a newer release has written it, or the database is damaged.
     """
 
     def __init__(self, folder: Path, *, beside: bool = False) -> None:
         self.folder = folder
         self.database = Database(folder, beside=beside)
         self.blobs = Blobs(folder)
-        if not beside:
-            self._drop_strays()
+        try:
+            if not beside:
+                self._drop_strays()
+        except sqlite3.DatabaseError as error:
+            self.close()
+            raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Release the folder."""
@@ -91,18 +100,15 @@ class Store:
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
-            if known is not None:
-                if self.blobs.path(sha256).exists():
-                    incoming.discard()
-                else:  # its removal could not be committed
-                    self.blobs.place(incoming, sha256)
-                return MeasurementRow.of(known), False
-            _check_storage(db, caller, incoming.size)
-            values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
-            (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
-            # Placed even if another owner has the same bytes: how long it takes does not tell.
+            row = known
+            if row is None:
+                _check_storage(db, caller, incoming.size)
+                values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
+                (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
+            # Placed even if the same bytes are there: they may have been damaged or lost since, and how long it takes
+            # does not tell whether another owner has them.
             self.blobs.place(incoming, sha256)
-        return MeasurementRow.of(row), True
+        return MeasurementRow.of(row), known is None
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
@@ -234,15 +240,25 @@ class Store:
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
-    def resume(self) -> list[FitRow]:
-        """Set what an earlier process left running back to accepted; return all that wait, oldest first."""
+    def hand_over(self) -> None:
+        """Set what runs back to accepted: this process is about to end, and the next one runs it."""
         with self.database.transaction() as db:
-            db.execute("UPDATE fits SET status = 'accepted', started = NULL WHERE status = 'running'")
-            rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY rowid")
+            db.execute(f"{_SET_BACK} WHERE status = 'running'")
+
+    def resume(self) -> list[FitRow]:
+        """Set what an earlier process left running back to accepted: it broke off. Return all that wait.
+
+        The oldest come first, but those before that were interrupted less often: one of the others may be the cause.
+        """
+        with self.database.transaction() as db:
+            db.execute(f"{_SET_BACK}, interruptions = interruptions + 1 WHERE status = 'running'")
+            rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY interruptions, rowid")
             return [FitRow.of(row) for row in rows]
 
     def check(self) -> None:
-        """Raise sqlite3.Error unless rows can be written."""
+        """Raise sqlite3.Error or OSError unless rows can be read and written."""
+        for table in ("fits", "measurements"):
+            self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
         with self.database.transaction() as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
             db.execute(f"PRAGMA user_version = {version}")  # the same again is a write all the same

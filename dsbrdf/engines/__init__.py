@@ -18,6 +18,9 @@ from dsbrdf.options import FitOptions
 
 Origin = Literal["input", "compute", "system"]
 
+NOT_STARTED = "ProcessNotStarted"
+"""The type of the fault of a machine that cannot start a process just now; the fit itself has not been tried."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -102,10 +105,10 @@ class Engine(Protocol):
         """Get ready to run fits; an engine whose machines are away goes on looking for them by itself."""
         ...
 
-    def turn(self) -> AbstractAsyncContextManager[object]:
-        """Wait until a fit may be begun, first come, first served: as many are in flight as the engine has room for.
+    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
+        """Wait until a fit may be begun: as many are in flight as the engine has room for. `run` belongs inside.
 
-        `run` belongs inside.
+        First come, first served among the fits of one owner; owners take turns.
         """
         ...
 

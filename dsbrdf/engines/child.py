@@ -17,7 +17,7 @@ from contextlib import ExitStack, contextmanager
 from multiprocessing import connection, parent_process, resource_tracker
 from typing import Any
 
-from dsbrdf.engines import Fault, Limits
+from dsbrdf.engines import NOT_STARTED, Fault, Limits
 from dsbrdf.engines.compute import outcome_of
 
 try:
@@ -104,7 +104,7 @@ class Child:
                     self._process.start()
             except (OSError, EOFError) as error:
                 logger.exception("the process of a fit could not be started")
-                return Fault("system", "ProcessLost", f"The fit's process could not be started: {error}.")
+                return Fault("system", NOT_STARTED, f"The fit's process could not be started: {error}.")
             try:
                 if self._stopped:
                     self._process.kill()

@@ -66,9 +66,9 @@ class DaskEngine:
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self._keeping = asyncio.create_task(self._cluster.keep())
 
-    def turn(self) -> AbstractAsyncContextManager[object]:
+    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
         """Wait until the cluster has a thread for one more fit, or one may be prepared meanwhile."""
-        return self._turns.one()
+        return self._turns.one(whose)
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         """Compute `task`; a worker on which a cancelled call has begun frees its processor within a moment."""

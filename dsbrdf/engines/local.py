@@ -74,9 +74,9 @@ class LocalEngine:
         """Start what children are forked from."""
         await asyncio.to_thread(start_fork_server)
 
-    def turn(self) -> AbstractAsyncContextManager[object]:
+    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
         """Wait for one of the workers."""
-        return self._turns.one()
+        return self._turns.one(whose)
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         """Compute `task` in a new process; a cancelled call returns when the process is gone."""

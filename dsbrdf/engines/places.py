@@ -7,7 +7,10 @@ from contextlib import asynccontextmanager
 
 
 class Places:
-    """Places with a capacity each, which may change at any time; who comes first is served first.
+    """Places with a capacity each, which may change at any time.
+
+    Those who wait for somebody are served in turns with those who wait for somebody else, and who of them comes first
+    is served first.
 
     All calls belong into one event loop.
 
@@ -20,7 +23,7 @@ class Places:
     def __init__(self, capacity: Mapping[str, int] | None = None) -> None:
         self._capacity = dict(capacity or {})
         self._taken: Counter[str] = Counter()
-        self._waiting: deque[asyncio.Future[str]] = deque()
+        self._waiting: dict[str, deque[asyncio.Future[str]]] = {}  # in the order of their turns
 
     def resize(self, capacity: Mapping[str, int]) -> None:
         """Change places and capacities; who holds a place that is gone keeps the hold until it ends."""
@@ -28,10 +31,10 @@ class Places:
         self._serve()
 
     @asynccontextmanager
-    async def one(self) -> AsyncIterator[str]:
-        """Wait for a place and hold it during the block; the emptiest is taken."""
+    async def one(self, whose: str = "") -> AsyncIterator[str]:
+        """Wait for a place on behalf of somebody and hold it during the block; the emptiest is taken."""
         turn: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._waiting.append(turn)
+        self._waiting.setdefault(whose, deque()).append(turn)
         self._serve()
         try:
             place = await turn
@@ -52,12 +55,16 @@ class Places:
 
     def _serve(self) -> None:
         while self._waiting:
-            if self._waiting[0].done():  # cancelled while it waited
-                self._waiting.popleft()
-                continue
-            free = {place: count - self._taken[place] for place, count in self._capacity.items()}
-            place = max(free, key=free.__getitem__, default=None)
-            if place is None or free[place] <= 0:
-                return
-            self._taken[place] += 1
-            self._waiting.popleft().set_result(place)
+            whose, waiting = next(iter(self._waiting.items()))
+            if waiting and waiting[0].done():  # cancelled while it waited
+                waiting.popleft()
+            elif not waiting:
+                del self._waiting[whose]
+            else:
+                free = {place: count - self._taken[place] for place, count in self._capacity.items()}
+                place = max(free, key=free.__getitem__, default=None)
+                if place is None or free[place] <= 0:
+                    return
+                self._taken[place] += 1
+                waiting.popleft().set_result(place)
+                self._waiting[whose] = self._waiting.pop(whose)  # behind the others

@@ -1,6 +1,7 @@
 """Requests that meet in the middle of each other: what each is told stays true, and nothing is computed twice."""
 
 import asyncio
+import errno
 import sqlite3
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -11,7 +12,8 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines import FitTask, Fitted, Outcome
+from dsbrdf.engines import NOT_STARTED, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines.places import Places
 from service import jobs as jobs_module
 from service.jobs import Jobs
 from service.metrics import Metrics
@@ -31,12 +33,16 @@ class Engine:
         self.at_once = 0
         self.go_on = asyncio.Event()
         self.outcomes: list[Outcome | Exception] = []
+        self.turns = Places({"here": 1})
+        self.begun: list[str] = []
 
     @asynccontextmanager
-    async def turn(self) -> AsyncIterator[None]:
-        yield
+    async def turn(self, whose: str = "") -> AsyncIterator[None]:
+        async with self.turns.one(whose):
+            yield
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
+        self.begun.append(task.fit_id)
         self.runs += 1
         self.at_once += 1
         number = self.runs
@@ -72,14 +78,27 @@ class Race:
     def __init__(self, folder: Path) -> None:
         self.store = Store(folder)
         self.engine = Engine()
-        self.jobs = Jobs(self.store, self.engine, Settings(data_dir=folder), Metrics())
-        incoming = self.store.blobs.incoming()
-        self.measurement = incoming.close()
-        self.store.add_measurement(LOCAL, incoming, self.measurement, 1)
+        self.settings = Settings(data_dir=folder)
+        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
         self.loop = asyncio.get_running_loop()
+        self.measurement = self.upload(LOCAL)
 
-    async def submit(self) -> FitKey:
-        row, _ = await self.jobs.submit(LOCAL, self.measurement, OPTIONS)
+    def upload(self, caller: Caller) -> str:
+        incoming = self.store.blobs.incoming()
+        sha256 = incoming.close()
+        self.store.add_measurement(caller, incoming, sha256, 1)
+        return sha256
+
+    async def break_off(self) -> None:
+        """Leave the rows as a process does that is killed; another one is to start."""
+        tasks = [live.task for live in self.jobs._live.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
+
+    async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
+        row, _ = await self.jobs.submit(caller, self.measurement, options)
         return row.key
 
     async def until_run(self, number: int) -> None:
@@ -208,7 +227,7 @@ def test_a_cancelled_fit_is_asked_for_twice_at_once(tmp_path: Path) -> None:
 def test_a_result_waits_for_a_disk_that_does_not_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    monkeypatch.setattr(jobs_module, "_DISK_PAUSE", 0.01)
+    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
 
     async def story(place: Race) -> None:
         complete = place.store.complete_fit
@@ -236,5 +255,89 @@ def test_an_engine_that_breaks_is_a_fault_of_the_system(tmp_path: Path) -> None:
         row = await place.end(await place.submit())
         assert row.error is not None
         assert (row.error["origin"], row.error["type"]) == ("system", "EngineFailed")
+
+    race(tmp_path, story)
+
+
+def test_a_machine_that_cannot_start_processes_fails_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
+
+    async def story(place: Race) -> None:
+        not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
+        too_many = OSError(errno.EMFILE, "Too many open files")
+        place.engine.outcomes += [not_started, too_many, not_started, Fitted("document", {})]
+        row = await place.end(await place.submit())
+        assert (row.status, row.attempts) == ("succeeded", 1)
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"other bytes")])
+def test_a_file_that_has_been_damaged_gives_no_result(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
+    async def story(place: Race) -> None:
+        harm(place.store.blobs.path(place.measurement))
+        row = await place.end(await place.submit())
+        assert row.error is not None
+        assert (row.error["origin"], row.error["type"]) == ("system", "MeasurementDamaged")
+        place.upload(LOCAL)
+        assert (await place.end(await place.submit())).status == "succeeded"
+
+    race(tmp_path, story)
+
+
+def test_owners_take_turns(tmp_path: Path) -> None:
+    async def story(place: Race) -> None:
+        callers = [Caller("many"), Caller("one"), Caller("two")]
+        for caller in callers:
+            place.upload(caller)
+        of_many = [await place.submit(callers[0], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 5)]
+        of_one = [await place.submit(callers[1])]
+        of_two = [await place.submit(callers[2], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 2)]
+        for key in (*of_many, *of_one, *of_two):
+            await place.end(key)
+        order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]
+        assert place.engine.begun == [str(key) for key in order]
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("broken_off", [True, False])
+def test_an_end_of_the_service_is_no_attempt(tmp_path: Path, broken_off: bool) -> None:
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        if not broken_off:
+            await place.jobs.close()
+        (row,) = place.store.resume()  # as the next process does
+        assert (row.key, row.status, row.started) == (key, "accepted", None)
+        assert (row.attempts, row.interruptions) == (0, int(broken_off))
+
+    race(tmp_path, story)
+
+
+def test_a_fit_that_always_ends_the_service_is_given_up_at_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
+    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
+    monkeypatch.setattr(jobs_module, "_REST", 0.1)
+
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        waited = []
+        for interruptions in (1, 2, 3):
+            await place.break_off()
+            begin = place.loop.time()
+            await place.jobs.start()
+            await place.until_run(interruptions + 1)
+            waited.append(place.loop.time() - begin)
+        assert waited[2] >= 0.2  # there is a service that can be asked to cancel it
+        await place.break_off()
+        await place.jobs.start()
+        row = await place.end(key)
+        assert row.error is not None
+        assert (row.error["origin"], row.error["type"]) == ("system", "ServiceInterrupted")
+        assert place.engine.runs == 4
 
     race(tmp_path, story)
