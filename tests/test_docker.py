@@ -16,7 +16,9 @@ from service.settings import Settings
 
 ROOT = Path(__file__).parents[1]
 DOCKER = ROOT / "docker"
-COMPOSE = sorted(DOCKER.glob("compose*.yaml"))
+COMPOSE = [DOCKER / "compose.yaml", DOCKER / "compose.cluster.yaml"]
+TLS = DOCKER / "compose.tls.yaml"
+FOR_OLDER_PYTHON = {"importlib-metadata", "lazy-importer", "zipp"}
 DOCKERFILE = (DOCKER / "Dockerfile").read_text()
 
 
@@ -69,7 +71,7 @@ def test_the_dockerfile_passes_its_linter() -> None:
 
 
 def test_the_compose_files_pass_their_linter() -> None:
-    run(tool("compose-lint"), *COMPOSE)
+    run(tool("compose-lint"), "--fail-on", "low", "--strict-config", "--config", DOCKER / ".compose-lint.yml", *COMPOSE)
 
 
 def test_the_configuration_of_nginx_is_valid(tmp_path: Path) -> None:
@@ -117,8 +119,7 @@ def test_the_image_holds_what_the_service_needs_of_the_lock_and_nothing_else() -
     here = needs(*purposes[1].split())
     wanted = required("dsbrdf", extras) - {"dsbrdf"}
     assert wanted - here == set()
-    elsewhere = {"importlib-metadata", "zipp"}  # for other versions of Python
-    assert here - wanted - elsewhere == set()
+    assert here - wanted - FOR_OLDER_PYTHON == set()
 
 
 def test_needs_prints_entries_of_the_lock_unchanged() -> None:
@@ -158,6 +159,7 @@ def test_every_container_is_bounded_and_cannot_change_itself(path: Path) -> None
         assert service["security_opt"] == ["no-new-privileges:true"]
         assert service["mem_limit"]
         assert service["pids_limit"]
+        assert service["stop_grace_period"] == "15s"  # the service takes 10 s at most, the proxy 8 s
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
         build = service.get("build")
         if build is None:
@@ -180,11 +182,31 @@ def test_only_nginx_is_reached_from_outside_and_only_the_service_reaches_the_clu
     }
     assert document["networks"] == {"outside": None, "front": {"internal": True}, "cluster": {"internal": True}}
     assert found["service"]["environment"]["DSBRDF_REQUIRE_KEYS"] == "true"
+    for name in ("scheduler", "worker"):
+        words = [*found[name]["entrypoint"], *found[name]["command"]]
+        assert "--no-dashboard" in words
+        assert words[words.index("--dashboard-address") + 1].startswith("127.0.0.1:")
+
+
+def test_the_fits_of_a_container_fit_into_its_memory() -> None:
+    for path in COMPOSE:
+        service = services(path)["service"]
+        settings = service["environment"]
+        fits = int(re.sub(r"\$\{\w+:-(.*)\}", r"\1", str(settings["DSBRDF_WORKERS"])))
+        assert service["mem_limit"] == "4g"
+        assert (fits + 1) * int(settings["DSBRDF_FIT_MEMORY_MB"]) <= 4096
+
+
+def test_tls_adds_a_port_and_the_folder_of_its_files_to_nginx() -> None:
+    assert services(TLS) == {"proxy": {"ports": ["8443:8443"], "volumes": ["./tls:/etc/nginx/tls:ro"]}}
+    assert (DOCKER / "tls" / "tls.conf").is_file()
+    assert "include /etc/nginx/tls/*.conf;" in (DOCKER / "nginx.conf").read_text()
+    assert run("git", "check-ignore", "--no-index", "docker/tls/key.pem", "docker/tls/fullchain.pem").count("\n") == 2
 
 
 def test_the_commands_of_the_readme_name_what_exists() -> None:
     text = (DOCKER / "README.md").read_text()
     named = set(re.findall(r"--file (\S+)", text))
-    assert named == {path.relative_to(ROOT).as_posix() for path in COMPOSE}
+    assert named == {path.relative_to(ROOT).as_posix() for path in (*COMPOSE, TLS)}
     for path in re.findall(r"`((?:tests|service|docker)/\S+?)`", text):
         assert (ROOT / path).exists(), path
