@@ -23,7 +23,7 @@ from dsbrdf.export import FORMATS, export_model
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.files import write_atomically
 from dsbrdf.fit import FitReport
-from dsbrdf.flags import add_fit_flags, fit_options
+from dsbrdf.flags import add_fit_flags, fit_options, whole_number
 from dsbrdf.measurement import CHANNELS
 from dsbrdf.model import DSBRDF
 from dsbrdf.point_flags import add_point_flags, given_points, join_directions
@@ -247,7 +247,7 @@ def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
     fit.set_defaults(run=_fit)
     fit.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a MERL .binary file, or a folder of them")
     fit.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
-    fit.add_argument("--jobs", type=int, metavar="N", help="fits that run at once (default: one for each CPU)")
+    fit.add_argument("--jobs", type=whole_number, metavar="N", help="fits that run at once (default: one for each CPU)")
     fit.add_argument(
         "--scheduler", metavar="ADDRESS", help="fit on the Dask cluster of this scheduler (tcp://host:8786)"
     )
@@ -281,10 +281,11 @@ def _add_serve_and_demo(commands: "argparse._SubParsersAction[_Parser]") -> None
     serve = commands.add_parser("serve", help="run the HTTP service")
     serve.set_defaults(run=_serve)
     serve.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
-    serve.add_argument("--port", type=int, help="port to listen on (default: 8000)")
-    serve.add_argument("--data-dir", type=Path, metavar="DIR", help="folder of the database and the measurements")
-
-    serve.add_argument("--workers", type=int, metavar="N", help="fits that run at once (default: one for each core)")
+    serve.add_argument("--port", type=whole_number, metavar="N", help="port to listen on (default: 8000)")
+    serve.add_argument(
+        "--data-dir", metavar="DIR", help="folder of the database and the measurements (default: dsbrdf-data)"
+    )
+    serve.add_argument("--workers", type=whole_number, metavar="N", help="fits at once (default: one for each core)")
     serve.add_argument("--insecure", action="store_true", help="allow an address other than loopback without API keys")
 
     demo = commands.add_parser("demo", help="start the service, fit a generated measurement, leave a picture")

@@ -26,6 +26,5 @@ def require(extra: str, *modules: str, purpose: str) -> None:
     """
     missing = [module for module in modules if find_spec(module) is None]
     if missing:
-        raise MissingExtraError(
-            f"{purpose} need {' and '.join(missing)}, which is not installed: pip install 'dsbrdf[{extra}]'"
-        )
+        names = " and ".join(missing)
+        raise MissingExtraError(f"{purpose} cannot do without {names}, not installed: pip install 'dsbrdf[{extra}]'")

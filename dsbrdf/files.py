@@ -28,7 +28,11 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
         If the folder does not exist or cannot be written to, or the disk is full.
     """
     target = Path(path)
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
+    except OSError as error:
+        error.filename = str(target)  # what was asked for
+        raise
     try:
         with os.fdopen(descriptor, "wb") as file:
             for part in parts:

@@ -1,6 +1,7 @@
 """The fields of `FitOptions` as command line flags: names, kinds and help all come from the dataclass."""
 
 import argparse
+import inspect
 import re
 from collections.abc import Callable
 from dataclasses import Field, fields
@@ -13,6 +14,8 @@ from dsbrdf.fit import FitOptions
 
 ANGLES = frozenset({"horizon_cutoff", "knots"})
 """Fields in radians; on the command line they are in degrees."""
+
+_NUMBERS = {int: ("N",), float: ("N",), tuple: ("N,N,...",)}
 
 
 def add_fit_flags(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +42,8 @@ def _add_flag(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text
     name = "lobes" if field.name == "n_lobes" else field.name.replace("_", "-")
     in_degrees = field.name in ANGLES
     help_text = f"{text} (default: {_shown(field.default, in_degrees=in_degrees)})"
-    help_text = help_text.replace("[rad]", "[degrees]").replace("`", "").replace("%", "%%")
+    for written, typed in (("[rad]", "[degrees]"), ("`", ""), ("None", "none"), ("%", "%%")):
+        help_text = help_text.replace(written, typed)
     if hint is bool:
         group.add_argument(
             f"--{name}",
@@ -55,7 +59,7 @@ def _add_flag(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text
         dest=field.name,
         type=_converter(kinds, in_degrees=in_degrees),
         default=argparse.SUPPRESS,
-        metavar="|".join([*_words(kinds), *([] if _number(kinds) is None else ["N"])]),
+        metavar="|".join([*_words(kinds), *_NUMBERS.get(_number(kinds), ())]),
         help=help_text,
     )
 
@@ -109,7 +113,12 @@ def _converter(kinds: tuple[Any, ...], *, in_degrees: bool) -> Callable[[str], A
     return convert
 
 
+whole_number = _converter((int,), in_degrees=False)
+"""The text of a flag as an int."""
+
+
 def _field_texts() -> dict[str, str]:
     """What the docstring of `FitOptions` says about each field."""
-    entries = re.findall(r"^    (\w+) : .*\n((?:        .+\n)+)", FitOptions.__doc__ or "", flags=re.MULTILINE)
+    text = inspect.getdoc(FitOptions) or ""  # of the same indentation in every version of Python
+    entries = re.findall(r"^(\w+) : .*\n((?:    .+(?:\n|$))+)", text, flags=re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}

@@ -26,6 +26,6 @@ def add_service_commands(commands: "argparse._SubParsersAction[Any]") -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     module, needed, _ = _COMMANDS[arguments.command]
-    require("service", *needed, purpose=f"the commands dsbrdf {arguments.command}")
+    require("service", *needed, purpose=f"dsbrdf {arguments.command}")
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-m", module, *arguments.words])  # noqa: S606 (takes our place)

@@ -3,9 +3,11 @@
 import argparse
 import json
 import math
+import re
 import sqlite3
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -95,17 +97,17 @@ def _name(text: str) -> str:
 
 
 def _rate(text: str) -> float:
-    rate = float(text)
-    if not (math.isfinite(rate) and rate >= 0.001):
-        raise argparse.ArgumentTypeError(f"{text} is not a rate; 0.001 or more is")
-    return rate
+    with suppress(ValueError):
+        rate = float(text)
+        if math.isfinite(rate) and rate >= 0.001:
+            return rate
+    raise argparse.ArgumentTypeError(f"{text} is not a rate; 0.001 or more is")
 
 
 def _count(text: str) -> int:
-    count = int(text)
-    if not 0 <= count < 1 << 40:
-        raise argparse.ArgumentTypeError(f"{text} is not a bound; 0 or more is")
-    return count
+    if re.fullmatch("[0-9]{1,12}", text) is None:
+        raise argparse.ArgumentTypeError(f"{text} is not a bound; a whole number from 0 is")
+    return int(text)
 
 
 def _parser() -> Parser:

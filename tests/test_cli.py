@@ -1,6 +1,7 @@
 """The command ``dsbrdf``: what it prints, what it writes, and how it ends."""
 
 import errno
+import inspect
 import json
 import os
 import shutil
@@ -285,6 +286,14 @@ def test_every_angle_among_the_options_is_known_as_one() -> None:
     assert angles == flags.ANGLES & names
 
 
+def test_the_help_does_not_depend_on_how_this_python_keeps_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python 3.13 takes the indentation off."""
+    texts = flags._field_texts()
+    assert set(texts) == {field.name for field in fields(dsbrdf.FitOptions)}
+    monkeypatch.setattr(dsbrdf.FitOptions, "__doc__", inspect.cleandoc(dsbrdf.FitOptions.__doc__ or ""))
+    assert flags._field_texts() == texts
+
+
 def test_flags_reach_the_options() -> None:
     words = ["--lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
     asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff=float(np.radians(75)))
@@ -304,7 +313,7 @@ def test_flags_reach_the_options() -> None:
         (["--horizon-cutoff", "nan"], "cutoff must lie above 0"),
         (["--mask", "1,2"], "--mask: must be none or a number, not '1,2'"),
         (["--jobs", "0"], "the number of fits that run at once, must be at least 1, not 0"),
-        (["--jobs", "many"], "--jobs: invalid int value: 'many'"),
+        (["--jobs", "many"], "--jobs: must be a whole number, not 'many'"),
         (["--no-such-flag"], "unrecognized arguments: --no-such-flag"),
     ],
 )
@@ -430,6 +439,14 @@ def test_what_is_no_model_gets_one_sentence(content: bytes, suffix: str, tmp_pat
 def test_a_missing_model_gets_one_sentence(tmp_path: Path, capsys: Capture) -> None:
     assert cli.main(["decompose", str(tmp_path / "none.json")]) == 2
     assert sentence(capsys) == f"dsbrdf: {tmp_path / 'none.json'}: No such file or directory\n"
+
+
+def test_a_folder_that_is_not_there_is_told_by_the_name_that_was_given(
+    model_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "nowhere" / "model.npz"
+    assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(output)]) == 2
+    assert sentence(capsys) == f"dsbrdf: {output}: No such file or directory\n"
 
 
 # serve, demo, and the command itself

@@ -121,7 +121,9 @@ def test_an_unknown_channel_is_refused(fitted: Fitted) -> None:
 
 def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
-    with pytest.raises(extras.MissingExtraError, match=r"figures need matplotlib.*pip install 'dsbrdf\[plot\]'"):
+    with pytest.raises(
+        extras.MissingExtraError, match=r"figures cannot do without matplotlib.*pip install 'dsbrdf\[plot\]'"
+    ):
         profiles_figure(*fitted)
 
 
