@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tests.service.running import SLOW, Server, assert_problem, wait_until
+from tests.service.running import ENDLESS, Server, assert_problem, wait_until
 
 SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
 KEY = f"dsbrdf_0123456789ab_{SECRET}"
@@ -193,10 +193,8 @@ def test_strange_requests_do_not_make_labels(watched: Server) -> None:
 
 def test_work_is_counted_and_timed(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", fit_attempts="2")
-    params = {key: str(value) for key, value in SLOW.items()}
-    headers = {"Prefer": "respond-async"}
-    running = server.http.post("/v1/fits", params=params, content=data, headers=headers).json()["id"]
-    sha256 = server.http.get("/v1/measurements").json()["items"][0]["sha256"]
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    running = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     server.until_running(running)
     waiting = server.submit(sha256, prefer="respond-async", n_lobes=1).json()["id"]
     (worker,) = server.workers()
@@ -207,18 +205,21 @@ def test_work_is_counted_and_timed(own_server: Callable[..., Server], data: byte
         now = metrics(server)
     assert now["dsbrdf_event_streams",] == 1
     assert now["dsbrdf_fits", "accepted"] + now["dsbrdf_fits", "running"] == 2
-    for fit_id in (running, waiting):
-        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    wait_until(lambda: metrics(server)["dsbrdf_fit_retries_total",] == 1)
+    server.until_running(running)
+    assert server.http.delete(f"/v1/fits/{running}").json()["status"] == "cancelled"
+    assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
     wait_until(lambda: metrics(server)["dsbrdf_event_streams",] == 0)
+    wait_until(lambda: metrics(server)["dsbrdf_requests_in_progress",] == 1)
     after = metrics(server)
-    assert after["dsbrdf_fits", "succeeded"] == 2
+    assert after["dsbrdf_fits", "succeeded"] == after["dsbrdf_fits", "cancelled"] == 1
     assert after["dsbrdf_fits", "accepted"] == after["dsbrdf_fits", "failed"] == 0
     assert after["dsbrdf_fit_retries_total",] == 1
     assert after["dsbrdf_stored_bytes",] == len(data)
     assert after["dsbrdf_uploaded_bytes_total",] >= len(data)
     assert after["dsbrdf_stage_seconds_count", "upload"] == 1
     assert after["dsbrdf_stage_seconds_count", "waiting"] == 2
-    assert after["dsbrdf_stage_seconds_count", "fitting"] == 3  # one of them was lost
+    assert after["dsbrdf_stage_seconds_count", "fitting"] == 2  # one of them was lost
     assert after["dsbrdf_requests_in_progress",] == 1
 
 

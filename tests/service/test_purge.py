@@ -17,7 +17,7 @@ import pytest
 
 from dsbrdf.merl import FILE_SIZE
 from service.database import FILE_NAME
-from tests.service.running import QUICK, SLOW, Server, wait_until
+from tests.service.running import ENDLESS, QUICK, Server, wait_until
 
 DAY = 86400.0
 
@@ -64,7 +64,7 @@ def test_what_is_old_goes_and_a_running_server_notices(own_server: Callable[...,
         str(server.http.post("/v1/measurements", content=content).json()["sha256"]) for content in variants(data, 5)
     )
     old_fit, fresh_fit, kept_fit = (server.submit(sha256, **QUICK).json()["id"] for sha256 in (old, fresh, kept))
-    busy_fit = server.submit(busy, prefer="respond-async", **SLOW).json()["id"]
+    busy_fit = server.submit(busy, prefer="respond-async", **ENDLESS).json()["id"]
     for sha256 in (old, unused, busy, kept):
         make_older(folder, 40, "measurements", "sha256", sha256)
     for fit in (old_fit, busy_fit):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.running import QUICK, SLOW, Server, alive, assert_problem, wait_until
+from tests.service.running import ENDLESS, QUICK, SLOW, Server, alive, assert_problem, wait_until
 
 
 def submit_some(server: Server, data: bytes, count: int) -> list[str]:
@@ -25,22 +25,25 @@ def test_accepted_fits_finish_after_a_restart(
     own_server: Callable[..., Server], data: bytes, number: signal.Signals
 ) -> None:
     server = own_server(workers="2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    endless = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     fits = submit_some(server, data, 4)
-    server.until_running(fits[0])
+    server.until_running(endless)
     workers = server.workers()
     helpers = server.helpers()
     leftover = server.data_dir / "tmp" / "upload-of-a-client"
     leftover.write_bytes(b"part of a file")
     server.stop(number)
-    wait_until(lambda: not any(alive(pid) for pid in workers | helpers), 3.0)
+    wait_until(lambda: not any(alive(pid) for pid in workers | helpers))
 
     server.start()
     assert not leftover.exists()
+    server.until_running(endless)
     for fit_id in fits:
         fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
         assert fit["status"] == "succeeded"
         assert fit["lobes"] is not None
-    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == set(fits)
+    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, *fits}
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
@@ -80,7 +83,7 @@ def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[.
 def test_a_killed_child_takes_its_own_fit_only(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", fit_attempts="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    victim = server.submit(sha256, prefer="respond-async", **SLOW).json()["id"]
+    victim = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     next_one = server.submit(sha256, prefer="respond-async", n_lobes=2).json()["id"]
     server.until_running(victim)
     (worker,) = server.workers()
@@ -90,9 +93,8 @@ def test_a_killed_child_takes_its_own_fit_only(own_server: Callable[..., Server]
     assert fit["error"]["origin"] == "system"
     assert fit["error"]["type"] == "ProcessLost"
     assert server.http.get(f"/v1/fits/{next_one}?wait=30").json()["status"] == "succeeded"
-    again = server.submit(sha256, **SLOW)
-    assert again.status_code == 201
-    assert again.json()["status"] == "succeeded"
+    assert server.submit(sha256, prefer="respond-async", **ENDLESS).status_code == 202
+    server.until_running(victim)
 
 
 def test_a_lost_process_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
@@ -125,7 +127,8 @@ def test_a_fit_has_a_memory_limit(own_server: Callable[..., Server], data: bytes
 
 def test_a_fit_has_a_time_limit(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(fit_seconds="0.2")
-    answer = server.http.post("/v1/fits", params={key: str(value) for key, value in SLOW.items()}, content=data)
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    answer = server.submit(sha256, **ENDLESS)
     assert answer.status_code == 201
     assert answer.json()["error"]["origin"] == "compute"
     assert answer.json()["error"]["type"] == "TimeLimit"
@@ -134,12 +137,15 @@ def test_a_fit_has_a_time_limit(own_server: Callable[..., Server], data: bytes) 
 
 def test_open_event_streams_do_not_hold_the_server_up(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1")
-    fits = submit_some(server, data, 4)
-    with server.http.stream("GET", f"/v1/fits/{fits[-1]}/events") as stream:
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    endless = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    (waiting,) = submit_some(server, data, 1)
+    with server.http.stream("GET", f"/v1/fits/{waiting}/events") as stream:
         assert next(stream.iter_lines()) == "event: accepted"
         server.stop(signal.SIGTERM)  # within 20 s, or it raises
     server.start()
-    assert server.http.get(f"/v1/fits/{fits[-1]}?wait=60").json()["status"] == "succeeded"
+    assert server.http.delete(f"/v1/fits/{endless}").json()["status"] == "cancelled"
+    assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
 
 
 def test_files_and_rows_that_lost_each_other_are_dropped(own_server: Callable[..., Server], data: bytes) -> None:
