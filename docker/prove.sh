@@ -3,7 +3,7 @@
 # compose files as they are, and look whether they do what they promise.
 #
 # Wants root on a Debian machine, 3 GB in the temporary folder, Debian's and Python's package registries, and
-#     apt-get install --no-install-recommends debootstrap podman runc netavark aardvark-dns iptables catatonit curl iproute2
+#     apt-get install --no-install-recommends debootstrap podman runc netavark aardvark-dns iptables catatonit curl iproute2 openssl
 # Podman builds and runs; all that it makes is in one temporary folder and in namespaces that end with the script, so the
 # ports, networks and containers of this machine are not touched.
 set -euo pipefail
@@ -11,7 +11,7 @@ here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
 main() {
   [ "$(id -u)" = 0 ] || fail "this needs root, for debootstrap and for namespaces"
-  for tool in debootstrap podman runc catatonit curl ip unshare python3; do
+  for tool in debootstrap podman runc catatonit curl ip openssl unshare python3; do
     command -v "$tool" >/dev/null || fail "$tool is not installed; the head of this file names the packages"
   done
   scratch=$(mktemp --directory --tmpdir dsbrdf-proof.XXXXXX)
@@ -83,7 +83,7 @@ beat() {
 
 service_alone() {
   echo "compose.yaml"
-  file=$here/compose.yaml url=http://127.0.0.1:8000
+  files=("$here/compose.yaml") url=http://127.0.0.1:8000
   fails "without a key it does not start" compose run --rm service
   grep --quiet "API key" "$scratch/out" || fail "it does not say why: $(tail -3 "$scratch/out")"
   add_key
@@ -93,6 +93,7 @@ service_alone() {
   name=$(podman ps --format '{{.Names}}')
   holds "the image's health check passes" podman healthcheck run "$name"
   holds "it runs as user 10001" sh -c "[ \$(podman exec $name id --user) = 10001 ]"
+  holds "the doctor finds nothing wrong" podman exec "$name" dsbrdf doctor
   holds "it has no capabilities" podman exec "$name" grep --quiet 'CapBnd:.0000000000000000' /proc/1/status
   for place in / /etc /opt/dsbrdf /usr/lib /var/lib; do
     fails "it cannot write to $place" podman exec "$name" touch "$place/x"
@@ -119,22 +120,48 @@ dsbrdf.write_merl("/data/paint.binary", synthetic_measurement(noise=0.02))'
 
 cluster() {
   echo "compose.cluster.yaml"
-  file=$here/compose.cluster.yaml url=http://127.0.0.1:8080
+  cp --recursive "$here" "$scratch/docker" # where the certificate can be put
+  files=("$scratch/docker/compose.cluster.yaml") url=http://127.0.0.1:8080
   add_key --no-deps
   compose up --detach --no-build >/dev/null 2>&1
   holds "it becomes ready, through nginx" eventually ask "$url/health/ready"
   fit_succeeds
-  fails "the scheduler is not published" curl --silent --max-time 5 http://127.0.0.1:8787/health
-  fails "nginx cannot reach the scheduler" podman exec dsbrdf-cluster_proxy_1 \
-    bash -c 'timeout 3 bash -c "</dev/tcp/scheduler/8787"'
+  fails "the scheduler is not published" bash -c '</dev/tcp/127.0.0.1/8786'
+  holds "the service reaches the scheduler" podman exec dsbrdf-cluster_service_1 bash -c '</dev/tcp/scheduler/8786'
+  fails "nginx does not" podman exec dsbrdf-cluster_proxy_1 timeout 3 bash -c '</dev/tcp/scheduler/8786'
+  fails "the scheduler's page is for itself" podman exec dsbrdf-cluster_service_1 bash -c '</dev/tcp/scheduler/8787'
   holds "nginx refuses a body that is too long" sh -c "head --bytes=40000000 /dev/zero \
     | curl --silent --data-binary @- '$url/v1/measurements' | grep --quiet urn:dsbrdf:problem:too-large"
-  podman kill dsbrdf-cluster_worker_1 >/dev/null
-  holds "a fit succeeds after a worker was killed" fit 4
-  for name in $(podman ps --format '{{.Names}}'); do
-    holds "healthy: $name" eventually podman healthcheck run "$name"
+  crash dsbrdf-cluster_worker_1
+  holds "a fit succeeds after a worker has died" fit 4
+  for name in scheduler_1 worker_1 worker_2 service_1 proxy_1; do
+    holds "healthy: $name" eventually podman healthcheck run "dsbrdf-cluster_$name"
   done
+  compose down >/dev/null 2>&1
+  tls
   compose down --volumes >/dev/null 2>&1
+}
+
+tls() {
+  local folder=$scratch/docker/tls
+  openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost \
+    -keyout "$folder/key.pem" -out "$folder/fullchain.pem" 2>/dev/null
+  chown 33 "$folder/key.pem"
+  files+=("$scratch/docker/compose.tls.yaml") url=https://localhost:8443
+  compose up --detach --no-build >/dev/null 2>&1
+  export CURL_CA_BUNDLE=$folder/fullchain.pem
+  holds "it becomes ready, over TLS" eventually ask "$url/health/ready"
+  holds "the fits are still there" grep --quiet '"status":"succeeded"' <(ask "$url/v1/fits")
+  unset CURL_CA_BUNDLE
+  fails "who does not trust the certificate gets nothing" ask "$url/health/ready"
+}
+
+# Kill what a container runs, as a crash would; a `podman kill` would be taken for the operator's wish.
+crash() {
+  podman exec "$1" /opt/dsbrdf/bin/python3 -c 'import os, pathlib, signal
+for folder in pathlib.Path("/proc").glob("[0-9]*"):
+    if b"dask" in (folder / "cmdline").read_bytes() and int(folder.name) not in (1, os.getpid()):
+        os.kill(int(folder.name), signal.SIGKILL)'
 }
 
 add_key() {
@@ -167,7 +194,7 @@ eventually() {
 }
 
 compose() {
-  timeout 120 "$scratch/tools/bin/podman-compose" --file "$file" "$@"
+  timeout 120 "$scratch/tools/bin/podman-compose" "${files[@]/#/--file=}" "$@"
 }
 
 configure_podman() {
