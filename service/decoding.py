@@ -37,15 +37,16 @@ class Decoder(Protocol):
 
 
 def decoder(content_encoding: str | None, sink: Sink) -> Decoder:
-    """Return the decoder for a ``Content-Encoding`` header.
+    """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
     Raises
     ------
     ProblemError
         Of the kind ``unsupported-media-type`` if it is not one that the service decodes.
     """
-    name = "identity" if content_encoding is None else content_encoding.strip().lower()
-    if name == "identity":
+    given = (name.strip().lower() for name in (content_encoding or "").split(","))
+    name = ", ".join(name for name in given if name not in ("", "identity"))
+    if not name:
         return _Identity(sink)
     if name in ("gzip", "x-gzip"):
         return _Gzip(sink)
@@ -144,8 +145,8 @@ class _Zstd:
     def _write(self, block: bytes) -> None:
         try:
             self._writer.write(block)
-        except zstandard.ZstdError:
-            raise _damaged("zstd", "it is damaged") from None
+        except zstandard.ZstdError as error:
+            raise _damaged("zstd", _reason(error)) from None
 
 
 class _Writer:
@@ -157,6 +158,13 @@ class _Writer:
     def write(self, data: bytes) -> int:
         self.sink(data)
         return len(data)
+
+
+def _reason(error: zstandard.ZstdError) -> str:
+    """Say what is wrong with a frame; of what is merely damaged zstd says no more than that, in many words."""
+    if "too much memory" in str(error):
+        return f"its window is larger than {_LARGEST_WINDOW} bytes, as from levels above 19 or with --long"
+    return "it needs a dictionary" if "Dictionary" in str(error) else "it is damaged"
 
 
 def _damaged(name: str, reason: str) -> ProblemError:

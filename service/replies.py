@@ -16,6 +16,7 @@ from starlette.types import Receive, Scope, Send
 from service.problems import ProblemError
 
 JSON = "application/json"
+_PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
@@ -107,15 +108,17 @@ def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:
-    """Return the time to wait that ``Prefer`` asks for (RFC 7240); what it says of other things is ignored."""
-    wait = default
-    for preference in ",".join(request.headers.getlist("prefer")).split(","):
+    """Return the time to wait that ``Prefer`` asks for (RFC 7240); what it says of other things is ignored.
+
+    Of a preference that is given more than once the first counts. ``respond-async`` beside ``wait`` changes nothing:
+    the answer does not wait for the fit any longer either way.
+    """
+    preferences: dict[str, str] = {}
+    for preference in _PREFERENCE.findall(",".join(request.headers.getlist("prefer"))):
         name, _, value = preference.partition(";")[0].partition("=")
-        if name.strip().lower() == "respond-async":
-            return 0.0
-        if name.strip().lower() == "wait":
-            wait = _seconds(value.strip().strip('"'), wait)
-    return min(wait, longest)
+        preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
+    otherwise = 0.0 if "respond-async" in preferences else default
+    return min(_seconds(preferences.get("wait", ""), otherwise), longest)
 
 
 def _seconds(text: str, otherwise: float) -> float:

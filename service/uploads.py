@@ -42,21 +42,20 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
     ProblemError
         If it is too long, or its encoding is unknown or damaged.
     """
-    encoding = request.headers.get("content-encoding")
+    encoding = _encoding(request)
     declared = request.headers.get("content-length", "")
-    if encoding is None and declared.isdecimal() and int(declared) != FILE_SIZE:
+    if not encoding and declared.isdecimal() and int(declared) != FILE_SIZE:
         await _refuse(request, int(declared))
     incoming = await _in_thread(store.blobs.incoming)
     try:
         receiver = _Receiver(incoming, encoding)
         await _take_all(request, receiver)
+        await _in_thread(receiver.finish)
         # The disk and the processor have work of their own here, and neither waits for the other.
         valid_nodes, sha256 = await _both(_in_thread(receiver.check), _in_thread(incoming.close))
         return await _in_thread(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
     except StorageQuotaError as error:
         raise over_quota(error) from None
-    except ClientDisconnect:
-        raise ProblemError("bad-request", "The client went away before the end of the body.") from None
     finally:
         await asyncio.shield(_in_thread(incoming.discard))
 
@@ -83,12 +82,12 @@ async def receive_small(request: Request, limit: int) -> memoryview:
         body[size : size + len(data)] = data
         size += len(data)
 
-    encoded = decoder(request.headers.get("content-encoding"), keep)
+    encoded = decoder(_encoding(request), keep)
     declared = request.headers.get("content-length", "")
     if declared.isdecimal() and int(declared) > limit:
         raise too_large
     n_encoded = 0
-    async for piece in request.stream():
+    async for piece in _parts(request):
         n_encoded += len(piece)
         if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing can be endless
             raise too_large
@@ -121,6 +120,10 @@ async def _both(one: Awaitable[S], other: Awaitable[T]) -> tuple[S, T]:
     return cast("S", first), cast("T", second)
 
 
+def _encoding(request: Request) -> str:
+    return ", ".join(request.headers.getlist("content-encoding"))
+
+
 async def _in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     return await to_thread.run_sync(partial(call, *args, **kwargs), limiter=_threads)
 
@@ -132,7 +135,7 @@ class _Receiver:
     memory that many uploads at once should not have at the same time.
     """
 
-    def __init__(self, incoming: Incoming, encoding: str | None) -> None:
+    def __init__(self, incoming: Incoming, encoding: str) -> None:
         self._incoming = incoming
         self._header = b""
         self._decoder = decoder(encoding, self._write)
@@ -145,9 +148,10 @@ class _Receiver:
             raise ProblemError("too-large", detail)
         self._decoder.feed(piece)
 
-    def check(self) -> int:
-        """Check all that has been taken; return the number of valid nodes."""
+    def finish(self) -> None:
         self._decoder.finish()
+
+    def check(self) -> int:
         checker = MerlChecker()
         for piece in self._incoming.pieces(4 * _PIECE):
             checker.update(piece)
@@ -168,7 +172,7 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
     """Yield the body in pieces that are worth a switch to another thread."""
     parts: list[bytes] = []
     size = 0
-    async for part in request.stream():
+    async for part in _parts(request):
         parts.append(part)
         size += len(part)
         if size >= _PIECE:
@@ -180,10 +184,19 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
         yield b"".join(parts)
 
 
+async def _parts(request: Request) -> AsyncIterator[bytes]:
+    """Yield the body as it arrives."""
+    try:
+        async for part in request.stream():
+            yield part
+    except ClientDisconnect:
+        raise ProblemError("bad-request", "The client went away before the end of the body.") from None
+
+
 async def _refuse(request: Request, length: int) -> None:
     """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
     start = b""
-    async for part in request.stream():
+    async for part in _parts(request):
         start += part
         if len(start) >= HEADER_SIZE:
             check_header(start)

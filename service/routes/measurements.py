@@ -91,7 +91,10 @@ async def download_measurement(request: Request, sha256: Sha256) -> Response:
 async def probe_measurement(request: Request, sha256: Sha256) -> Response:
     """Tell whether the measurement is stored, so that an upload can be spared."""
     row = await _row(request, sha256)
-    return Response(None, 200, {**_headers(row), "Content-Length": str(row.size)}, _RAW)
+    headers = _headers(row)
+    if not_modified(request, headers["ETag"]):
+        return Response(None, 304, headers)
+    return Response(None, 200, {**headers, "Content-Length": str(row.size)}, _RAW)
 
 
 @router.delete(

@@ -71,10 +71,27 @@ def test_noise_is_refused_or_decodes_as_zlib_does(noise: bytes, step: int) -> No
 
 def test_a_large_window_is_refused() -> None:
     parameters = zstandard.ZstdCompressionParameters(window_log=27, enable_ldm=True)
-    body = zstandard.ZstdCompressor(compression_params=parameters).compressobj().compress(bytes(1000))
-    body += b"\0"
-    with pytest.raises(ProblemError, match="not valid zstd"):
-        decode("zstd", body or b"\0", 100)
+    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
+    body = compressor.compress(bytes(1000)) + compressor.flush()
+    with pytest.raises(ProblemError, match="window is larger than 8388608 bytes"):
+        decode("zstd", body, 100)
+
+
+def test_a_missing_dictionary_is_named() -> None:
+    words: list[bytes | bytearray | memoryview] = [b"theta_half %d of %d" % (i, i * i) for i in range(5000)]
+    dictionary = zstandard.train_dictionary(4096, words)
+    body = zstandard.ZstdCompressor(dict_data=dictionary).compress(words[7])
+    with pytest.raises(ProblemError, match="dictionary"):
+        decode("zstd", body, 100)
+
+
+@pytest.mark.parametrize(
+    ("header", "of_zstd"),
+    [("gzip, identity", False), ("identity,GZIP", False), ("", None), (",", None), ("zstd,", True)],
+)
+def test_identity_in_a_list_of_encodings_is_nothing(header: str, of_zstd: bool | None) -> None:
+    body = b"body" if of_zstd is None else zstandard.compress(b"body") if of_zstd else gzip.compress(b"body")
+    assert decode(header, body, 3) == b"body"
 
 
 def test_options_keep_their_values_on_the_wire() -> None:
@@ -212,7 +229,12 @@ def test_a_file_that_is_deleted_before_its_first_byte_is_sent_whole(tmp_path: Pa
         ("WAIT = 5", 5.0),
         ("return=minimal, wait=5; x=y", 5.0),
         ("respond-async", 0.0),
-        ("wait=5, respond-async", 0.0),
+        ("wait=5, respond-async", 5.0),
+        ("respond-async, wait=5", 5.0),
+        ("respond-async, wait=x", 0.0),
+        ("wait=5, wait=6", 5.0),
+        ('foo="a, wait=5"', 30.0),
+        ('foo="a, wait=5", wait=6', 6.0),
         ("wait=1000", 60.0),
         ("wait=x", 30.0),
         ("wait=-1", 30.0),

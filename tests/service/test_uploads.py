@@ -5,10 +5,11 @@ import errno
 import gzip
 import hashlib
 import io
+import json
 import re
+import secrets
 import socket
 import struct
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -93,10 +94,8 @@ def test_malformed_files_get_the_library_s_sentence_and_leave_nothing(
         kind, status = ("measurement-too-large", 413)
     # With a Content-Length and without one.
     for path, body in (("/v1/fits", content), ("/v1/measurements", in_pieces(content))):
-        start = time.monotonic()
         answer = server.http.post(path, content=body)
         assert assert_problem(answer, status, kind) == str(raised.value)
-        assert time.monotonic() - start < 5
     assert sorted(server.files()) == files
     assert [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")] == rows
 
@@ -118,6 +117,7 @@ def test_a_measurement_comes_back_byte_for_byte(server: Server, data: bytes, sto
     assert (head.status_code, head.content) == (200, b"")
     assert int(head.headers["content-length"]) == FILE_SIZE
     assert head.headers["etag"] == f'"{stored}"'
+    assert server.http.head(url, headers={"If-None-Match": f'W/"{stored}"'}).status_code == 304
     assert server.http.head(f"/v1/measurements/{'0' * 64}").status_code == 404
     again = server.http.post("/v1/measurements", content=data)
     assert again.status_code == 200
@@ -236,18 +236,19 @@ def test_bombs_fizzle(own_server: Callable[..., Server], name: str, make: Callab
     server = own_server()
     bomb = make()
     before = peak_memory(server)
-    start = time.monotonic()
+    spent = server.cpu_seconds()
     answer = server.http.post("/v1/fits", content=bomb, headers={"Content-Encoding": name})
-    assert time.monotonic() - start < 2.0
+    assert server.cpu_seconds() - spent < 2.0
     assert answer.status_code in (400, 413, 422)
     assert_problem(answer, answer.status_code)
     assert peak_memory(server) - before < 24
     assert not server.files()
 
 
-@pytest.mark.parametrize("encoding", ["br", "deflate", "gzip, zstd", "gzip;q=1", "x"])
-def test_other_encodings_are_refused(server: Server, data: bytes, encoding: str) -> None:
-    answer = server.http.post("/v1/measurements", content=data, headers={"Content-Encoding": encoding})
+@pytest.mark.parametrize("encodings", [["br"], ["deflate"], ["gzip, zstd"], ["gzip;q=1"], ["x"], ["gzip", "gzip"]])
+def test_other_encodings_are_refused(server: Server, data: bytes, encodings: list[str]) -> None:
+    headers = [("Content-Encoding", encoding) for encoding in encodings]
+    answer = server.http.post("/v1/measurements", content=gzip_quickly(data), headers=headers)
     assert_problem(answer, 415, "unsupported-media-type")
     assert answer.headers["accept-encoding"] == "gzip, zstd"
 
@@ -295,10 +296,34 @@ def test_a_client_that_goes_away_leaves_nothing(own_server: Callable[..., Server
     assert server.http.get("/v1/fits").json() == {"items": []}
 
 
+@pytest.mark.parametrize(
+    ("path", "media_type"),
+    [
+        ("/v1/fits", "application/octet-stream"),
+        ("/v1/fits", "application/json"),
+        ("/v1/fits/{}/brdf", "application/x-npy"),
+    ],
+)
+def test_a_client_that_goes_away_early_is_no_fault_of_the_service(
+    server: Server, fitted: str, path: str, media_type: str
+) -> None:
+    request_id = secrets.token_hex(8)
+    head = f"POST {path.format(fitted)} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
+    head += f"Content-Type: {media_type}\r\nX-Request-ID: {request_id}\r\n\r\n{{"
+    with socket.create_connection((str(server.http.base_url.host), server.http.base_url.port)) as connection:
+        connection.sendall(head.encode())
+
+    def lines() -> list[str]:
+        return [line for line in server.log.read_text().splitlines() if request_id in line]
+
+    wait_until(lambda: bool(lines()), 60)
+    assert [json.loads(line)["status"] for line in lines()] == [400]
+
+
 def test_a_wrong_length_is_refused_before_the_body_has_come(server: Server) -> None:
     address = (str(server.http.base_url.host), server.http.base_url.port)
     lines = b"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
-    with socket.create_connection(address, timeout=5) as connection:
+    with socket.create_connection(address, timeout=60) as connection:
         connection.sendall(lines)
         reply = connection.recv(65536)
     assert reply.startswith(b"HTTP/1.1 413")
@@ -315,7 +340,7 @@ def test_a_folder_that_has_gone_is_a_fault_of_the_service(own_server: Callable[.
     folder = server.data_dir / "tmp"
     folder.rmdir()
     answer = server.http.post("/v1/measurements", content=data)
-    assert "log" in assert_problem(answer, 500, "internal")
+    assert "log" in assert_problem(answer, 503, "not-ready")
     assert str(folder) not in answer.text
     wait_until(lambda: server.http.get("/health/ready").status_code == 503)  # the answer may be a second old
     assert_problem(server.http.get("/health/ready"), 503, "not-ready")
