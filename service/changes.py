@@ -22,7 +22,8 @@ async def follow(database: Database, keys: Keys, models: Models) -> None:
             # In threads that uploads and evaluations do not use: a key has to be refused under load too.
             changed = await asyncio.to_thread(database.changed_by_others) or changed
             if changed:
-                await asyncio.to_thread(keys.load, database)
+                for key in await asyncio.to_thread(keys.load, database):
+                    key.revoked.set()
                 models.forget_all()
                 changed = False
         except sqlite3.Error:

@@ -4,6 +4,7 @@ Nothing that is refused here has reached the application; its answers are proble
 """
 
 import asyncio
+import resource
 from http import HTTPStatus
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -99,13 +100,24 @@ class Connection(H11Protocol):
 
 
 def connection_class(settings: Settings) -> type[Connection]:
-    """Return the class of connections that have the limits of `settings`."""
+    """Return the class of connections that have the limits of `settings`, and make room for so many."""
+    most = 2 * settings.limit_concurrency  # some are idle, and a request too many gets its answer from `Observe`
     limits = {
-        "most": 2 * settings.limit_concurrency,  # some are idle, and a request too many gets its answer from `Observe`
+        "most": min(most, _descriptors(4 * most) // 2),  # files need the others
         "head_seconds": settings.head_seconds,
         "silence_seconds": settings.silence_seconds,
     }
     return type("Connection", (Connection,), limits)
+
+
+def _descriptors(wanted: int) -> int:
+    """Return how many files and connections this process may have open, after it has asked for as many as wanted."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    if soft != resource.RLIM_INFINITY and soft < allowed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+        return allowed
+    return wanted if soft == resource.RLIM_INFINITY else soft
 
 
 def _cancel(timer: asyncio.TimerHandle | None) -> None:

@@ -4,6 +4,7 @@ A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret onl
 be guessed from it, so nothing slower is needed. The id is public, and it is the owner of what is stored with the key.
 """
 
+import asyncio
 import hashlib
 import hmac
 import re
@@ -86,11 +87,12 @@ def has_active_key(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class ActiveKey:
-    """A key that is let in, with the requests that it may make at the moment."""
+    """A key that is let in, the requests that it may make at the moment, and what is set when it is revoked."""
 
     secret_sha256: bytes
     caller: Caller
     bucket: Bucket
+    revoked: asyncio.Event
 
 
 class Keys:
@@ -106,11 +108,12 @@ class Keys:
         self._settings = settings
         self._active: dict[str, ActiveKey] = {}
 
-    def load(self, database: Database) -> None:
-        """Read the keys again; what a key has used of its rate stays used."""
+    def load(self, database: Database) -> list[ActiveKey]:
+        """Read the keys again, and return those that have been revoked; what a key has used of its rate stays used."""
         columns = "id, secret_sha256, requests_per_second, stored_mb, queued_fits"
         rows = database.rows(f"SELECT {columns} FROM keys WHERE revoked IS NULL")  # noqa: S608
-        self._active = {row[0]: self._key(*row) for row in rows}
+        before, self._active = self._active, {row[0]: self._key(*row) for row in rows}
+        return [key for key_id, key in before.items() if key_id not in self._active]
 
     def find(self, text: bytes) -> ActiveKey | None:
         """Return the key that `text` is, in a time that does not tell what is wrong with it."""
@@ -129,4 +132,5 @@ class Keys:
         caller = Caller(key_id, stored_mb * _MB, settings.key_queued_fits if fits is None else fits)
         known = self._active.get(key_id)
         bucket = known.bucket if known is not None and known.bucket.rate == rate else Bucket(rate)
-        return ActiveKey(bytes.fromhex(digest), caller, bucket)
+        revoked = asyncio.Event() if known is None else known.revoked
+        return ActiveKey(bytes.fromhex(digest), caller, bucket, revoked)

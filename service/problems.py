@@ -13,6 +13,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
@@ -91,6 +92,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _on_exception)
     for expected in (
         ProblemError,
+        ClientDisconnect,
         MeasurementFormatError,
         InvalidArgumentError,
         FitError,
@@ -104,6 +106,8 @@ async def _on_exception(request: Request, error: Exception) -> Response:
     path = request.url.path
     if isinstance(error, ProblemError):
         return response(error.kind, error.detail, path, error.headers)
+    if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
+        return response("bad-request", "The client went away before the end of the body.", path)
     if isinstance(error, MeasurementFormatError):
         return response("measurement-format", str(error), path)
     if isinstance(error, InvalidArgumentError):

@@ -1,5 +1,6 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
+import hashlib
 import http.client
 import io
 import json
@@ -8,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -23,7 +25,7 @@ from service.keys import Keys, Limits, add_key, all_keys, revoke_key
 from service.rate_limit import Bucket
 from service.settings import Settings
 from tests.service.conftest import Guarded, new_key
-from tests.service.running import QUICK, SLOW, Server, assert_problem, wait_until
+from tests.service.running import ENDLESS, QUICK, SLOW, Server, assert_problem, wait_until
 
 OPEN = ("/health/live", "/health/ready", "/docs", "/docs/page.js", "/openapi.json")
 
@@ -288,12 +290,60 @@ def test_a_revoked_key_is_refused_within_about_a_second(guarded: Guarded) -> Non
     database.close()
 
 
+def test_what_waits_ends_with_its_key(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true", workers="1")
+    (key_id, header), (_, other) = (new_key(server, name) for name in ("brief", "lasting"))
+    address = (server.http.base_url.host, server.http.base_url.port)
+    document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
+
+    def submit(who: dict[str, str]) -> str:
+        server.http.post("/v1/measurements", content=data, headers=who)
+        fit: str = server.http.post("/v1/fits", json=document, headers={**who, "Prefer": "respond-async"}).json()["id"]
+        return fit
+
+    def poll() -> httpx.Response:
+        return server.http.get(f"/v1/fits/{fit}?wait=300", headers=header)
+
+    def post() -> httpx.Response:
+        return server.http.post("/v1/fits", json=document, headers={**header, "Prefer": "wait=300"})
+
+    def follow(who: dict[str, str]) -> str:
+        with server.http.stream("GET", f"/v1/fits/{fit}/events", headers=who) as answer:
+            assert answer.status_code == 200
+            return answer.read().decode()  # to an end: a connection that breaks off is an error
+
+    fit = submit(header)
+    assert submit(other) == fit
+    head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
+    with ThreadPoolExecutor(4) as pool, socket.create_connection(address, timeout=60) as upload:
+        upload.sendall(f"{head}Content-Length: {len(data)}\r\n\r\n".encode() + data[:100_000])
+        polled, posted, followed = pool.submit(poll), pool.submit(post), pool.submit(follow, header)
+        lasting = pool.submit(follow, other)
+        in_progress = re.compile(r"^dsbrdf_requests_in_progress 6.0$", re.MULTILINE)
+        wait_until(lambda: bool(in_progress.search(server.http.get("/metrics", headers=other).text)))
+        assert command("revoke", key_id, "--data-dir", str(server.data_dir)).returncode == 0
+        assert_problem(polled.result(timeout=60), 401, "unauthorized")
+        assert_problem(posted.result(timeout=60), 401, "unauthorized")
+        assert "event: " in followed.result(timeout=60)
+        upload.sendall(data[100_000:200_000])
+        answer = upload.recv(10_000)
+        assert answer.startswith(b"HTTP/1.1 401 ")
+        assert b"unauthorized" in answer
+        assert not lasting.done()
+        assert server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] in ("accepted", "running")
+        server.http.delete(f"/v1/fits/{fit}", headers=other)
+        assert "event: cancelled" in lasting.result(timeout=60)
+    assert '"level": "error"' not in server.log.read_text()
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [
         (["add", "x", "--requests-per-second", "0"], "rate"),
         (["add", "x", "--requests-per-second", "nan"], "rate"),
         (["add", "x", "--stored-mb", "-1"], "bound"),
+        (["add", "x", "--stored-mb", "much"], "much is not a bound; a whole number from 0 is"),
+        (["add", "x", "--requests-per-second", "fast"], "fast is not a rate; 0.001 or more is"),
         (["add", "x", "--queued-fits", "1.5"], "queued-fits"),
         (["add", "a\nb"], "printable"),
         (["add", ""], "printable"),
@@ -344,7 +394,7 @@ def test_a_damaged_or_busy_database_is_one_sentence(tmp_path: Path, monkeypatch:
     assert refused.stderr.count("\n") == 1
     assert "cannot be opened" in refused.stderr
     (tmp_path / "dsbrdf.sqlite").unlink()
-    monkeypatch.setattr("service.database._BUSY_SECONDS", 0.1)
+    monkeypatch.setattr("service.database._PATIENCE_BESIDE", 0.1)
     database = Database(tmp_path)
     with database.transaction():
         busy = command("add", "x", "--data-dir", str(tmp_path))
