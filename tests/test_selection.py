@@ -123,9 +123,9 @@ def test_critical_values_grow_with_doses_and_fall_with_degrees_of_freedom() -> N
 
 def test_a_critical_value_is_quick() -> None:
     def seconds() -> float:
-        start = time.perf_counter()
+        start = time.thread_time()
         selection._critical_value.__wrapped__(7, 1.0, 0.01)
-        return time.perf_counter() - start
+        return time.thread_time() - start
 
     assert min(seconds() for _ in range(5)) < 0.05
 

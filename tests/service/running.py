@@ -88,6 +88,11 @@ class Server:
             time.sleep(0.02)
         raise AssertionError(f"the server did not start:\n{self.log.read_text()}")
 
+    def cpu_seconds(self) -> float:
+        """Processor time of the web process: what its work costs, however busy the machine is otherwise."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def files(self) -> list[Path]:
         """Every stored or half-received measurement."""
         return [path for part in ("blobs", "tmp") for path in (self.data_dir / part).rglob("*") if path.is_file()]

@@ -1,6 +1,7 @@
 """Malformed files, compression bombs and hostile requests against one server: refused at once, at no cost, no leak.
 
 `pytest tests/service/test_attacks.py -s` prints how many there were, the slowest of them and the memory they took.
+How long an answer takes is bounded by the processor time that it costs: a machine that tests run on may be busy.
 """
 
 import json
@@ -18,7 +19,8 @@ from tests.service.bombs import BOMBS, JSON, MEASUREMENT, NPY
 from tests.service.malformed import MALFORMED
 from tests.service.running import QUICK, Server
 
-SECONDS = 5.0  # 1 s is aimed at, and printed; a machine that tests run on may be busy
+SECONDS = 1.0
+PATIENCE = 60.0
 MEGABYTES = 64.0
 LEAKS = ("Traceback", 'File "', "site-packages", ".py", "sqlite3.", "root:x:0")
 
@@ -36,7 +38,8 @@ class Target:
         server.http.get(f"/v1/fits/{self.fit}/lobes")
         self.before = self.contents()
         self.memory = self.peak()
-        self.worst = {"": 0.0}
+        self.spent = server.cpu_seconds()
+        self.worst = ("", 0.0, 0.0)
 
     def contents(self) -> object:
         lists = [self.server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
@@ -50,6 +53,8 @@ class Target:
 
     def check(self, name: str, status: int, media_type: str, body: bytes, seconds: float) -> None:
         """One answer: 4xx, soon, a problem document, and nothing in it that is not for the client."""
+        spent, self.spent = self.spent, self.server.cpu_seconds()
+        cost = self.spent - spent
         assert 400 <= status < 500, (name, status, body[:500])
         assert media_type == "application/problem+json", (name, media_type)
         problem = json.loads(body)
@@ -58,19 +63,19 @@ class Target:
         text = json.dumps({**problem, "instance": ""})  # which is what the client has sent
         assert not [leak for leak in (*LEAKS, str(self.server.data_dir)) if leak in text], (name, text)
         assert "root:x:0" not in problem["instance"]
-        assert seconds < SECONDS, name
-        if seconds > max(self.worst.values()):
-            self.worst = {name: seconds}
+        assert seconds < PATIENCE, name
+        assert cost < SECONDS, name
+        self.worst = max(self.worst, (name, seconds, cost), key=lambda answer: answer[1])
 
     def close(self, count: int, what: str) -> None:
         assert self.contents() == self.before
         grown = self.peak() - self.memory
-        (worst, seconds), *_ = self.worst.items()
-        print(
-            f"\n{count} {what}: all 4xx, slowest {seconds:.2f} s ({worst[:60]}), memory +{grown:.0f} MB, nothing stored"
-        )
+        name, seconds, cost = self.worst
+        slowest = f"slowest {seconds:.2f} s, {cost:.2f} s of a processor ({name[:60]})"
+        print(f"\n{count} {what}: all 4xx, {slowest}, memory +{grown:.0f} MB, nothing stored")
         assert grown <= MEGABYTES
-        self.worst = {"": 0.0}
+        self.spent = self.server.cpu_seconds()
+        self.worst = ("", 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +153,13 @@ def test_a_length_that_is_not_kept_stores_nothing(target: Target, data: bytes) -
     target.close(3, "bodies that were cut off")
 
 
+def keep_busy(server: Server, seconds: float) -> None:
+    """Have the service work for so long."""
+    spent = server.cpu_seconds()
+    while server.cpu_seconds() - spent <= seconds:
+        server.http.get("/openapi.json")
+
+
 def test_the_checks_can_fail(target: Target) -> None:
     document = {"type": "t", "title": "t", "status": 404, "detail": "d", "instance": "/"}
     problem = json.dumps(document).encode()
@@ -158,8 +170,11 @@ def test_the_checks_can_fail(target: Target) -> None:
         lambda: target.check("", 500, "application/problem+json", problem, 0.1),
         lambda: target.check("", 404, "text/plain", problem, 0.1),
         lambda: target.check("", 404, "application/problem+json", leak, 0.1),
-        lambda: target.check("", 404, "application/problem+json", problem, 6.0),
+        lambda: target.check("", 404, "application/problem+json", problem, PATIENCE),
+        lambda: target.check("", 404, "application/problem+json", problem, 0.1),  # after all the work below
     ]
     for fault in faults:
+        if fault is faults[-1]:
+            keep_busy(target.server, SECONDS)
         with pytest.raises(AssertionError):
             fault()

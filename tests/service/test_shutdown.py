@@ -46,7 +46,7 @@ def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
 
 def ended(server: Server, begin: float) -> tuple[int, float]:
     """Exit code, and seconds since `begin` until the process had ended."""
-    code = server.process.wait(timeout=20)
+    code = server.process.wait(timeout=60)
     return code, time.monotonic() - begin
 
 
@@ -60,7 +60,7 @@ def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
 
 
 def test_a_signal_ends_it_soon_and_who_waits_gets_an_answer(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(workers="1", shutdown_seconds="8")
+    server = own_server(workers="1", shutdown_seconds="40")
     url = address(server)
     fits = start_fits(server, data, 3)
     sha256 = server.http.get("/v1/measurements").json()["items"][0]["sha256"]
@@ -82,7 +82,7 @@ def test_a_signal_ends_it_soon_and_who_waits_gets_an_answer(own_server: Callable
         accepted = post.result()
         told = [stream.result() for stream in streams]
     assert code == 0
-    assert seconds < 7  # less than open requests are given: none of them had to be cut off
+    assert seconds < SOON  # and much less than open requests are given here: none of them had to be cut off
     assert [answer.status_code for answer in answers] == [200, 200, 200]
     assert {answer.json()["status"] for answer in answers} <= {"running", "accepted"}
     assert accepted.status_code == 202
