@@ -42,9 +42,17 @@ def queued(stand: Stand, times: int) -> str:
         states = Counter(rows(server, "SELECT status, attempts FROM fits"))
         lost = times - states["succeeded", 1]
         stand.expect(lost == 0, f"not every fit has succeeded at its first attempt: {states}")
-        stand.expect(len(seen) == times, f"{len(seen)} processes computed {times} fits")
+        # One that is gone within milliseconds may not have been seen; the service has counted it all the same.
+        computed = max(len(seen), _computed(server))
+        stand.expect(computed == times, f"{computed} processes computed {times} fits")
         server.stop()
-    return f"{times} fits, each submitted by 4 clients: {lost} lost, {len(seen)} computations"
+    return f"{times} fits, each submitted by 4 clients: {lost} lost, {computed} computations"
+
+
+def _computed(server: Server) -> int:
+    """How many fits a server says that it has computed."""
+    text = server.http.get("/metrics").text
+    return int(float(text.partition('dsbrdf_stage_seconds_count{stage="fitting"} ')[2].split()[0]))
 
 
 _UNFINISHED = "SELECT count(*) FROM fits WHERE status IN ('accepted', 'running')"
@@ -67,7 +75,7 @@ def uploads(stand: Stand, times: int) -> str:
             answers = Counter(clients.map(upload, range(times)))
         stayed = times - answers[0]
         stand.expect(answers == {0: answers[0], 201: stayed}, f"uploads were answered with {answers}")
-        stand.expect(happens(lambda: not list((server.data_dir / "tmp").iterdir()), 10.0), "half an upload was kept")
+        stand.expect(happens(lambda: not list((server.data_dir / "tmp").iterdir()), 60.0), "half an upload was kept")
         stand.expect(not (left := leftovers(server)), f"left behind by clients that vanished: {left}")
         stand.expect(len(server.files()) == stayed, f"{len(server.files())} files of {stayed} uploads")
         stand.expect(
@@ -104,9 +112,10 @@ def same_file(stand: Stand, times: int) -> str:
         stand.expect(len({answer.content for answer in answers}) == 1, "clients were given different fits")
         stand.expect(rows(server, "SELECT attempts FROM fits") == [(1,)], "it was more than one fit, or attempt")
         stand.expect(len(server.files()) == 1, f"{len(server.files())} files are kept")
-        stand.expect(len(seen) == 1, f"{len(seen)} processes computed one fit")
+        computed = max(len(seen), _computed(server))
+        stand.expect(computed == 1, f"{computed} processes computed one fit")
         server.stop()
-    return f"{times} clients: {len(server.files())} blob, {len(seen)} computation"
+    return f"{times} clients: {len(server.files())} blob, {computed} computation"
 
 
 def full_disk(stand: Stand, times: int) -> str:
@@ -138,7 +147,7 @@ def full_disk(stand: Stand, times: int) -> str:
             filler.unlink()
             again = server.http.post("/v1/measurements", content=stand.variant(3 * number + 2))
             stand.expect(again.status_code == 201, f"an upload after the full disk: {again.text}")
-            ready = happens(lambda: server.http.get("/health/ready").status_code == 200, 5.0)
+            ready = happens(lambda: server.http.get("/health/ready").status_code == 200, 30.0)
             stand.expect(ready, "the service is not ready again")
             _clear(server)
         stand.expect(not (left := leftovers(server)), f"left behind: {left}")
@@ -158,7 +167,7 @@ def _refusals(stand: Stand, server: Server, sha256: str) -> None:
         statuses.append(answer.status_code)
     stand.expect(set(statuses) <= {202, 507} and 507 in statuses, f"fits on a full disk: {Counter(statuses)}")
     stand.expect(server.http.get("/v1/fits").status_code == 200, "fits are not listed on a full disk")
-    unready = happens(lambda: server.http.get("/health/ready").status_code == 503, 5.0)  # it may be a second old
+    unready = happens(lambda: server.http.get("/health/ready").status_code == 503, 30.0)  # it may be a second old
     stand.expect(unready, "the service is ready although the disk is full")
 
 
