@@ -23,7 +23,7 @@ from dsbrdf.export import FORMATS, export_model
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.files import write_atomically
 from dsbrdf.fit import FitReport
-from dsbrdf.flags import add_fit_flags, fit_options, whole_number
+from dsbrdf.flags import add_fit_flags, fit_options, scheduler_address, whole_number
 from dsbrdf.measurement import CHANNELS
 from dsbrdf.model import DSBRDF
 from dsbrdf.point_flags import add_point_flags, given_points, join_directions
@@ -249,7 +249,10 @@ def _add_fit(commands: "argparse._SubParsersAction[_Parser]") -> None:
     fit.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
     fit.add_argument("--jobs", type=whole_number, metavar="N", help="fits that run at once (default: one for each CPU)")
     fit.add_argument(
-        "--scheduler", metavar="ADDRESS", help="fit on the Dask cluster of this scheduler (tcp://host:8786)"
+        "--scheduler",
+        type=scheduler_address,
+        metavar="ADDRESS",
+        help="fit on the Dask cluster of this scheduler (tcp://host:8786)",
     )
     fit.add_argument("--force", action="store_true", help="fit again what the folder holds already")
     fit.add_argument("--json", action="store_true", help="print one JSON document instead of text")

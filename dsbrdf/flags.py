@@ -38,6 +38,13 @@ def fit_options(arguments: argparse.Namespace) -> FitOptions:
     return FitOptions(**given)
 
 
+def scheduler_address(text: str) -> str:
+    """Return the text of a flag if it can be the address of a Dask scheduler."""
+    if re.fullmatch(r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+", text) is None:
+        raise argparse.ArgumentTypeError(f"must be an address such as tcp://host:8786, not {text!r}")
+    return text
+
+
 def _add_flag(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text: str) -> None:
     name = "lobes" if field.name == "n_lobes" else field.name.replace("_", "-")
     in_degrees = field.name in ANGLES

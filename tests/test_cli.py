@@ -314,6 +314,8 @@ def test_flags_reach_the_options() -> None:
         (["--mask", "1,2"], "--mask: must be none or a number, not '1,2'"),
         (["--jobs", "0"], "the number of fits that run at once, must be at least 1, not 0"),
         (["--jobs", "many"], "--jobs: must be a whole number, not 'many'"),
+        (["--scheduler", "host"], "--scheduler: must be an address such as tcp://host:8786, not 'host'"),
+        (["--scheduler", "tcp://host"], "--scheduler: must be an address such as"),
         (["--no-such-flag"], "unrecognized arguments: --no-such-flag"),
     ],
 )
