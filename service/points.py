@@ -152,7 +152,7 @@ def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
     inside = (angle >= 0.0) & (angle <= 90.0)
     if not inside.all():
         worst = angle[~inside][0]
-        raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {worst:g}.")
+        raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {float(worst)!r}.")
     return np.radians(angle)
 
 

@@ -1,5 +1,6 @@
 """BRDF values of a fit and of its components."""
 
+import re
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
@@ -49,6 +50,7 @@ Label = Annotated[
 _MOST_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_A_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_A_POINT = 48
+_DIRECTIONS_FIRST = re.compile(rb'\s*\{\s*"omega_')
 _ASKED = openapi.example(examples.VALUES, "One RGB triple for each point.") | openapi.problems(
     "not-found", "fit-not-finished", "invalid-argument"
 )
@@ -146,31 +148,34 @@ async def _batch(request: Request, context: Context) -> Points:
 
 def _from_json(body: bytes) -> Points:
     # Which of the two documents is meant shows in the message for one that is neither.
-    directions = b'"omega_' in body[:64]
+    directions = _DIRECTIONS_FIRST.match(body)
     try:
         if directions:
-            vectors = DirectionsRequest.model_validate_json(body)
+            vectors = DirectionsRequest.model_validate_json(body, strict=True)
             return from_directions(vectors.omega_in, vectors.omega_out)
-        angles = AnglesRequest.model_validate_json(body)
+        angles = AnglesRequest.model_validate_json(body, strict=True)
     except ValidationError as error:
         raise InvalidArgumentError(sentence(error.errors())) from None
     return from_angles(angles.theta_half_deg, angles.theta_diff_deg)
 
 
 def _wanted_type(request: Request) -> str:
-    """Return which of JSON and .npy ``Accept`` prefers."""
-    weights = {JSON: 0.0, NPY: 0.0}
-    for entry in request.headers.get("accept", "*/*").split(","):
+    """Return which of JSON and .npy ``Accept`` prefers; what is said of a type itself goes before any range."""
+    ranges: dict[str, float] = {}
+    for entry in ",".join(request.headers.getlist("accept")).split(","):
         media_type, *parameters = (part.strip().lower() for part in entry.split(";"))
-        weight = _quality(parameters)
-        for name in weights:
-            if media_type in (name, "*/*", "application/*"):
-                # A range counts less than a type that is named, so that JSON is the default.
-                found = weight if media_type == name else weight * (0.5 if name == JSON else 0.25)
-                weights[name] = max(weights[name], found)
-    if not any(weights.values()):
+        if media_type:
+            ranges[media_type] = max(ranges.get(media_type, 0.0), _quality(parameters))
+
+    def weight(name: str, in_range: float) -> float:
+        if name in ranges:
+            return ranges[name]
+        return in_range * ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
+
+    json, npy = weight(JSON, 0.5), weight(NPY, 0.25)  # a type that is named counts more; JSON is the default
+    if not (json or npy):
         raise ProblemError("not-acceptable", f"The values can be had as {JSON} or {NPY}; accept one of them.")
-    return NPY if weights[NPY] > weights[JSON] else JSON
+    return NPY if npy > json else JSON
 
 
 def _quality(parameters: list[str]) -> float:

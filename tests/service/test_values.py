@@ -139,15 +139,33 @@ def test_an_empty_npy_batch_has_no_values(server: Server, fitted: str, shape: tu
 
 def test_json_in_and_npy_out(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     document = {"theta_half_deg": [1, 2], "theta_diff_deg": [3, 4]}
-    for accept in ("application/x-npy", "application/json;q=0.5, application/x-npy", "application/x-npy, */*"):
+    for accept in (
+        "application/x-npy",
+        "application/json;q=0.5, application/x-npy",
+        "application/x-npy, */*",
+        "application/json;q=0, */*",
+        "application/*, application/json;q=0.1",
+    ):
         answer = server.http.post(f"/v1/fits/{fitted}/brdf", json=document, headers={"Accept": accept})
         assert answer.headers["content-type"] == "application/x-npy"
         assert np.load(io.BytesIO(answer.content)).shape == (2, 3)
-    for accept in ("*/*", "application/json", "application/x-npy;q=0.1, application/json"):
+    for accept in (
+        "*/*",
+        "",
+        "application/json",
+        "application/x-npy;q=0.1, application/json",
+        "application/x-npy;q=0, */*",
+    ):
         answer = server.http.post(f"/v1/fits/{fitted}/brdf", json=document, headers={"Accept": accept})
         assert answer.headers["content-type"] == "application/json"
     refused = server.http.post(f"/v1/fits/{fitted}/brdf", json=document, headers={"Accept": "text/html"})
     assert_problem(refused, 406, "not-acceptable")
+
+
+def test_white_space_before_a_batch_is_nothing(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    body = b" " * 200 + b'\n{ "omega_out": [[0, 0, 1]],\n "omega_in": [[0, 0, 1]] }'
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
+    assert answer.json()["values"] == [model.evaluate(0.0, 0.0).tolist()]
 
 
 def test_an_empty_batch_has_no_values(server: Server, fitted: str) -> None:
@@ -169,6 +187,7 @@ def test_an_empty_batch_has_no_values(server: Server, fitted: str) -> None:
         ("theta_half_deg=&theta_diff_deg=1", ["theta_half_deg"]),
         ("theta_half_deg=-0.1&theta_diff_deg=1", ["theta_half_deg", "0 to 90", "-0.1"]),
         ("theta_half_deg=1&theta_diff_deg=90.1", ["theta_diff_deg", "90.1"]),
+        ("theta_half_deg=90.00000000000001&theta_diff_deg=1", ["0 to 90", "90.00000000000001"]),
         ("theta_half_deg=nan&theta_diff_deg=1", ["theta_half_deg", "nan"]),
         ("theta_half_deg=inf&theta_diff_deg=1", ["theta_half_deg", "inf"]),
         ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "x,y,z"]),
@@ -237,6 +256,9 @@ def test_bad_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
         b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2]}',
         b'{"theta_half_deg": [NaN], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [null], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": ["1"], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
+        b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "omega_in": [[0, 0, 1]], "omega_out": [[0, 0, 1]]}',
