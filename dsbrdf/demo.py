@@ -3,13 +3,13 @@
 The service runs as it does for everyone else, in a process of its own; the demo talks to it through httpx only.
 """
 
-import socket
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-START_SECONDS = 20.0
+START_SECONDS = 60.0
 STOP_SECONDS = 10.0
 SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, whose values are compared
 
@@ -95,15 +95,13 @@ def running_service(folder: Path) -> Iterator[str]:
     RuntimeError
         If it ends, or is not ready in time; the message ends with its log.
     """
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    url, log = f"http://127.0.0.1:{port}", folder / "service.log"
-    command = [sys.executable, "-m", "service", "--port", str(port), "--data-dir", str(folder / "data")]
+    log = folder / "service.log"
+    command = [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(folder / "data")]
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)  # noqa: S603 (no outside input)
     try:
-        if not _becomes_ready(process, url):
+        url = _address_when_ready(process, log)
+        if url is None:
             raise RuntimeError(f"the service did not start; its log:\n{log.read_text(errors='replace')[-2000:]}")
         yield url
     finally:
@@ -120,18 +118,18 @@ def stop(process: "subprocess.Popen[bytes]") -> None:
         process.wait()
 
 
-def _becomes_ready(process: "subprocess.Popen[bytes]", url: str) -> bool:
+def _address_when_ready(process: "subprocess.Popen[bytes]", log: Path) -> str | None:
+    """Wait for the service and return its URL, which its log tells; None if it ends or takes too long."""
     import httpx
 
     deadline = time.monotonic() + START_SECONDS
     while process.poll() is None and time.monotonic() < deadline:
-        try:
-            if httpx.get(f"{url}/health/ready", timeout=5.0).is_success:
-                return True
-        except httpx.TransportError:
-            pass  # not listening yet
+        told = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
+        with suppress(httpx.TransportError):  # not listening yet, or busy
+            if told and httpx.get(f"{told[0]}/health/ready", timeout=5.0).is_success:
+                return told[0]
         time.sleep(0.05)
-    return False
+    return None
 
 
 def _paint() -> Measurement:

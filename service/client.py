@@ -141,7 +141,9 @@ class Client:
             raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         patience = httpx.Timeout(timeout, read=timeout + _POLL)
-        self._http = httpx.Client(base_url=base_url, headers=headers, timeout=patience)
+        # The service closes a connection that nobody uses for 5 s; none that it may be about to close is used again.
+        kept = httpx.Limits(keepalive_expiry=2.0)
+        self._http = httpx.Client(base_url=base_url, headers=headers, timeout=patience, limits=kept)
 
     def __enter__(self) -> "Client":
         return self

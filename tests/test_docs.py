@@ -16,6 +16,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.demo import running_service, stop
+from service.settings import Settings
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -122,8 +123,8 @@ def test_the_serve_command_starts_the_service_and_ends_with_it(tmp_path: Path) -
         process = subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=subprocess.STDOUT)
     try:
         url = printed_address(process, tmp_path / "log")
-        assert httpx.get(f"{url}/health/ready", timeout=10).json()["status"] == "ready"
-        assert (tmp_path / words[words.index("--data-dir") + 1]).is_dir()
+        assert httpx.get(f"{url}/health/ready", timeout=30).json()["status"] == "ready"
+        assert (tmp_path / Settings().data_dir).is_dir()
     finally:
         stop(process)
     with pytest.raises(httpx.TransportError):
@@ -131,7 +132,7 @@ def test_the_serve_command_starts_the_service_and_ends_with_it(tmp_path: Path) -
 
 
 def printed_address(process: "subprocess.Popen[bytes]", log: Path) -> str:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while process.poll() is None and time.monotonic() < deadline:
         if found := re.search(r"http://[\d.]+:\d+", log.read_text()):
             return found[0]
@@ -165,6 +166,15 @@ def test_the_extras_are_those_of_the_package() -> None:
 def test_links_to_files_lead_somewhere(name: str) -> None:
     links = re.findall(r"\]\(([^)]+)\)", (ROOT / name).read_text())
     assert [link for link in links if "://" not in link and not (ROOT / link.partition("#")[0]).exists()] == []
+
+
+def test_links_within_the_readme_lead_to_a_heading() -> None:
+    headings = {
+        re.sub(r"[^\w -]", "", text.lower()).replace(" ", "-") for text in re.findall(r"^#+ (.*)$", README, re.M)
+    }
+    anchors = set(re.findall(r"\]\(#([^)]+)\)", README))
+    assert len(anchors) > 5
+    assert anchors - headings == set()
 
 
 def test_the_glossary_names_what_reports_hold(python_quick_start: dict[str, Any]) -> None:
