@@ -2,11 +2,14 @@
 
 import argparse
 import ctypes
+import logging
 import os
+import resource
 import shutil
 import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,10 +29,13 @@ from service.engine import engine_of
 from service.keys import has_active_key
 from service.migrations import DataFolderError
 from service.problems import sentence
-from service.settings import Settings
+from service.settings import Settings, unknown_settings
 from service.store import Store
 
 _MMAP_THRESHOLD = -3  # glibc's M_MMAP_THRESHOLD
+_TIDYING = 5.0  # seconds that the end of the service may take beside what open requests are given
+
+logger = logging.getLogger(__name__)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DataFolderError, MissingExtraError, OSError) as error:
         return _refuse(str(error))
     logs.configure(settings)
+    for unknown in unknown_settings():
+        logger.warning("%s", unknown)
     _give_memory_back()
+    _allow_descriptors()
     _keep_temporary_files_in(settings.data_dir)
     return _run(settings, store)
 
@@ -93,9 +102,18 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
         """Stop: no new requests, and the ones in progress answer soon."""
         context: Context = self._app.state.context
+        last_moment = threading.Timer(context.settings.shutdown_seconds + _TIDYING, _break_off)
+        last_moment.daemon = True
+        last_moment.start()
         context.readiness.stop()
         context.jobs.let_go()
         await super().shutdown(sockets)
+
+
+def _break_off() -> None:
+    """End now, whatever hangs: nothing that was accepted is lost by that, and the next start tidies up."""
+    logger.error("the service does not end in time and breaks off")
+    os._exit(1)
 
 
 def _exit(*_: Any) -> None:
@@ -137,6 +155,13 @@ def _give_memory_back() -> None:
     """
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 20)
+
+
+def _allow_descriptors() -> None:
+    """Allow this process as many open files as it may have; what is usual is less than the connections it accepts."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):  # some systems tell more than they allow
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:

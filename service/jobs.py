@@ -32,6 +32,7 @@ T = TypeVar("T")
 _PAUSE = 5.0  # seconds between attempts at what the machine does not allow just now: to write, to start a process
 _LAST_PATIENCE = 1.0  # seconds that a write may wait for others when the service is about to end
 _OF_THE_DISK = (OSError, sqlite3.DatabaseError)
+_LONGEST_END = 5.0  # seconds that who cancels a fit waits until its process has ended
 _LEAST_CHANGE = 0.01  # of progress, that is worth telling
 _LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
 # A fit that runs whenever the service breaks off may be the cause: beyond the first number it waits, ever
@@ -165,7 +166,7 @@ class Jobs:
             if row is not None and live is not None:
                 live.task.cancel()
         if row is not None and live is not None:
-            await asyncio.wait([live.task])
+            await asyncio.wait([live.task], timeout=_LONGEST_END)
         return row
 
     def _begin(self, key: FitKey, interruptions: int = 0) -> None:

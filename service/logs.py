@@ -6,8 +6,10 @@ never reach it: whatever looks like one is cut out of every line. A line stays o
 """
 
 import logging
+import math
 import re
 import sys
+import time
 from typing import Any
 
 import structlog
@@ -21,6 +23,8 @@ _SECRETS = re.compile(r"(\bdsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic
 # What would end a line or steer a terminal.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
+_OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
+_SECONDS_BETWEEN = 10.0
 _OF_UVICORN = "color_message"  # the message once more, with colours
 
 
@@ -29,6 +33,7 @@ def configure(settings: Settings) -> None:
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(formatter(text=text, colors=text and sys.stderr.isatty()))
+    handler.addFilter(_Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
 
@@ -52,6 +57,25 @@ def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
         render = [_in_order, JSONRenderer(default=str)]
     processors = [ProcessorFormatter.remove_processors_meta, *render, _without_secrets]
     return ProcessorFormatter(foreign_pre_chain=gather, processors=processors)
+
+
+class _Repetitions:
+    """Lets a complaint of the event loop through once in some seconds.
+
+    Without a free descriptor it complains of every connection that it cannot accept, thousands of times a second.
+    """
+
+    def __init__(self) -> None:
+        self._told = -math.inf
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.name != "asyncio" or not record.msg.startswith(_OUT_OF_DESCRIPTORS):
+            return True
+        now = time.monotonic()
+        if now - self._told < _SECONDS_BETWEEN:
+            return False
+        self._told = now
+        return True
 
 
 def _drop_foreign(_: Any, __: str, event: EventDict) -> EventDict:

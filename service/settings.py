@@ -2,6 +2,7 @@
 
 import ipaddress
 import os
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
@@ -16,10 +17,14 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+_PREFIX = "DSBRDF_"
+_NOT_OURS = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_EXAMPLES"))  # of the client and the tests
+
+
 class Settings(BaseSettings):
     """Settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
 
-    model_config = SettingsConfigDict(env_prefix="DSBRDF_", frozen=True)
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, env_ignore_empty=True, frozen=True)
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
@@ -87,3 +92,15 @@ class Settings(BaseSettings):
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return False
+
+
+def unknown_settings() -> list[str]:
+    """Return a sentence for each variable of the environment that looks like a setting and is none."""
+    known = {_PREFIX + name.upper() for name in Settings.model_fields}
+    sentences = []
+    for name in sorted(os.environ):
+        if name.upper().startswith(_PREFIX) and name.upper() not in known | _NOT_OURS:
+            similar = get_close_matches(name.upper(), known, 1)
+            meant = f"; did you mean {similar[0]}?" if similar else "."
+            sentences.append(f"The environment variable {name[:80]} is no setting and has no effect{meant}")
+    return sentences

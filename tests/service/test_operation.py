@@ -2,11 +2,16 @@
 
 import asyncio
 import json
+import resource
+import shutil
+import signal
 import socket
 import sqlite3
+import subprocess
+import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import cast
 
@@ -19,9 +24,9 @@ from service import readiness
 from service.__main__ import main
 from service.database import FILE_NAME
 from service.readiness import Readiness
-from service.settings import Settings
+from service.settings import Settings, unknown_settings
 from service.store import Store
-from tests.service.running import ENDLESS, Server, assert_problem, wait_until
+from tests.service.running import ENDLESS, QUICK, Server, assert_problem, wait_until
 
 PATIENCE = 1.0  # seconds that the service has with slow clients here
 
@@ -197,12 +202,13 @@ def test_connections_beyond_twice_the_limit_are_refused(own_server: Callable[...
     wait_until(lambda: httpx.get(f"{server.http.base_url}/health/live", timeout=20).status_code == 200)
 
 
-def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., Server]) -> None:
+def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
         wait_until(lambda: server.http.get("/health/ready").status_code == 503)
-        assert "The database has not answered" in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+        # It has not answered, or has given up.
+        assert "The database " in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
         took = []
         for _ in range(3):
             begin = time.monotonic()
@@ -211,6 +217,53 @@ def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., 
         assert min(took) < readiness.LIMIT
         db.execute("ROLLBACK")
     wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+
+
+def test_a_data_folder_that_vanishes_takes_nothing_until_it_is_back(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server()
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    elsewhere = server.data_dir.with_name("elsewhere")
+    server.data_dir.rename(elsewhere)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+    for part in ("blobs", "tmp"):  # an empty folder in its place, as when a disk is not mounted
+        (server.data_dir / part).mkdir(parents=True)
+    wait_until(lambda: "The folder" not in server.http.get("/health/ready").text)
+    detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+    assert detail.startswith("The database is not ready: its file has been removed or replaced")
+    assert str(server.data_dir) not in detail
+    assert_problem(server.submit(sha256, **QUICK), 503, "not-ready")
+    assert_problem(server.http.post("/v1/measurements", content=data), 503, "not-ready")
+    assert server.http.get("/metrics").status_code == 200
+    assert not server.files()
+    shutil.rmtree(server.data_dir)
+    elsewhere.rename(server.data_dir)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+    assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
+
+
+def test_a_database_that_is_damaged_meanwhile_is_not_ready(own_server: Callable[..., Server]) -> None:
+    server = own_server()
+    server.stop()  # what it has written is in the file, and no longer in its memory
+    server.start()
+    database = server.data_dir / FILE_NAME
+    with database.open("r+b") as file:
+        file.write(b"\xff" * database.stat().st_size)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+    assert_problem(server.http.get("/v1/fits"), 503, "not-ready")
+    assert "dsbrdf_requests_total" in server.http.get("/metrics").text
+    server.stop(signal.SIGKILL)
+    again = subprocess.run(
+        [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(server.data_dir)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert again.returncode == 2
+    assert again.stderr.startswith("dsbrdf: the database ")
+    assert again.stderr.count("\n") == 1
 
 
 def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path) -> None:
@@ -303,6 +356,43 @@ def test_a_wrong_setting_is_one_sentence_that_names_it(
     assert repr(value) in said
     assert said.count("\n") == 1
     assert not (tmp_path / "data").exists()
+
+
+def test_a_variable_that_is_no_setting_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DSBRDF_WORKER", "2")
+    monkeypatch.setenv("DSBRDF_KEY", "of-the-client")
+    assert unknown_settings() == [
+        "The environment variable DSBRDF_WORKER is no setting and has no effect; did you mean DSBRDF_WORKERS?"
+    ]
+    server = Server(tmp_path / "data")
+    try:
+        server.start()
+        (told,) = [line for line in server.log.read_text().splitlines() if "DSBRDF_" in line]
+        assert json.loads(told)["level"] == "warning"
+    finally:
+        server.close()
+
+
+def test_an_empty_variable_is_no_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in Settings.model_fields:
+        monkeypatch.setenv(f"DSBRDF_{name.upper()}", "")
+    assert Settings() == Settings(_env_prefix="NOTHING_")  # type: ignore[call-arg]
+
+
+def test_a_service_without_free_descriptors_recovers_and_does_not_fill_the_log(
+    own_server: Callable[..., Server],
+) -> None:
+    server = own_server(workers="1")
+    resource.prlimit(server.process.pid, resource.RLIMIT_NOFILE, (40, 40))
+    url = server.http.base_url
+    server.http.close()
+    with ExitStack() as stack:
+        for _ in range(60):
+            stack.enter_context(closing(connect(server)))
+        wait_until(lambda: "out of system resource" in server.log.read_text())
+        time.sleep(1.5)  # it tries again every second
+        assert server.log.read_text().count("out of system resource") <= 3
+    wait_until(lambda: httpx.get(f"{url}/health/ready", timeout=30).status_code == 200, 30)
 
 
 def test_every_setting_is_described() -> None:
