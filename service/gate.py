@@ -15,9 +15,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service import problems
 from service.keys import ActiveKey, Keys
 from service.problems import ProblemError
+from service.quota import QueueQuotaError, StorageQuotaError
 from service.rows import Caller, FitKey
 from service.settings import Settings
-from service.store import QueueQuotaError, StorageQuotaError
 
 _PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
 OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *_PAGE))  # they tell nothing of anyone

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from service.blobs import Blobs, Incoming
 from service.database import Database
 from service.migrations import DataFolderError
+from service.quota import Uploads, check_queue, check_storage
 from service.rows import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
@@ -41,14 +42,6 @@ class QueueFullError(RuntimeError):
     """As many fits are waiting as may wait."""
 
 
-class QueueQuotaError(RuntimeError):
-    """The caller has as many unfinished fits as it may have."""
-
-
-class StorageQuotaError(RuntimeError):
-    """The caller has stored as much as it may, or would with this measurement."""
-
-
 class MeasurementInUseError(RuntimeError):
     """A measurement cannot be removed while fits of it are unfinished."""
 
@@ -73,6 +66,7 @@ class Store:
         self.folder = folder
         self.database = Database(folder, beside=beside)
         self.blobs = Blobs(folder)
+        self._uploads = Uploads(self.database)
         try:
             if not beside:
                 self._drop_strays()
@@ -86,6 +80,28 @@ class Store:
     def close(self) -> None:
         """Release the folder."""
         self.database.close()
+
+    def begin_upload(self, caller: Caller) -> Incoming:
+        """Return a new file for an upload, which takes its room of what the caller may store.
+
+        Raises
+        ------
+        StorageQuotaError
+            If other uploads of the caller take all of that already.
+        """
+        self._uploads.begin(caller)
+        try:
+            return self.blobs.incoming()
+        except BaseException:
+            self._uploads.end(caller)
+            raise
+
+    def end_upload(self, caller: Caller, incoming: Incoming) -> None:
+        """Remove the file of an upload, unless it is kept, and give its room back."""
+        try:
+            incoming.discard()
+        finally:
+            self._uploads.end(caller)
 
     def add_measurement(
         self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
@@ -102,7 +118,7 @@ class Store:
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             row = known
             if row is None:
-                _check_storage(db, caller, incoming.size)
+                check_storage(db, caller, incoming.size)
                 values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
                 (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
             # Placed even if the same bytes are there: they may have been damaged or lost since, and how long it takes
@@ -186,8 +202,8 @@ class Store:
             stored = "SELECT 1 FROM measurements WHERE owner = ? AND sha256 = ?"
             if db.execute(stored, (caller.owner, measurement)).fetchone() is None:
                 raise MissingMeasurementError(measurement)
-            _check_queue(db, caller)
-            _check_storage(db, caller, 0)
+            check_queue(db, caller)
+            check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
                 raise QueueFullError(f"{waiting} fits are waiting")
@@ -294,29 +310,3 @@ class Store:
                 db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,))
         for sha256 in files - rows:
             self.blobs.remove(sha256)
-
-
-def _check_queue(db: sqlite3.Connection, caller: Caller) -> None:
-    """Raise QueueQuotaError if the caller has as many unfinished fits as it may have."""
-    if caller.queued_fits is None:
-        return
-    query = "SELECT count(*) FROM fits WHERE owner = ? AND status IN ('accepted', 'running')"
-    (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
-    if unfinished >= caller.queued_fits:
-        raise QueueQuotaError(f"{unfinished} fits of this key are unfinished, as many as may be")
-
-
-def _check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
-    """Raise StorageQuotaError if the caller has no room for one and more bytes."""
-    if caller.stored_bytes is None:
-        return
-    query = (
-        "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
-        " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
-    )
-    (stored,) = db.execute(query, (caller.owner, caller.owner)).fetchone()
-    if stored + max(more, 1) > caller.stored_bytes:
-        raise StorageQuotaError(
-            f"this key has stored {stored / 1e6:.1f} of {caller.stored_bytes / 1e6:.1f} MB"
-            + (f" and the measurement has {more / 1e6:.1f} MB" if more else "")
-        )

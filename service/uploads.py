@@ -16,8 +16,9 @@ from service.blobs import Incoming
 from service.decoding import decoder
 from service.gate import caller_of, over_quota
 from service.problems import ProblemError
+from service.quota import StorageQuotaError
 from service.rows import MeasurementRow
-from service.store import StorageQuotaError, Store
+from service.store import Store
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -46,18 +47,22 @@ async def receive_measurement(request: Request, store: Store) -> tuple[Measureme
     declared = request.headers.get("content-length", "")
     if not encoding and declared.isdecimal() and int(declared) != FILE_SIZE:
         await _refuse(request, int(declared))
-    incoming = await _in_thread(store.blobs.incoming)
+    caller = caller_of(request)
+    try:
+        incoming = await _in_thread(store.begin_upload, caller)
+    except StorageQuotaError as error:
+        raise over_quota(error) from None
     try:
         receiver = _Receiver(incoming, encoding)
         await _take_all(request, receiver)
         await _in_thread(receiver.finish)
         # The disk and the processor have work of their own here, and neither waits for the other.
         valid_nodes, sha256 = await _both(_in_thread(receiver.check), _in_thread(incoming.close))
-        return await _in_thread(store.add_measurement, caller_of(request), incoming, sha256, valid_nodes)
+        return await _in_thread(store.add_measurement, caller, incoming, sha256, valid_nodes)
     except StorageQuotaError as error:
         raise over_quota(error) from None
     finally:
-        await asyncio.shield(_in_thread(incoming.discard))
+        await asyncio.shield(_in_thread(store.end_upload, caller, incoming))
 
 
 async def receive_small(request: Request, limit: int) -> memoryview:

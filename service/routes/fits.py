@@ -19,10 +19,11 @@ from service.gate import caller_of, fit_of, over_quota, owner_of
 from service.models import no_such_fit, no_such_measurement
 from service.option_parsing import parse_options, parse_query
 from service.problems import ProblemError, sentence
+from service.quota import QueueQuotaError, StorageQuotaError
 from service.replies import json_reply, next_page, preferred_wait, tagged_reply
 from service.rows import Caller, FitKey, FitRow
 from service.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
-from service.store import MissingMeasurementError, QueueFullError, QueueQuotaError, StorageQuotaError
+from service.store import MissingMeasurementError, QueueFullError
 from service.uploads import receive_measurement, receive_small
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])

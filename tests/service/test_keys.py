@@ -508,7 +508,9 @@ def test_nothing_above_the_quota_is_stored(guarded: Guarded, data: bytes) -> Non
     assert sorted(answer.status_code for answer in answers) == [201, 201, 403, 403, 403, 403]
     for answer in answers:
         if answer.status_code == 403:
-            assert re.search("this key has stored [0-9.]+ of 73.4 MB and ", assert_problem(answer, 403, "storage-quota"))
+            assert re.search(
+                "this key has stored [0-9.]+ of 73.4 MB and ", assert_problem(answer, 403, "storage-quota")
+            )
     assert len(set(server.files()) - before) == 2
     assert len(server.http.get("/v1/measurements", headers=header).json()["items"]) == 2
 

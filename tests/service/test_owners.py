@@ -15,8 +15,9 @@ import pytest
 import dsbrdf
 from service.migrations import STEPS
 from service.options import to_wire
+from service.quota import StorageQuotaError
 from service.rows import Caller, FitKey
-from service.store import StorageQuotaError, Store
+from service.store import Store
 from tests.service.conftest import Guarded, new_key
 from tests.service.running import QUICK, Server, assert_problem
 
@@ -65,7 +66,7 @@ def test_a_database_without_owners_becomes_the_local_user_s(tmp_path: Path) -> N
     assert (measurement.owner, *old["measurements"][0]) == tuple(vars(measurement).values())
     assert [row.seq for row in store.fits("", 10, None)] == [9, 8, 5, 3, 2]
     assert store.result(FitKey("", "done")) == '{"é": 1}'
-    assert [row.id for row in store.resume()] == ["busy", "waiting"]
+    assert [row.id for row in store.resume()] == ["waiting", "busy"]
     new, is_new = store.add_fit(Caller(), "new", SHA256, {}, ("1", "0"), 10)
     assert (new.seq, is_new) == (10, True)
     assert store.measurement("someone", SHA256) is None
