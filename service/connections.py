@@ -100,24 +100,15 @@ class Connection(H11Protocol):
 
 
 def connection_class(settings: Settings) -> type[Connection]:
-    """Return the class of connections that have the limits of `settings`, and make room for so many."""
+    """Return the class of connections that have the limits of `settings`, and leave room for as many files."""
     most = 2 * settings.limit_concurrency  # some are idle, and a request too many gets its answer from `Observe`
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     limits = {
-        "most": min(most, _descriptors(4 * most) // 2),  # files need the others
+        "most": most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2),
         "head_seconds": settings.head_seconds,
         "silence_seconds": settings.silence_seconds,
     }
     return type("Connection", (Connection,), limits)
-
-
-def _descriptors(wanted: int) -> int:
-    """Return how many files and connections this process may have open, after it has asked for as many as wanted."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-    if soft != resource.RLIM_INFINITY and soft < allowed:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
-        return allowed
-    return wanted if soft == resource.RLIM_INFINITY else soft
 
 
 def _cancel(timer: asyncio.TimerHandle | None) -> None:

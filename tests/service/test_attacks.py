@@ -6,18 +6,22 @@ How long an answer takes is bounded by the processor time that it costs: a machi
 
 import json
 import re
+import resource
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import httpx
 import pytest
 
+from service.connections import connection_class
+from service.settings import Settings
 from tests.service import hostile
 from tests.service.bombs import BOMBS, JSON, MEASUREMENT, NPY
 from tests.service.malformed import MALFORMED
-from tests.service.running import QUICK, Server
+from tests.service.running import QUICK, Server, wait_until
 
 SECONDS = 1.0
 PATIENCE = 60.0
@@ -158,6 +162,70 @@ def keep_busy(server: Server, seconds: float) -> None:
     spent = server.cpu_seconds()
     while server.cpu_seconds() - spent <= seconds:
         server.http.get("/openapi.json")
+
+
+def test_a_client_that_goes_is_no_fault_of_the_service(target: Target) -> None:
+    paths = ("/v1/fits", f"/v1/fits/{target.fit}/brdf", f"/v1/fits/{target.fit}/lobes/diffuse/brdf", "/v1/measurements")
+    types = (JSON, JSON, NPY, MEASUREMENT)
+    for path, media_type in zip(paths, types, strict=True):
+        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Request-ID: gone\r\nContent-Type: {media_type}\r\n"
+        with socket.create_connection(target.address, timeout=20) as connection:
+            connection.sendall(f"{head}Content-Length: 34992012\r\n\r\n".encode() + b'{"theta_half_deg":[')
+
+    def lines() -> list[dict[str, object]]:
+        return [line for line in map(json.loads, target.server.log.read_text().splitlines()) if known(line)]
+
+    def known(line: dict[str, object]) -> bool:
+        return line.get("request_id") == "gone"
+
+    wait_until(lambda: len(lines()) >= len(paths))
+    assert [(line["event"], line["level"]) for line in lines()] == [("request", "info")] * len(paths)
+    assert {line["status"] for line in lines()} <= {400, 413}
+    target.close(len(paths), "clients that went")
+
+
+def test_a_body_has_one_end(target: Target) -> None:
+    body = b'{"theta_half_deg":[1],"theta_diff_deg":[1]}'
+    chunked = b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body)
+    smuggled = b"DELETE /v1/fits/%s HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" % target.fit.encode()
+    for path in (f"/v1/fits/{target.fit}/brdf", "/health/live"):
+        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n".encode()
+        for length in (0, 4, len(chunked), len(chunked) + len(smuggled)):
+            two = b"Content-Length: %d\r\nTransfer-Encoding: chunked\r\n\r\n" % length
+            with socket.create_connection(target.address, timeout=60) as connection:
+                connection.sendall(head + two + chunked + smuggled)
+                received = b""
+                with suppress(ConnectionResetError):
+                    while piece := connection.recv(1 << 16):
+                        received += piece
+            assert received.startswith(b"HTTP/1.1 400 ")
+            assert received.count(b"HTTP/1.1 ") == 1
+            assert received.endswith(b"}")
+    target.close(8, "bodies with two ends")
+
+
+def test_idle_connections_leave_room_for_others(own_server: Callable[..., Server]) -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
+    try:
+        server = own_server(head_seconds="600")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    address = (server.http.base_url.host, server.http.base_url.port)
+    idle = [socket.create_connection(address, timeout=20) for _ in range(400)]
+    try:
+        assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
+    finally:
+        for connection in idle:
+            connection.close()
+
+
+@pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 1024), (-1, 1024)])
+def test_there_are_half_as_many_connections_as_files_at_most(
+    monkeypatch: pytest.MonkeyPatch, files: int, most: int
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+    assert connection_class(Settings()).most == most
 
 
 def test_the_checks_can_fail(target: Target) -> None:
