@@ -14,9 +14,10 @@ DASK = (str(Path(sys.executable).parent / "dask"),)
 class DaskCluster:
     """One scheduler, at an address that stays, and its workers."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, **environment: str) -> None:
+        self._environment = environment
         folder.mkdir(parents=True, exist_ok=True)
-        self._folder = folder
+        self.folder = folder
         self._port = free_port()
         self.address = f"tcp://127.0.0.1:{self._port}"
         self.scheduler: subprocess.Popen[bytes] | None = None
@@ -32,7 +33,7 @@ class DaskCluster:
     def add_worker(self, *flags: str, nanny: bool = False) -> "subprocess.Popen[bytes]":
         """Start a worker of one thread, by default as fits need it: without a nanny."""
         flags = flags if nanny else ("--no-nanny", *flags)
-        place = ("--host", "127.0.0.1", "--local-directory", str(self._folder))
+        place = ("--host", "127.0.0.1", "--local-directory", str(self.folder))
         self.workers.append(self._start("worker", self.address, "--nthreads", "1", *place, *flags))
         return self.workers[-1]
 
@@ -50,15 +51,15 @@ class DaskCluster:
                 _kill(process)
 
     def log(self) -> str:
-        return (self._folder / "log").read_text()
+        return (self.folder / "log").read_text()
 
     def _start(self, kind: str, *flags: str) -> "subprocess.Popen[bytes]":
-        with (self._folder / "log").open("ab") as log:
+        with (self.folder / "log").open("ab") as log:
             return subprocess.Popen(
                 [*DASK, kind, "--no-dashboard", *flags],
                 stdout=log,
                 stderr=log,
-                env={**os.environ, "TMPDIR": str(self._folder)},
+                env={**os.environ, "TMPDIR": str(self.folder), **self._environment},
                 start_new_session=True,
             )
 

@@ -77,8 +77,10 @@ def endless_fits(files: list[Path]) -> Iterator[list[int]]:
 def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
     """``dsbrdf fit`` of endless fits with two processes at work, in a process group of its own as a terminal has it."""
     words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
+    (tmp_path / "temporary").mkdir()
     process = subprocess.Popen(
         [sys.executable, "-m", "dsbrdf.cli", *words],
+        env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -185,7 +187,7 @@ def test_an_interrupt_ends_everything_at_once(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_no_process_outlives_the_command(
+def test_no_process_and_no_file_outlives_the_command(
     command: "subprocess.Popen[str]", tmp_path: Path, number: signal.Signals
 ) -> None:
     workers = forked(command.pid)
@@ -194,6 +196,7 @@ def test_no_process_outlives_the_command(
     command.wait(PATIENCE)
     wait_until(lambda: not any(map(alive, workers)), PATIENCE)
     assert list((tmp_path / "out").iterdir()) == []
+    wait_until(lambda: not list((tmp_path / "temporary").iterdir()), PATIENCE)
 
 
 def test_an_interrupted_run_resumes(files: list[Path], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.engines import Engine, Fault, FitTask, Fitted, Limits, Outcome, child
+from dsbrdf.engines import NOT_STARTED, Engine, Fault, FitTask, Fitted, Limits, Outcome, child
 from dsbrdf.engines import cluster as cluster_room
 from dsbrdf.engines.compute import reduce
 from dsbrdf.engines.dask import DaskEngine
@@ -202,7 +202,8 @@ def test_a_killed_process_takes_its_own_fit_only(stage: Stage, plastic_file: Pat
                 os.kill(pid, signal.SIGKILL)
             outcome = await fit
             assert isinstance(outcome, Fault)
-            assert (outcome.origin, outcome.type) == ("system", "ProcessLost")
+            assert outcome.origin == "system"
+            assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
             assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
 
     asyncio.run(body())
@@ -337,8 +338,8 @@ def test_without_fork_servers_processes_are_started_afresh(plastic_file: Path, m
 def test_only_profiles_travel(plastic_file: Path) -> None:
     plain = reduce(FitTask("one", plastic_file, FitOptions()), lambda _: None)
     weighted = reduce(FitTask("one", plastic_file, FitOptions(weighting="log")), lambda _: None)
-    assert len(plain) < 400_000
-    assert len(weighted) < 1_000_000
+    assert len(plain.packed) < 400_000
+    assert len(weighted.packed) < 1_000_000
 
 
 def test_a_cluster_is_waited_for_and_followed(own_cluster: DaskCluster, plastic_file: Path) -> None:

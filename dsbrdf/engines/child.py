@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from multiprocessing import connection, parent_process, resource_tracker
+from multiprocessing import connection, parent_process, resource_tracker, util
 from typing import Any
 
 from dsbrdf.engines import NOT_STARTED, Fault, Limits
@@ -31,6 +31,9 @@ ONE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "VECLIB_MAXIMUM_THREADS": "1",
 }
+SERVER_FOLDER = "DSBRDF_FORK_SERVER_FOLDER"
+"""The environment variable that tells the fork server the folder of its socket."""
+
 _SMALLEST_STEP = 0.005  # of progress, that is worth a message
 _LOOK_UP = 0.1  # seconds after which it is asked again whether the outcome is still wanted
 # Ended from outside (an operator, the kernel short of memory), so worth another attempt.
@@ -148,7 +151,7 @@ def _context() -> multiprocessing.context.BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["dsbrdf.engines.child"])
+    context.set_forkserver_preload(["dsbrdf.engines.preload"])
     return context
 
 
@@ -210,16 +213,17 @@ def _end_with_parent() -> None:
 def _as_children_start() -> Iterator[None]:
     """Let processes that start in the block have what they should have of this one, and nothing else."""
     with _starting, ExitStack() as stack:
-        for give in (_one_thread, _interrupts_held, _main_hidden):
+        for give in (_environment, _interrupts_held, _main_hidden):
             stack.enter_context(give())
         yield
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """The number of BLAS threads is read from the environment, once."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+def _environment() -> Iterator[None]:
+    """The number of BLAS threads is read from there, once."""
+    wanted = {**ONE_THREAD, SERVER_FOLDER: util.get_temp_dir()}
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
     try:
         yield
     finally:

@@ -1,7 +1,7 @@
 """The computation of one fit, in one step or in the three that an engine takes which computes elsewhere.
 
     compute:  file -> outcome
-    reduce:   file -> parcel        fit_parcel:  parcel -> outcome        complete:  outcome, file -> outcome
+    reduce:   file -> parcel        fit_parcel:  parcel -> outcome        complete:  outcome, same file -> outcome
 
 The first and the last of the three need the measurement's file; only the parcel travels. Both ways give the same
 document to the last bit, apart from the timings.
@@ -38,6 +38,14 @@ class _Parcel:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Reduced:
+    """A measurement's parcel, and the digest of the file that it was made of."""
+
+    packed: bytes
+    sha256: str
+
+
 def outcome_of(work: Callable[..., Any], *arguments: Any) -> Any:
     """Call one of the functions below; every failure of the fit is an outcome, not an exception."""
     try:
@@ -64,14 +72,14 @@ def compute(task: FitTask, report: Report) -> Outcome:
     return _fitted(result, sentences)
 
 
-def reduce(task: FitTask, _: Report) -> bytes:
+def reduce(task: FitTask, _: Report) -> Reduced:
     """Pack what a fit of the measurement of `task` needs elsewhere; some 0.3 MB, or twice that if weighted."""
     measurement = read_merl(task.path)
     begin = time.perf_counter()
     fitted = profiles_for(measurement, task.options)
     seconds = time.perf_counter() - begin
     plain = profiles(measurement, horizon_cutoff=task.options.horizon_cutoff) if fitted.weighted else None
-    return zlib.compress(pickle.dumps(_Parcel(fitted, plain, seconds)), 1)
+    return Reduced(zlib.compress(pickle.dumps(_Parcel(fitted, plain, seconds)), 1), measurement.sha256)
 
 
 def fit_parcel(packed: bytes, options: FitOptions, report: Report) -> Outcome:
@@ -84,12 +92,15 @@ def fit_parcel(packed: bytes, options: FitOptions, report: Report) -> Outcome:
     return _fitted(FitResult(result.model, replace(result.report, timings=timings)), sentences)
 
 
-def complete(fitted: Fitted, task: FitTask, _: Report) -> Outcome:
-    """Add to the report of `fit_parcel` what only the samples can tell."""
+def complete(fitted: Fitted, task: FitTask, sha256: str, _: Report) -> Outcome:
+    """Add to the report of `fit_parcel` what only the samples can tell; they have to be those of the parcel."""
     model, report = from_json(fitted.document)
     if report is None:
         raise ValueError("the document of a fit has a report")
-    return _fitted(with_samples(FitResult(model, report), read_merl(task.path)), fitted.warnings)
+    measurement = read_merl(task.path)
+    if measurement.sha256 != sha256:
+        return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
+    return _fitted(with_samples(FitResult(model, report), measurement), fitted.warnings)
 
 
 @contextmanager

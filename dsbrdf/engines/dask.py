@@ -11,6 +11,7 @@ A Dask cluster runs whatever it is sent by whoever can connect to it, unless TLS
 import asyncio
 import importlib
 import logging
+import time
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
@@ -19,12 +20,13 @@ from typing import Any
 from dsbrdf.engines import Fault, FitTask, Fitted, Limits, Outcome
 from dsbrdf.engines.child import Child, start_fork_server
 from dsbrdf.engines.cluster import TOPIC, Cluster, LostError
-from dsbrdf.engines.compute import complete, fit_parcel, reduce
+from dsbrdf.engines.compute import Reduced, complete, fit_parcel, reduce
 from dsbrdf.engines.local import Children
 from dsbrdf.engines.places import Places
 from dsbrdf.extras import require
 from dsbrdf.options import FitOptions
 
+_TELL = 0.2  # seconds between two messages of a fit's progress, which cost worker, scheduler and this machine
 _LOST_WORKERS = 3  # that one fit may outlive before it is given up: as many as Dask allows a task
 
 logger = logging.getLogger(__name__)
@@ -72,13 +74,13 @@ class DaskEngine:
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         """Compute `task`; a worker on which a cancelled call has begun frees its processor within a moment."""
-        packed: bytes | Fault = await self._children.run(reduce, task, tell=_ignore)
-        if isinstance(packed, Fault):
-            return packed
-        outcome = await self._fit(packed, task.options, _rising(on_progress))
+        reduced: Reduced | Fault = await self._children.run(reduce, task, tell=_ignore)
+        if isinstance(reduced, Fault):
+            return reduced
+        outcome = await self._fit(reduced.packed, task.options, _rising(on_progress))
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._children.run(complete, outcome, task, tell=_ignore)
+        completed: Outcome = await self._children.run(complete, outcome, task, reduced.sha256, tell=_ignore)
         return completed
 
     async def check(self) -> None:
@@ -124,7 +126,14 @@ def fit_on_worker(packed: bytes, options: FitOptions, limits: Limits) -> Outcome
     worker = get_worker()
     key = worker.get_current_task()
 
+    told = 0.0
+
     def tell(share: float) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if now - told < _TELL and share < 1.0:
+            return
+        told = now
         worker.log_event(TOPIC, {"key": key, "share": share})
 
     def wanted() -> bool:

@@ -42,12 +42,14 @@ class Children:
             loop.call_soon_threadsafe(tell, share)
 
         context = contextvars.copy_context()  # what the caller has bound for its log lines
-        supervision = loop.run_in_executor(self._threads, context.run, child.supervise, tell_loop)
+        supervision = self._threads.submit(context.run, child.supervise, tell_loop)
+        ended = asyncio.wrap_future(supervision)
         try:
-            return await asyncio.shield(supervision)
+            return await asyncio.shield(ended)
         except asyncio.CancelledError:
-            child.stop()
-            await asyncio.wait([supervision])
+            if not supervision.cancel():  # it has a thread: it does not only wait for one
+                child.stop()
+                await asyncio.wait([ended])
             raise
 
     async def close(self) -> None:
