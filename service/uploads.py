@@ -7,7 +7,7 @@ from functools import partial
 from typing import ParamSpec, TypeVar, cast
 
 from anyio import CapacityLimiter, to_thread
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 
 from dsbrdf import MeasurementFormatError
 from dsbrdf.merl import FILE_SIZE, MerlChecker, check_header, check_length
@@ -92,7 +92,7 @@ async def receive_small(request: Request, limit: int) -> memoryview:
     if declared.isdecimal() and int(declared) > limit:
         raise too_large
     n_encoded = 0
-    async for piece in _parts(request):
+    async for piece in request.stream():
         n_encoded += len(piece)
         if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing can be endless
             raise too_large
@@ -177,7 +177,7 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
     """Yield the body in pieces that are worth a switch to another thread."""
     parts: list[bytes] = []
     size = 0
-    async for part in _parts(request):
+    async for part in request.stream():
         parts.append(part)
         size += len(part)
         if size >= _PIECE:
@@ -189,19 +189,10 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
         yield b"".join(parts)
 
 
-async def _parts(request: Request) -> AsyncIterator[bytes]:
-    """Yield the body as it arrives."""
-    try:
-        async for part in request.stream():
-            yield part
-    except ClientDisconnect:
-        raise ProblemError("bad-request", "The client went away before the end of the body.") from None
-
-
 async def _refuse(request: Request, length: int) -> None:
     """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
     start = b""
-    async for part in _parts(request):
+    async for part in request.stream():
         start += part
         if len(start) >= HEADER_SIZE:
             check_header(start)
