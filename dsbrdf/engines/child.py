@@ -113,9 +113,9 @@ class Child:
                     self._process.kill()
                 return self._listen(tell, wanted)
             finally:
-                self._process.join(_LAST_WORDS)
+                self._join(_LAST_WORDS)
                 self._process.kill()
-                self._process.join()
+                self._join()
 
     def _listen(self, tell: Callable[[float], None], wanted: Callable[[], bool] | None) -> Any:
         deadline = time.monotonic() + self._seconds
@@ -134,10 +134,16 @@ class Child:
                     else:
                         return message
         except (EOFError, OSError):
-            self._process.join()
+            self._join()
             return self._died()
         self._process.kill()
         return Fault("compute", "TimeLimit", f"The fit took longer than the {self._seconds:g} s that a fit may take.")
+
+    def _join(self, seconds: float | None = None) -> None:
+        """Wait for the end of the process; how it was can be read once, and who starts another one reads it, too."""
+        if connection.wait([self._process.sentinel], seconds):
+            with _starting:
+                self._process.join()
 
     def _died(self) -> Fault:
         code = self._process.exitcode
