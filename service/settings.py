@@ -60,7 +60,7 @@ class Settings(BaseSettings):
     fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")
     fit_memory_mb: int = Field(default=4096, ge=128, description="Address space limit of one fit's process [MB].")
     fit_attempts: int = Field(
-        default=2, ge=1, description="Attempts at a fit whose process was lost to no fault of its own."
+        default=2, ge=1, description="Attempts at a fit whose process is lost; restarts of the service do not count."
     )
 
     default_wait: float = Field(default=30.0, ge=0, description="Time that a POST waits for its fit [s].")

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import httpx
 import pytest
 
-from tests.service.running import ENDLESS, Server, alive, children, wait_until
+from tests.service.running import ENDLESS, Server, alive, children, command, wait_until
 
 SOON = 10.0  # seconds; what is asked for, on a machine that does much else
 
@@ -136,3 +136,20 @@ def test_a_request_that_cannot_be_finished_is_told_so(own_server: Callable[..., 
     assert server.process.wait(timeout=20) == 0
     assert not server.files()
     assert all(json.loads(line) for line in server.log.read_text().splitlines())
+
+
+def test_what_hangs_does_not_keep_the_service(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", shutdown_seconds="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    (fork_server,) = (pid for pid in server.helpers() if b"forkserver" in command(pid))
+    os.kill(fork_server, signal.SIGSTOP)
+    try:
+        fit = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+        wait_until(lambda: server.status(fit) == "running")
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(timeout=60) == 1
+    finally:
+        os.kill(fork_server, signal.SIGKILL)
+    assert "breaks off" in server.log.read_text()
+    server.start()
+    assert server.status(fit) in ("accepted", "running", "succeeded")
