@@ -186,7 +186,7 @@ def test_a_killed_worker_leaves_nothing_in_the_temporary_folder(own_cluster: Das
         async with started(DaskEngine(own_cluster.address, 1, LIMITS)) as engine:
             fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
             await until_fitting(Stage(own_cluster))
-            own_cluster.kill_worker(worker)
+            worker.kill()  # the worker alone: what it has started has to notice
             fit.cancel()
             await asyncio.wait([fit])
 
