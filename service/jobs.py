@@ -39,7 +39,8 @@ _LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is bei
 # longer, so that there is a service that can be asked to cancel it; at the second one it is given up.
 _INTERRUPTIONS_FORGIVEN = 8
 _REST = 1.0  # seconds; twice as many with each further interruption
-_INTERRUPTIONS_ALLOWED = 16
+_INTERRUPTIONS_ALLOWED = 100  # with the longest rest before most of them: the better part of an hour of breaking off
+_LONGEST_REST = 30.0  # seconds
 
 
 def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
@@ -191,7 +192,7 @@ class Jobs:
                 await _written(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
                 return
             if interruptions > _INTERRUPTIONS_FORGIVEN:
-                await asyncio.sleep(_REST * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN))
+                await asyncio.sleep(min(_REST * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _LONGEST_REST))
             while not await self._attempt(key):
                 pass
         except Exception:
