@@ -7,13 +7,13 @@ import os
 import resource
 import shutil
 import signal
+import socket
 import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from socket import socket
 from typing import Any
 
 import uvicorn
@@ -53,8 +53,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         engine_of(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
-    except (DataFolderError, MissingExtraError, OSError) as error:
+    except (DataFolderError, MissingExtraError) as error:
         return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+    try:
+        _try_address(settings.host, settings.port)
+    except OSError as error:
+        store.close()
+        return _refuse(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.", 1)
     logs.configure(settings)
     for unknown in unknown_settings():
         logger.warning("%s", unknown)
@@ -99,7 +106,7 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._app = app
 
-    async def shutdown(self, sockets: list[socket] | None = None) -> None:
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop: no new requests, and the ones in progress answer soon."""
         context: Context = self._app.state.context
         last_moment = threading.Timer(context.settings.shutdown_seconds + _TIDYING, _break_off)
@@ -179,9 +186,19 @@ def _keep_temporary_files_in(data_dir: Path) -> None:
         tempfile.tempdir = str(descriptor)
 
 
-def _refuse(reason: str) -> int:
+def _try_address(host: str, port: int) -> None:
+    """Raise OSError unless the address can be listened on, before anything of the service runs."""
+    for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                trial.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            trial.bind(address)
+
+
+def _refuse(reason: str, code: int = 2) -> int:
     sys.stderr.write(f"dsbrdf: {reason}\n")
-    return 2
+    return code
 
 
 if __name__ == "__main__":

@@ -266,6 +266,20 @@ def test_a_database_that_is_damaged_meanwhile_is_not_ready(own_server: Callable[
     assert again.stderr.count("\n") == 1
 
 
+def test_what_cannot_be_started_is_told_in_one_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for words, code, sentence in (
+            (["--data-dir", str(file)], 2, f"{file} cannot be the data folder: File exists."),
+            (["--port", str(port)], 1, f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."),
+        ):
+            command = [sys.executable, "-m", "service", "--data-dir", str(tmp_path / "data"), *words]
+            refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            assert (refused.returncode, refused.stdout, refused.stderr) == (code, "", f"dsbrdf: {sentence}\n")
+
+
 def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path) -> None:
     server = Server(tmp_path / "data", min_free_mb="1000000000")
     try:
