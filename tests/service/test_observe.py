@@ -4,14 +4,17 @@ import json
 import os
 import re
 import signal
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tests.service.running import ENDLESS, Server, assert_problem, wait_until
+from service.database import FILE_NAME
+from tests.service.running import ENDLESS, QUICK, Server, assert_problem, wait_until
 
 SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
 KEY = f"dsbrdf_0123456789ab_{SECRET}"
@@ -146,16 +149,31 @@ def test_the_lines_of_a_fit_carry_the_request_that_wanted_it(watched: Server, sh
     assert told["request"]["status"] == 201
 
 
-def test_a_fault_of_the_service_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
+def test_a_folder_that_is_gone_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     (server.data_dir / "tmp").rmdir()
-    answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "broken"})
+    answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "gone"})
+    assert_problem(answer, 503, "not-ready")
+    reason, request = lines_of(server, "gone")
+    assert (reason["level"], request["level"]) == ("error", "warning")
+    assert "No such file or directory" in reason["event"]
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_a_fault_of_the_service_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    fit = server.http.post(
+        "/v1/fits", params=QUICK, content=data, headers={"Content-Type": "application/octet-stream"}
+    ).json()["id"]
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
+        database.execute("UPDATE fits SET metrics = 'no JSON'")
+    answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
     assert_problem(answer, 500, "internal")
     assert answer.headers["x-request-id"] == "broken"
     told = lines_of(server, "broken")
     assert [line["level"] for line in told] == ["error", "error"]
     (with_reason,) = [line for line in told if "exception" in line]
-    assert "FileNotFoundError" in with_reason["exception"]
+    assert "JSONDecodeError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
 
