@@ -1,7 +1,11 @@
-"""Work for processes of fits that are to die."""
+"""Work for processes of fits that are to die, or to be looked at."""
 
 import os
+import resource
 import signal
+from collections.abc import Callable
+
+import numpy as np
 
 from dsbrdf.engines import FitTask, Outcome
 from dsbrdf.engines.compute import Report, compute
@@ -21,3 +25,12 @@ def compute_unless_named_one(task: FitTask, report: Report) -> Outcome:
     if task.fit_id == "one":
         die(report)
     return compute(task, report)
+
+
+def fill_and_free(_: Callable[[float], None]) -> int:
+    """Fill ten buffers of 2 MB, ten times; return how many pages had to be fetched for that."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _round in range(10):
+        buffers = [np.ones(1 << 18) for _number in range(10)]
+        buffers.clear()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before

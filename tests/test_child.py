@@ -1,5 +1,6 @@
 """The process of one fit, beside others of its kind."""
 
+import platform
 import time
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import forkserver
@@ -9,7 +10,7 @@ import pytest
 
 from dsbrdf.engines import Fault, Limits
 from dsbrdf.engines.child import Child
-from tests.deadly import die, do_nothing
+from tests.deadly import die, do_nothing, fill_and_free
 
 
 def ignore(_: float) -> None:
@@ -32,3 +33,9 @@ def test_how_a_process_ended_is_known_while_others_start(monkeypatch: pytest.Mon
             while not lost.done():
                 assert Child(do_nothing, (), Limits()).supervise(ignore) is None
         assert lost.result() == Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
+def test_memory_that_is_freed_is_used_again() -> None:
+    pages = Child(fill_and_free, (), Limits()).supervise(ignore)
+    assert 0 < pages < 10_000  # given back each time, it would be 51,200
