@@ -12,7 +12,7 @@ from dsbrdf.merl import FILE_SIZE
 from service.quota import StorageQuotaError, Uploads
 from service.rows import Caller
 from service.store import Store
-from tests.service.conftest import Guarded, new_key
+from tests.service.conftest import new_key
 from tests.service.running import Server, assert_problem, wait_until
 
 
@@ -26,22 +26,21 @@ def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.
     return connection
 
 
-def test_uploads_in_progress_take_room(guarded: Guarded, data: bytes) -> None:
-    server = guarded.server
-    header, other = guarded.new_key("two files", stored_mb=70), guarded.new_key("another")
+def test_uploads_in_progress_take_room(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true")
+    (_, header), (_, other) = new_key(server, "two files", stored_mb=70), new_key(server, "another")
 
     def upload(who: dict[str, str]) -> httpx.Response:
         return server.http.post("/v1/measurements", content=data, headers=who)
 
-    before = len(server.files())
     first, second = (begin_upload(server, header, data) for _ in range(2))
     with first, second:
-        wait_until(lambda: len(server.files()) == before + 2)
+        wait_until(lambda: len(server.files()) == 2)
         detail = assert_problem(upload(header), 403, "storage-quota")
         assert "2 uploads in progress" in detail
-        assert len(server.files()) == before + 2  # nothing of what is refused is written
+        assert len(server.files()) == 2  # nothing of what is refused is written
         assert upload(other).status_code == 201
-    wait_until(lambda: len(server.files()) == before + 1)
+    wait_until(lambda: len(server.files()) == 1)
     assert upload(header).status_code == 201
     assert upload(header).status_code == 200
 
