@@ -19,14 +19,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf import em
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fit import FitOptions, FitResult, fit
-from dsbrdf.measurement import CHANNELS, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.merl import read_merl
-from dsbrdf.metrics import OUTSIDE_CENTER
-from dsbrdf.profiles import Profiles, profiles
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.fitting import em
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.report import FitResult
 from tests.oracle import algorithm_1, plain_lobe, raw_slice
 
 Array = NDArray[np.float64]

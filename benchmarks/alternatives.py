@@ -1,9 +1,9 @@
 """The default fit beside the paper's procedure and what a user would pick instead.
 
 One row for each way to describe a material, medians over the materials.  All see the same samples and are scored on all
-of them with the definitions of `dsbrdf.metrics`; the columns "0-75" do so on theta_diff 0 to 75 degrees only, the
-paper's own range.  Peak memory is what Python allocates during the fit of the first material, the measurement itself
-left out; the time is taken apart from it.
+of them with the definitions of `dsbrdf.fitting.metrics`; the columns "0-75" do so on theta_diff 0 to 75 degrees only,
+the paper's own range.  Peak memory is what Python allocates during the fit of the first material, the measurement
+itself left out; the time is taken apart from it.
 """
 
 import argparse
@@ -21,11 +21,13 @@ from scipy.sparse import csr_array, kron
 from benchmarks.ggx import Objective, fit_ggx
 from benchmarks.scoring import PAPER_RANGE, RowPredictor, Score, errors, n_numbers, of_profile
 from benchmarks.selected import add_arguments, chosen_measurements
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.measurement import Measurement
-from dsbrdf.metrics import OUTSIDE_CENTER, on_grid
-from dsbrdf.profiles import DEFAULT_HORIZON_CUTOFF, profiles
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER, on_grid
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
 
 Array = NDArray[np.float64]
 Fitted = tuple[RowPredictor, int]

@@ -20,12 +20,13 @@ import numpy as np
 
 from benchmarks.scoring import n_numbers
 from benchmarks.selected import REFERENCE_VARIABLE, add_arguments, chosen_files, chosen_measurements
+from dsbrdf.data.merl import read_merl, write_merl
+from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.knots import knot_angles, place_knots
-from dsbrdf.merl import read_merl, write_merl
-from dsbrdf.options import MAX_LOBES
-from dsbrdf.profiles import profiles
+from dsbrdf.fitting.knot_placement import place_knots
+from dsbrdf.fitting.options import MAX_LOBES, FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.splines import knot_angles
 
 LOBES = tuple(range(1, MAX_LOBES + 1))
 KNOTS = (8, 14, 19, 27)

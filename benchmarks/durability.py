@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from benchmarks import crowds, kills
 from benchmarks.stand import Stand
-from dsbrdf.merl import write_merl
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 
 _SHOWN = 10  # faults of a series
 

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import httpx
 
-from dsbrdf.engines import Engine, Fault, FitTask
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.engines.dask import DaskEngine
+from dsbrdf.engines.engine import Engine, Fault, FitTask
 from dsbrdf.engines.local import LocalEngine
-from dsbrdf.merl import write_merl
-from dsbrdf.options import FitOptions
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.fitting.options import FitOptions
 from tests.dask_cluster import DaskCluster
 from tests.service.running import Server, wait_until
 

@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, nnls
 
-from dsbrdf.geometry import incident_cosines
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.metrics import OUTSIDE_CENTER
-from dsbrdf.profiles import used_nodes
+from dsbrdf.data.geometry import incident_cosines
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_nodes
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
 Array = NDArray[np.float64]
 Objective = Literal["plain", "log"]

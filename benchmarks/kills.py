@@ -13,7 +13,7 @@ import httpx
 
 from benchmarks.customers import LONG, OPTIONS, Customer, busy
 from benchmarks.stand import Stand, happens, leftovers, processes, rows, same_bits
-from dsbrdf.merl import FILE_SIZE
+from dsbrdf.data.merl import FILE_SIZE
 from tests.service.running import Server
 
 _CUSTOMERS = 4

@@ -17,7 +17,7 @@ import httpx
 import numpy as np
 import zstandard
 
-from dsbrdf.merl import FILE_SIZE
+from dsbrdf.data.merl import FILE_SIZE
 from tests.service.running import QUICK
 
 _KEPT = 20  # fits that a program keeps for its evaluations

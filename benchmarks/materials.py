@@ -20,12 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from dsbrdf.cli.fit_arguments import add_fit_flags, fit_options
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.flags import add_fit_flags, fit_options
-from dsbrdf.measurement import Measurement
-from dsbrdf.merl import read_merl
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
 
 FIGURES = ("relative_rms", "floor", "excess", "male", "seconds")
 WIDTH = 14
@@ -34,7 +35,7 @@ SHARES = {"median": 0.5, "p90": 0.9, "max": 1.0}
 
 @dataclass(frozen=True)
 class Row:
-    """Outcome of one material; metrics as in `dsbrdf.metrics`."""
+    """Outcome of one material; metrics as in `dsbrdf.fitting.metrics`."""
 
     name: str
     relative_rms: float | None

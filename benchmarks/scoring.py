@@ -1,4 +1,4 @@
-"""Errors of anything that gives values at the nodes of the grid, with the definitions of `dsbrdf.metrics`.
+"""Errors of anything that gives values at the nodes of the grid, with the definitions of `dsbrdf.fitting.metrics`.
 
 They are summed over the samples, not over profiles: what is compared here may depend on phi_diff.
 """
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.geometry import incident_cosines
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.metrics import OUTSIDE_CENTER
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import used_nodes
+from dsbrdf.data.geometry import incident_cosines
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_nodes
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 RowPredictor = Callable[[int], Array]
@@ -26,7 +27,7 @@ PAPER_RANGE = 76
 
 @dataclass(frozen=True)
 class Score:
-    """Metrics as in `dsbrdf.metrics`."""
+    """Metrics as in `dsbrdf.fitting.metrics`."""
 
     relative_rms: float
     floor: float

@@ -5,9 +5,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from dsbrdf.measurement import Measurement
-from dsbrdf.merl import read_merl
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 

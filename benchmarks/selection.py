@@ -9,10 +9,11 @@ from collections import Counter
 
 import numpy as np
 
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import profiles
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.data.reduction import profiles
+from dsbrdf.data.synthetic import model_measurement
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.dsbrdf import DSBRDF
 
 NOISE = 0.02
 """Relative standard deviation of every sample."""

@@ -26,9 +26,9 @@ import numpy as np
 
 from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
 from benchmarks.stand import Stand
-from dsbrdf.merl import FILE_SIZE, write_merl
-from dsbrdf.serialize import from_json
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.merl import FILE_SIZE, write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.output.serialize import from_json
 from tests.service.running import Server
 
 CONNECTIONS = 16
@@ -41,7 +41,7 @@ _NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
 _RAW = {"Content-Type": "application/octet-stream"}
 _LIBRARY = """
 import sys, time, dsbrdf
-from dsbrdf.serialize import to_json
+from dsbrdf.output.serialize import to_json
 begin = time.perf_counter()
 measurement = dsbrdf.read_merl(sys.argv[1])
 read = time.perf_counter() - begin

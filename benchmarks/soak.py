@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 from benchmarks.load import STEPS, Client, Tally
 from benchmarks.stand import Stand
-from dsbrdf.merl import write_merl
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from tests.service.running import Server
 
 _OUT = Path("out")

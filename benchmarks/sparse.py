@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 
 from benchmarks.scoring import RowPredictor, errors, of_profile
 from benchmarks.selected import add_arguments, chosen_measurements
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_nodes
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.measurement import GRID_SHAPE, THETA_HALF, Measurement
-from dsbrdf.metrics import on_grid
-from dsbrdf.profiles import DEFAULT_HORIZON_CUTOFF, used_nodes
+from dsbrdf.fitting.metrics import on_grid
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ import numpy as np
 
 import dsbrdf
 from benchmarks.__main__ import ONE_CORE
-from dsbrdf.merl import read_merl
-from dsbrdf.serialize import from_json
-from service.option_parsing import parse_options
+from dsbrdf.data.merl import read_merl
+from dsbrdf.output.serialize import from_json
+from service.wire.option_parsing import parse_options
 from tests.service.running import Server, alive
 
 _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")

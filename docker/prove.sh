@@ -104,7 +104,7 @@ service_alone() {
   for module in pip pytest mypy hatchling httpx; do
     fails "$module is not in the image" podman exec "$name" /opt/dsbrdf/bin/python3 -c "import $module"
   done
-  podman exec "$name" /opt/dsbrdf/bin/python3 -c 'import dsbrdf; from dsbrdf.synthetic import synthetic_measurement
+  podman exec "$name" /opt/dsbrdf/bin/python3 -c 'import dsbrdf; from dsbrdf.data.synthetic import synthetic_measurement
 dsbrdf.write_merl("/data/paint.binary", synthetic_measurement(noise=0.02))'
   podman cp "$name:/data/paint.binary" "$scratch/paint.binary"
   fit_succeeds

@@ -8,25 +8,28 @@
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 """
 
-from importlib.metadata import version
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__version__ = version("dsbrdf")
-
-from dsbrdf.decomposition import Component, Decomposition, decompose
-from dsbrdf.errors import (
-    ConvergenceWarning,
-    DSBRDFError,
-    FitError,
-    InvalidArgumentError,
-    MeasurementFormatError,
-    ModelFormatError,
-)
-from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitReport, FitResult, fit
-from dsbrdf.measurement import Measurement
-from dsbrdf.merl import parse_merl, read_merl, write_merl
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import Profiles, profiles
-from dsbrdf.serialize import load, save
+if TYPE_CHECKING:
+    from dsbrdf.data.measurement import Measurement
+    from dsbrdf.data.merl import parse_merl, read_merl, write_merl
+    from dsbrdf.data.reduction import Profiles, profiles
+    from dsbrdf.errors import (
+        ConvergenceWarning,
+        DSBRDFError,
+        FitError,
+        InvalidArgumentError,
+        MeasurementFormatError,
+        ModelFormatError,
+    )
+    from dsbrdf.fitting.options import FitOptions
+    from dsbrdf.fitting.pipeline import fit
+    from dsbrdf.fitting.report import FitReport, FitResult
+    from dsbrdf.model.decomposition import Component, Decomposition, decompose
+    from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.output.serialize import load, save
+    from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = [
     "ALGORITHM_VERSION",
@@ -44,6 +47,7 @@ __all__ = [
     "MeasurementFormatError",
     "ModelFormatError",
     "Profiles",
+    "__version__",
     "decompose",
     "fit",
     "load",
@@ -53,3 +57,41 @@ __all__ = [
     "save",
     "write_merl",
 ]
+
+# Where each public name is defined. A name is imported when it is first used, so that `import dsbrdf` and the
+# commands that compute nothing do not wait for SciPy.
+_DEFINED_IN = {
+    "dsbrdf.data.measurement": ("Measurement",),
+    "dsbrdf.data.merl": ("parse_merl", "read_merl", "write_merl"),
+    "dsbrdf.data.reduction": ("Profiles", "profiles"),
+    "dsbrdf.errors": (
+        "ConvergenceWarning",
+        "DSBRDFError",
+        "FitError",
+        "InvalidArgumentError",
+        "MeasurementFormatError",
+        "ModelFormatError",
+    ),
+    "dsbrdf.fitting.options": ("FitOptions",),
+    "dsbrdf.fitting.pipeline": ("fit",),
+    "dsbrdf.fitting.report": ("FitReport", "FitResult"),
+    "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
+    "dsbrdf.model.dsbrdf": ("DSBRDF",),
+    "dsbrdf.output.serialize": ("load", "save"),
+    "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),
+}
+_MODULE_OF = {name: module for module, names in _DEFINED_IN.items() for name in names}
+
+
+if not TYPE_CHECKING:  # a type checker would take every name for granted
+
+    def __getattr__(name: str) -> object:
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(_MODULE_OF[name]), name)
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -21,16 +21,16 @@ from fastapi import FastAPI
 from pydantic import ValidationError
 
 from dsbrdf.extras import MissingExtraError
-from service import logs
+from service.access.keys import has_active_key
 from service.app import create_app
-from service.connections import connection_class
 from service.context import Context
-from service.engine import engine_of
-from service.keys import has_active_key
-from service.migrations import DataFolderError
-from service.problems import sentence
+from service.http.connections import connection_class
+from service.http.problems import sentence
+from service.jobs.engine_factory import engine_of
+from service.operations import logging as logs
 from service.settings import Settings, unknown_settings
-from service.store import Store
+from service.storage.schema import DataFolderError
+from service.storage.store import Store
 
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
 _TIDYING = 5.0  # seconds that the end of the service may take beside what open requests are given

@@ -9,21 +9,21 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp
 
 import dsbrdf
-from dsbrdf.merl import MerlChecker
-from service import contract, problems
-from service.changes import follow
+from dsbrdf.data.merl import MerlChecker
+from service.access.authentication import Gate
+from service.access.changes import follow
+from service.access.keys import Keys
 from service.context import Context
-from service.engine import engine_of
-from service.gate import Gate
-from service.jobs import Jobs
-from service.keys import Keys
-from service.metrics import Metrics
-from service.models import Models
-from service.observe import Observe
-from service.readiness import Readiness
+from service.http import contract, problems
+from service.jobs.engine_factory import engine_of
+from service.jobs.jobs import Jobs
+from service.jobs.model_cache import Models
+from service.operations.metrics import Metrics
+from service.operations.readiness import Readiness
+from service.operations.request_log import Observe
 from service.routes import brdf, docs, exports, fits, health, lobes, measurements
 from service.settings import Settings
-from service.store import Store
+from service.storage.store import Store
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 

@@ -20,9 +20,9 @@ from typing import Any
 import httpx
 
 from dsbrdf import DSBRDF, FitError, FitOptions, FitReport, InvalidArgumentError, Measurement, MeasurementFormatError
-from dsbrdf.merl import encode_merl, parse_merl
-from dsbrdf.serialize import from_json
-from service.options import from_wire, to_wire
+from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.output.serialize import from_json
+from service.wire.fit_options import from_wire, to_wire
 
 Source = str | os.PathLike[str] | bytes | Measurement
 

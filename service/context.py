@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from starlette.requests import Request
 
-from dsbrdf.engines import Engine
-from service.jobs import Jobs
-from service.metrics import Metrics
-from service.models import Models
-from service.readiness import Readiness
+from dsbrdf.engines.engine import Engine
+from service.jobs.jobs import Jobs
+from service.jobs.model_cache import Models
+from service.operations.metrics import Metrics
+from service.operations.readiness import Readiness
 from service.settings import Settings
-from service.store import Store
+from service.storage.store import Store
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from dsbrdf.measurement import Measurement
-from dsbrdf.merl import write_merl
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from tests.dask_cluster import DaskCluster
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"

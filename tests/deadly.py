@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dsbrdf.engines import FitTask, Outcome
-from dsbrdf.engines.compute import Report, compute
+from dsbrdf.engines.engine import FitTask, Outcome
+from dsbrdf.engines.fit_task import Report, compute
 
 
 def die(_: Report) -> None:

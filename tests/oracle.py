@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.albedo import directional_albedo
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.measurement import Measurement
-from dsbrdf.model import DSBRDF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 Bivariate = Callable[[Array, Array], Array]

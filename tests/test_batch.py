@@ -16,12 +16,13 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf import FitOptions, batch, cli
-from dsbrdf.batch import FileFit, default_jobs, fit_files
-from dsbrdf.engines import local
-from dsbrdf.engines.child import ONE_THREAD
+from dsbrdf import FitOptions
+from dsbrdf.cli import main as cli
+from dsbrdf.engines import batch, local
+from dsbrdf.engines.batch import FileFit, default_jobs, fit_files
+from dsbrdf.engines.worker_process import ONE_THREAD
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.serialize import load
+from dsbrdf.output.serialize import load
 from tests.dask_cluster import DaskCluster, forked
 from tests.deadly import compute_unless_named_one
 from tests.service.running import alive, wait_until
@@ -79,7 +80,7 @@ def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str
     words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
     (tmp_path / "temporary").mkdir()
     process = subprocess.Popen(
-        [sys.executable, "-m", "dsbrdf.cli", *words],
+        [sys.executable, "-m", "dsbrdf.cli.main", *words],
         env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -202,7 +203,7 @@ def test_no_process_and_no_file_outlives_the_command(
 def test_an_interrupted_run_resumes(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--lobes", "8"]
-    command = [sys.executable, "-m", "dsbrdf.cli", *words, "--em-iterations", "200"]
+    command = [sys.executable, "-m", "dsbrdf.cli.main", *words, "--em-iterations", "200"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

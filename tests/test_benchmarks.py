@@ -7,11 +7,13 @@ from benchmarks.alternatives import of_table
 from benchmarks.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
 from benchmarks.scoring import PAPER_RANGE, errors, n_numbers, of_profile
 from benchmarks.sparse import COORDINATES, interpolated, thinned
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement, nodes_above_horizon
-from dsbrdf.metrics import on_grid
-from dsbrdf.profiles import used_nodes
-from dsbrdf.synthetic import synthetic_measurement
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_nodes
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.metrics import on_grid
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
 
 CUTOFF = float(np.radians(80.0))
 

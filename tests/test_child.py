@@ -8,8 +8,8 @@ from threading import current_thread, main_thread
 
 import pytest
 
-from dsbrdf.engines import Fault, Limits
-from dsbrdf.engines.child import Child
+from dsbrdf.engines.engine import Fault, Limits
+from dsbrdf.engines.worker_process import Child
 from tests.deadly import die, do_nothing, fill_and_free
 
 

@@ -17,10 +17,13 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import batch, cli, extras, flags
-from dsbrdf.engines import local
-from dsbrdf.measurement import Measurement
-from dsbrdf.serialize import from_json, from_npz, load
+from dsbrdf import extras
+from dsbrdf.cli import fit_arguments as flags
+from dsbrdf.cli import main as cli
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.engines import batch, local
+from dsbrdf.model.decomposition import LABELS
+from dsbrdf.output.serialize import from_json, from_npz, load
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ("--method", "paper", "--lobes", "1", "--em-iterations", "40")
@@ -130,7 +133,7 @@ def test_fit_json_of_one_file_is_a_stored_model(plastic_file: Path, tmp_path: Pa
     assert answer["metrics"] == answer["report"]["metrics"]
     assert answer["lobes"]["kappa"] == answer["model"]["kappa"]
     assert answer["lobes"]["theta_diff_deg"][:3] == [0.0, 5.0, 10.0]
-    assert [component["label"] for component in answer["components"]] == list(dsbrdf.decomposition.LABELS)
+    assert [component["label"] for component in answer["components"]] == list(LABELS)
 
 
 def test_one_bad_file_does_not_stop_the_others(
@@ -232,7 +235,7 @@ def test_a_fit_that_is_not_the_one_asked_for_is_made_again(
     elif reason == "algorithm":
         monkeypatch.setattr(batch, "ALGORITHM_VERSION", "another")
     else:
-        dsbrdf.serialize.save(load(output), output)
+        dsbrdf.save(load(output), output)
     assert cli.main(command) == 0
     assert document(capsys)["resumed"] is False
     assert from_json(output.read_text())[1] is not None
@@ -361,7 +364,7 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
     assert cli.main(command) == 0
     whole = np.array(document(capsys)["values"])
     total = np.zeros_like(whole)
-    for label in dsbrdf.decomposition.LABELS:
+    for label in LABELS:
         assert cli.main([*command, "--component", label]) == 0
         total += document(capsys)["values"]
     np.testing.assert_allclose(total, whole, rtol=1e-12)
@@ -403,7 +406,7 @@ def test_decompose(model_file: Path, capsys: Capture) -> None:
     assert cli.main(["decompose", str(model_file), "--channel", "blue"]) == 0
     out = capsys.readouterr().out
     assert "blue channel" in out
-    assert all(label in out for label in dsbrdf.decomposition.LABELS)
+    assert all(label in out for label in LABELS)
 
 
 def test_export_without_loss(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -499,7 +502,9 @@ def test_a_fault_of_our_own_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch,
 
 def test_a_reader_that_leaves_early_is_no_error(model_file: Path) -> None:
     many = " ".join(str(angle / 200) for angle in range(15_000))
-    command = f"'{sys.executable}' -m dsbrdf.cli eval '{model_file}' --theta-diff 0 --theta-half {many} | head -n 1"
+    command = (
+        f"'{sys.executable}' -m dsbrdf.cli.main eval '{model_file}' --theta-diff 0 --theta-half {many} | head -n 1"
+    )
     answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert answer.stdout.split()[0] == "theta_half_deg"
     assert answer.stderr == ""

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf.engines import Fault, FitTask, Fitted, Limits
-from dsbrdf.engines import cluster as cluster_room
-from dsbrdf.engines.compute import complete, fit_parcel, reduce
+from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
+from dsbrdf.engines.engine import Fault, FitTask, Fitted, Limits
+from dsbrdf.engines.fit_task import complete, fit_parcel, reduce
 from dsbrdf.engines.local import Children
 from tests.dask_cluster import DaskCluster, forked
 from tests.service.running import alive, wait_until

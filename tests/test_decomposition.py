@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.decomposition import (
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.decomposition import (
     DIFFUSE_HALF_WIDTH,
     LABELS,
     SPIKE_HALF_WIDTH,
@@ -16,9 +17,8 @@ from dsbrdf.decomposition import (
     lobe_extents,
     lobe_widths,
 )
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.hemi_epd import energy, half_width
-from dsbrdf.model import DSBRDF
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.hemi_epd import energy, half_width
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ import httpx
 import pytest
 from matplotlib.image import imread
 
-from dsbrdf import cli, demo
+from dsbrdf.cli import demo
+from dsbrdf.cli import main as cli
 
 
 def test_the_demo_shows_everything_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,8 @@ import httpx
 import pytest
 
 import dsbrdf
-from dsbrdf.demo import running_service, stop
+from dsbrdf.cli.demo import running_service, stop
+from dsbrdf.model.decomposition import LABELS
 from service.settings import Settings
 
 ROOT = Path(__file__).parents[1]
@@ -100,7 +101,7 @@ def test_the_http_quick_start_with_curl(service: str, folder: Path) -> None:
     (text,) = blocks("sh", http=True)
     out = run_shell(text.replace(ADDRESS, service), folder)
     assert '"values"' in out
-    assert all(label in out for label in dsbrdf.decomposition.LABELS)
+    assert all(label in out for label in LABELS)
 
 
 @pytest.mark.usefixtures("python_quick_start")
@@ -118,7 +119,7 @@ def test_the_serve_command_starts_the_service_and_ends_with_it(tmp_path: Path) -
     words = line.split()
     port = words.index("--port") + 1
     words[port] = "0"
-    command = [sys.executable, "-m", "dsbrdf.cli", *words[1:]]
+    command = [sys.executable, "-m", "dsbrdf.cli.main", *words[1:]]
     with (tmp_path / "log").open("wb") as log:
         process = subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=subprocess.STDOUT)
     try:

@@ -7,10 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from dsbrdf import em
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.merl import read_merl
-from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.fitting import em
 from tests.oracle import algorithm_1, initial_parameters, plain_lobe, raw_slice
 
 Array = NDArray[np.float64]

@@ -18,13 +18,14 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.engines import NOT_STARTED, Engine, Fault, FitTask, Fitted, Limits, Outcome, child
-from dsbrdf.engines import cluster as cluster_room
-from dsbrdf.engines.compute import reduce
+from dsbrdf.engines import dask_cluster as cluster_room
+from dsbrdf.engines import worker_process as child
 from dsbrdf.engines.dask import DaskEngine
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Limits, Outcome
+from dsbrdf.engines.fair_slots import Places
+from dsbrdf.engines.fit_task import reduce
 from dsbrdf.engines.local import LocalEngine
-from dsbrdf.engines.places import Places
-from dsbrdf.serialize import to_json
+from dsbrdf.output.serialize import to_json
 from tests.dask_cluster import DaskCluster, forked
 from tests.service.running import alive, wait_until
 
@@ -275,7 +276,7 @@ SCRIPT = """
 import asyncio, sys
 from pathlib import Path
 from dsbrdf import FitOptions
-from dsbrdf.engines import FitTask
+from dsbrdf.engines.engine import FitTask
 from dsbrdf.engines.{room} import {engine}
 
 async def main():

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from dsbrdf.evaluation import Mixture, linear
-from dsbrdf.model import DSBRDF
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.evaluation import Mixture, linear
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,13 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from dsbrdf import extras
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.figures import lobes_figure, overview_figure, profiles_figure, render
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.measurement import Measurement
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import Profiles, profiles
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.figures import lobes_figure, overview_figure, profiles_figure, render
 
 Fitted = tuple[Profiles, DSBRDF]
 
@@ -130,9 +131,9 @@ def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatc
 def test_a_figure_touches_no_global_state() -> None:
     code = """
 import sys, numpy as np
-from dsbrdf.figures import overview_figure, render
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import Profiles
+from dsbrdf.output.figures import overview_figure, render
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data.reduction import Profiles
 ones = np.ones((3, 90, 90))
 model = DSBRDF([0.0], ones[:, :1, :1], ones[:, :1, :1], ones[:, :1, :1] * 0, ones[:, :1, 0] * 0)
 render(overview_figure(Profiles(ones, ones, ones * 0, None, "plain", False, "flat", ""), model))

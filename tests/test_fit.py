@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf import em
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning, FitError, InvalidArgumentError
-from dsbrdf.fit import ALGORITHM_VERSION, FitOptions, FitResult, fit
-from dsbrdf.hemi_epd import energy
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import Profiles, profiles
-from dsbrdf.slicewise import PAPER_SLICES
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.fitting import em
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.paper_method import PAPER_SLICES
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.hemi_epd import energy
+from dsbrdf.version import ALGORITHM_VERSION
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import DSBRDF, MeasurementFormatError, ModelFormatError
-from dsbrdf.measurement import Measurement
-from dsbrdf.merl import FILE_SIZE, MerlChecker, encode_merl, parse_merl
-from dsbrdf.serialize import from_json, from_npz, to_json, to_npz
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import FILE_SIZE, MerlChecker, encode_merl, parse_merl
+from dsbrdf.output.serialize import from_json, from_npz, to_json, to_npz
 from tests.conftest import examples
 
 HEADER = struct.pack("<3i", 90, 90, 180)

@@ -6,8 +6,8 @@ from mpmath import mp, mpf
 from mpmath import sin as mp_sin
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import above_horizon, check_directions, directions, half_difference, incident_cosines
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.geometry import above_horizon, check_directions, directions, half_difference, incident_cosines
 
 Array = NDArray[np.float64]
 

@@ -11,16 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.selection import mixture
-from dsbrdf import global_fit
-from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError, FitError, MeasurementFormatError
-from dsbrdf.fit import FitOptions, FitResult, fit
-from dsbrdf.measurement import CHANNELS, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.metrics import mean_absolute_log_error, on_grid, relative_errors
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import Profiles, profiles
-from dsbrdf.serialize import from_json, to_json
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.fitting import global_method as global_fit
+from dsbrdf.fitting.em import GAMMA_BOUNDS, KAPPA_BOUNDS
+from dsbrdf.fitting.metrics import mean_absolute_log_error, on_grid, relative_errors
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import from_json, to_json
 
 Array = NDArray[np.float64]
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.growth import Mixture, grow
-from dsbrdf.hemi_epd import half_width
-from dsbrdf.measurement import THETA_HALF, Measurement
-from dsbrdf.profiles import profiles
-from dsbrdf.refine import FitData, ProfileProblem
+from dsbrdf.data.grid import THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import profiles
+from dsbrdf.fitting.least_squares import FitData, ProfileProblem
+from dsbrdf.fitting.matching_pursuit import Mixture, grow
+from dsbrdf.model.hemi_epd import half_width
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.hemi_epd import cdf, energy, half_width, lobe, lobe_derivatives
+from dsbrdf.model.hemi_epd import cdf, energy, half_width, lobe, lobe_derivatives
 
 Array = NDArray[np.float64]
 Number = Any  # mpmath has no types

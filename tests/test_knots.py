@@ -5,8 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from dsbrdf.knots import knot_angles, parameter_spline, place_knots, roughness, spline_basis
-from dsbrdf.measurement import THETA_DIFF
+from dsbrdf.data.grid import THETA_DIFF
+from dsbrdf.fitting.knot_placement import place_knots
+from dsbrdf.model.splines import knot_angles, parameter_spline, roughness, spline_basis
 
 Array = NDArray[np.float64]
 

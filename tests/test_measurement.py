@@ -4,18 +4,11 @@ import hashlib
 import numpy as np
 import pytest
 
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.geometry import directions
-from dsbrdf.measurement import (
-    CHANNELS,
-    GRID_SHAPE,
-    PHI_DIFF,
-    THETA_DIFF,
-    THETA_HALF,
-    Measurement,
-    nodes_above_horizon,
-)
-from dsbrdf.merl import encode_merl
 
 
 def test_grid_stands_at_the_left_edges() -> None:

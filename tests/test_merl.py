@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.measurement import GRID_SHAPE, Measurement, nodes_above_horizon
-from dsbrdf.merl import (
+from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import (
     FILE_SIZE,
     SCALE,
     MerlChecker,
@@ -25,6 +25,7 @@ from dsbrdf.merl import (
     read_merl,
     write_merl,
 )
+from dsbrdf.errors import MeasurementFormatError
 
 NODES = 90 * 90 * 180
 HEADER = struct.pack("<3i", 90, 90, 180)

@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.metrics import BANDS, OUTSIDE_CENTER, error_tables, mean_absolute_log_error, on_grid, relative_errors
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import DEFAULT_HORIZON_CUTOFF, Profiles, profiles
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.fitting.metrics import (
+    BANDS,
+    OUTSIDE_CENTER,
+    error_tables,
+    mean_absolute_log_error,
+    on_grid,
+    relative_errors,
+)
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import GRID_SHAPE, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.geometry import directions
-from dsbrdf.measurement import GRID_SHAPE, THETA_DIFF, THETA_HALF
-from dsbrdf.model import DSBRDF
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 

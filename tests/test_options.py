@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.options import FitOptions
+from dsbrdf.fitting.options import FitOptions
 
 KNOTS = "knots must be at least two increasing angles of whole degrees from 0 to 89 degrees"
 

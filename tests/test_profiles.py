@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import CENTER_CUTOFF, DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.geometry import directions
-from dsbrdf.measurement import PHI_DIFF, THETA_DIFF, THETA_HALF, Measurement
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import CENTER_CUTOFF, DEFAULT_HORIZON_CUTOFF, Profiles, profiles
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 

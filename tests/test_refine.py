@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dsbrdf.em import GAMMA_BOUNDS, KAPPA_BOUNDS
-from dsbrdf.knots import roughness
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF
-from dsbrdf.refine import CENTER_BOUNDS, FitData, Lobes, ProfileProblem, Refined, minimize
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.fitting.em import GAMMA_BOUNDS, KAPPA_BOUNDS
+from dsbrdf.fitting.least_squares import CENTER_BOUNDS, FitData, Lobes, ProfileProblem, Refined, minimize
+from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
 

@@ -5,13 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.selection import choose, mixture
-from dsbrdf.fit import FitOptions, fit
-from dsbrdf.growth import Mixture
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF
-from dsbrdf.model import DSBRDF
-from dsbrdf.profiles import CENTER_CUTOFF, Profiles, profiles
-from dsbrdf.refine import FitData, Lobes, ProfileProblem
-from dsbrdf.search import (
+from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
+from dsbrdf.fitting.least_squares import FitData, Lobes, ProfileProblem
+from dsbrdf.fitting.lobe_selection import (
     BACKGROUND,
     INDIFFERENCE,
     LARGEST_AUTOMATIC,
@@ -19,8 +17,11 @@ from dsbrdf.search import (
     expected_negative_log_probability,
     find_structure,
 )
-from dsbrdf.selection import bic, williams_critical_value
-from dsbrdf.synthetic import model_measurement
+from dsbrdf.fitting.matching_pursuit import Mixture
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.williams_test import bic, williams_critical_value
+from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
 
@@ -165,7 +166,7 @@ def test_differences_that_matter_to_nobody_do_not_decide(monkeypatch: pytest.Mon
     def choose_with(loss: float) -> int:
         scatter = 1e-6 * random.standard_normal((3, 12))
         answers = iter(scatter + np.array([loss, 0.0, 0.0])[:, None])
-        monkeypatch.setattr("dsbrdf.search.expected_negative_log_probability", lambda *_: next(answers))
+        monkeypatch.setattr("dsbrdf.fitting.lobe_selection.expected_negative_log_probability", lambda *_: next(answers))
         return choose_n_lobes(problem, problem, mixtures)[0]
 
     assert choose_with(0.9 * INDIFFERENCE) == 1

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from dsbrdf import selection
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.selection import WilliamsRow, bic, isotonic_means, williams_critical_value, williams_test
+from dsbrdf.fitting import williams_test as selection
+from dsbrdf.fitting.williams_test import WilliamsRow, bic, isotonic_means, williams_critical_value, williams_test
 
 # One-sided 1 % critical values of Williams' test for 1, 2, 3, 4 doses, equal group sizes, to the digits printed.
 SPOT_VALUES = {

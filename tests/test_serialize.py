@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fit import FitReport, FitResult
-from dsbrdf.model import DSBRDF
-from dsbrdf.serialize import (
+from dsbrdf.fitting.report import FitReport, FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import (
     from_json,
     from_npz,
     load,

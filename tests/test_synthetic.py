@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from dsbrdf.geometry import half_difference
-from dsbrdf.measurement import THETA_DIFF, THETA_HALF, Measurement, nodes_above_horizon
-from dsbrdf.synthetic import model_measurement, synthetic_measurement
 
 Array = NDArray[np.float64]
 

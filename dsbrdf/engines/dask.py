@@ -17,14 +17,14 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from typing import Any
 
-from dsbrdf.engines import Fault, FitTask, Fitted, Limits, Outcome
-from dsbrdf.engines.child import Child, start_fork_server
-from dsbrdf.engines.cluster import TOPIC, Cluster, LostError
-from dsbrdf.engines.compute import Reduced, complete, fit_parcel, reduce
+from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError
+from dsbrdf.engines.engine import Fault, FitTask, Fitted, Limits, Outcome
+from dsbrdf.engines.fair_slots import Places
+from dsbrdf.engines.fit_task import Reduced, complete, fit_parcel, reduce
 from dsbrdf.engines.local import Children
-from dsbrdf.engines.places import Places
+from dsbrdf.engines.worker_process import Child, start_fork_server
 from dsbrdf.extras import require
-from dsbrdf.options import FitOptions
+from dsbrdf.fitting.options import FitOptions
 
 _TELL = 0.2  # seconds between two messages of a fit's progress, which cost worker, scheduler and this machine
 _LOST_WORKERS = 3  # that one fit may outlive before it is given up: as many as Dask allows a task

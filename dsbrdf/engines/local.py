@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
-from dsbrdf.engines import FitTask, Limits, Outcome
-from dsbrdf.engines.child import Child, start_fork_server
-from dsbrdf.engines.compute import compute
-from dsbrdf.engines.places import Places
+from dsbrdf.engines.engine import FitTask, Limits, Outcome
+from dsbrdf.engines.fair_slots import Places
+from dsbrdf.engines.fit_task import compute
+from dsbrdf.engines.worker_process import Child, start_fork_server
 
 
 class Children:

@@ -12,16 +12,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf import InvalidArgumentError
-from dsbrdf.decomposition import LABELS
-from service import examples, openapi
+from dsbrdf.model.decomposition import LABELS
+from service.access.authentication import fit_of
 from service.context import Context, context_of
-from service.gate import fit_of
-from service.points import NPY, Points, from_angles, from_directions, from_npy, from_query
-from service.problems import ProblemError, sentence
+from service.http import examples, openapi
+from service.http.problems import ProblemError, sentence
+from service.http.request_body import receive_small
 from service.routes.fits import FitId
-from service.schemas import AnglesRequest, DirectionsRequest, Values
-from service.uploads import receive_small
-from service.values import JSON, values_reply
+from service.wire.points import NPY, Points, from_angles, from_directions, from_npy, from_query
+from service.wire.schemas import AnglesRequest, DirectionsRequest, Values
+from service.wire.values_stream import JSON, values_reply
 
 
 class _DirectRoute(APIRoute):

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, Response
 
-from service.replies import tagged_reply
+from service.http.responses import tagged_reply
 
 router = APIRouter(include_in_schema=False)
 

@@ -8,13 +8,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf import DSBRDF, FitReport
-from dsbrdf.merl import encode_merl
-from dsbrdf.serialize import to_json, to_npz
-from service import openapi
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.output.serialize import to_json, to_npz
+from service.access.authentication import fit_of
 from service.context import context_of
-from service.gate import fit_of
+from service.http import openapi
 from service.routes.fits import FitId
-from service.schemas import Export
+from service.wire.schemas import Export
 
 router = APIRouter(prefix="/v1/fits/{fit_id}/export", tags=["export"])
 

@@ -12,19 +12,19 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf import FitOptions, InvalidArgumentError
-from service import examples, openapi
+from service.access.authentication import caller_of, fit_of, over_quota, owner_of
 from service.context import Context, context_of
-from service.documents import fit_document, fit_progress, fit_summary
-from service.gate import caller_of, fit_of, over_quota, owner_of
-from service.models import no_such_fit, no_such_measurement
-from service.option_parsing import parse_options, parse_query
-from service.problems import ProblemError, sentence
-from service.quota import QueueQuotaError, StorageQuotaError
-from service.replies import json_reply, next_page, preferred_wait, tagged_reply
-from service.rows import Caller, FitKey, FitRow
-from service.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
-from service.store import MissingMeasurementError, QueueFullError
-from service.uploads import receive_measurement, receive_small
+from service.http import examples, openapi
+from service.http.problems import ProblemError, sentence
+from service.http.request_body import receive_measurement, receive_small
+from service.http.responses import json_reply, next_page, preferred_wait, tagged_reply
+from service.jobs.model_cache import no_such_fit, no_such_measurement
+from service.storage.quota import QueueQuotaError, StorageQuotaError
+from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.store import MissingMeasurementError, QueueFullError
+from service.wire.conversions import fit_document, fit_progress, fit_summary
+from service.wire.option_parsing import parse_options, parse_query
+from service.wire.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[examples.FIT_ID])]

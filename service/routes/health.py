@@ -5,12 +5,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
-from service import openapi
 from service.context import context_of
-from service.metrics import MEDIA_TYPE
-from service.problems import ProblemError
-from service.replies import json_reply
-from service.schemas import Health
+from service.http import openapi
+from service.http.problems import ProblemError
+from service.http.responses import json_reply
+from service.operations.metrics import MEDIA_TYPE
+from service.wire.schemas import Health
 
 router = APIRouter(tags=["health"])
 

@@ -3,13 +3,13 @@
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from service import examples, openapi
+from service.access.authentication import fit_of
 from service.context import context_of
-from service.documents import component_document
-from service.gate import fit_of
-from service.replies import tagged_reply
+from service.http import examples, openapi
+from service.http.responses import tagged_reply
 from service.routes.fits import FitId
-from service.schemas import ComponentList
+from service.wire.conversions import component_document
+from service.wire.schemas import ComponentList
 
 router = APIRouter(prefix="/v1/fits/{fit_id}/lobes", tags=["lobes"])
 

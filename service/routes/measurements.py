@@ -6,17 +6,17 @@ from fastapi import APIRouter, Path, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from service import examples, openapi
+from service.access.authentication import owner_of
 from service.context import context_of
-from service.documents import measurement_document
-from service.gate import owner_of
-from service.models import no_such_measurement
-from service.problems import ProblemError
-from service.replies import OpenFileResponse, check_range, json_reply, next_page, not_modified
-from service.rows import MeasurementRow
-from service.schemas import SHA256, MeasurementDocument, MeasurementList, Page
-from service.store import MeasurementInUseError
-from service.uploads import receive_measurement
+from service.http import examples, openapi
+from service.http.problems import ProblemError
+from service.http.request_body import receive_measurement
+from service.http.responses import OpenFileResponse, check_range, json_reply, next_page, not_modified
+from service.jobs.model_cache import no_such_measurement
+from service.storage.rows import MeasurementRow
+from service.storage.store import MeasurementInUseError
+from service.wire.conversions import measurement_document
+from service.wire.schemas import SHA256, MeasurementDocument, MeasurementList, Page
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
 Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[examples.SHA256])]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import zstandard
 
-from dsbrdf.merl import FILE_SIZE
+from dsbrdf.data.merl import FILE_SIZE
 from tests.service.malformed import HEADER
 
 MEASUREMENT = "application/octet-stream"

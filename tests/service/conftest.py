@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from service.database import Database
-from service.keys import Limits, add_key
+from service.access.keys import Limits, add_key
+from service.storage.database import Database
 from tests.service.running import Server, wait_until
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import zstandard
 
-from dsbrdf.merl import FILE_SIZE
+from dsbrdf.data.merl import FILE_SIZE
 
 HEADER = struct.pack("<3i", 90, 90, 180)
 NODES = 90 * 90 * 180

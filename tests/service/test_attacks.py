@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.connections import connection_class
+from service.http.connections import connection_class
 from service.settings import Settings
 from tests.service import hostile
 from tests.service.bombs import BOMBS, JSON, MEASUREMENT, NPY

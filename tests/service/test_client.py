@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from service.client import Client, ServiceError
-from service.options import from_wire
+from service.wire.fit_options import from_wire
 from tests.service.running import ENDLESS, Server
 
 pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")

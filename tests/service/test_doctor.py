@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from service.database import FILE_NAME
-from service.doctor import WrongError, checks
+from service.commands.doctor import WrongError, checks
 from service.settings import Settings
+from service.storage.database import FILE_NAME
 from tests.service.running import QUICK, Server
 
 
 def examine(folder: Path, **environment: str) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit code and findings by name."""
     done = subprocess.run(
-        [sys.executable, "-m", "dsbrdf.cli", "doctor", "--data-dir", str(folder), "--json"],
+        [sys.executable, "-m", "dsbrdf.cli.main", "doctor", "--data-dir", str(folder), "--json"],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
@@ -72,7 +72,7 @@ def test_beside_a_running_server_all_is_fine(own_server: Callable[..., Server], 
 
 def test_the_text_is_a_line_for_each_check_and_nothing_is_made(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "dsbrdf.cli", "doctor", "--data-dir", str(tmp_path / "none")],
+        [sys.executable, "-m", "dsbrdf.cli.main", "doctor", "--data-dir", str(tmp_path / "none")],
         env={**os.environ, "DSBRDF_MIN_FREE_MB": "1000000000"},
         capture_output=True,
         text=True,

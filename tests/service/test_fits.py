@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.merl import encode_merl
+from dsbrdf.data.merl import encode_merl
 from tests.service.running import ENDLESS, QUICK, SLOW, Server, alive, assert_problem, wait_until
 
 SOON = 20.0  # seconds; much less than an endless fit takes

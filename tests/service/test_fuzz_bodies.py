@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.decoding import PIECE, decoder
-from service.points import Points, from_npy, from_query
-from service.problems import ProblemError
+from service.http.content_encoding import PIECE, decoder
+from service.http.problems import ProblemError
+from service.wire.points import Points, from_npy, from_query
 from tests.conftest import examples
 from tests.test_fuzz import MODEL, arrays
 

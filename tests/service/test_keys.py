@@ -19,12 +19,13 @@ from typing import Any
 import httpx
 import pytest
 
-from service import keys_command, rate_limit
+from service.access import rate_limit
+from service.access.keys import Keys, Limits, add_key, all_keys, revoke_key
+from service.access.rate_limit import Bucket
 from service.client import AccessError, Client, LimitError, ServiceError
-from service.database import Database
-from service.keys import Keys, Limits, add_key, all_keys, revoke_key
-from service.rate_limit import Bucket
+from service.commands import keys as keys_command
 from service.settings import Settings
+from service.storage.database import Database
 from tests.service.conftest import Guarded, new_key
 from tests.service.running import ENDLESS, QUICK, Server, assert_problem, wait_until
 
@@ -214,7 +215,7 @@ def test_comparisons_take_the_same_way_for_unknown_ids(tmp_path: Path, monkeypat
         compared.append((one, other))
         return one == other
 
-    monkeypatch.setattr("service.keys.hmac.compare_digest", compare)
+    monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
     database = Database(tmp_path)
     row, key = add_key(database, "x", Limits())
     active = Keys(Settings())
@@ -238,7 +239,7 @@ def test_the_command_adds_lists_and_revokes_beside_a_running_server(guarded: Gua
     server = guarded.server
     there = ("--data-dir", str(server.data_dir))
     words = ["add", "carol's laptop", *there, "--requests-per-second", "7", "--stored-mb", "80"]
-    run = [sys.executable, "-m", "dsbrdf.cli", "keys", *words]
+    run = [sys.executable, "-m", "dsbrdf.cli.main", "keys", *words]
     added = subprocess.run(run, capture_output=True, text=True, timeout=60, check=True)
     key = added.stdout.removesuffix("\n")
     assert re.fullmatch(r"dsbrdf_[0-9a-f]{12}_[\w-]{43}", key)
@@ -404,7 +405,7 @@ def test_a_damaged_or_busy_database_is_one_sentence(tmp_path: Path, monkeypatch:
     assert refused.stderr.count("\n") == 1
     assert "cannot be opened" in refused.stderr
     (tmp_path / "dsbrdf.sqlite").unlink()
-    monkeypatch.setattr("service.database._PATIENCE_BESIDE", 0.1)
+    monkeypatch.setattr("service.storage.database._PATIENCE_BESIDE", 0.1)
     database = Database(tmp_path)
     with database.transaction():
         busy = command("add", "x", "--data-dir", str(tmp_path))

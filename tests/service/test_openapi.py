@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from dsbrdf.serialize import from_json
-from service import schemas
-from service.problems import KINDS, TYPE_PREFIX
+from dsbrdf.output.serialize import from_json
+from service.http.problems import KINDS, TYPE_PREFIX
+from service.wire import schemas
 from tests.service.running import Server
 
 

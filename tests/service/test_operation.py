@@ -18,14 +18,14 @@ from typing import cast
 import httpx
 import pytest
 
-from dsbrdf.engines import Engine
-from dsbrdf.merl import FILE_SIZE
-from service import readiness
+from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.engines.engine import Engine
 from service.__main__ import main
-from service.database import FILE_NAME
-from service.readiness import Readiness
+from service.operations import readiness
+from service.operations.readiness import Readiness
 from service.settings import Settings, unknown_settings
-from service.store import Store
+from service.storage.database import FILE_NAME
+from service.storage.store import Store
 from tests.service.running import ENDLESS, QUICK, Server, assert_problem, wait_until
 
 PATIENCE = 1.0  # seconds that the service has with slow clients here

@@ -13,11 +13,11 @@ import httpx
 import pytest
 
 import dsbrdf
-from service.migrations import STEPS
-from service.options import to_wire
-from service.quota import StorageQuotaError
-from service.rows import Caller, FitKey
-from service.store import Store
+from service.storage.quota import StorageQuotaError
+from service.storage.rows import Caller, FitKey
+from service.storage.schema import STEPS
+from service.storage.store import Store
+from service.wire.fit_options import to_wire
 from tests.service.conftest import Guarded, new_key
 from tests.service.running import QUICK, Server, assert_problem
 

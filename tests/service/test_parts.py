@@ -14,17 +14,17 @@ from starlette.requests import Request
 from starlette.types import Message
 
 import dsbrdf
-from service.blobs import Blobs
-from service.database import DataFolderInUseError
-from service.decoding import PIECE, decoder
-from service.jobs import fit_identity
-from service.migrations import STEPS
-from service.option_parsing import parse_options, parse_query
-from service.options import DEFAULTS, from_wire, to_wire
-from service.problems import ProblemError
-from service.replies import OpenFileResponse, preferred_wait
-from service.rows import Caller, FitKey
-from service.store import MissingMeasurementError, Store
+from service.http.content_encoding import PIECE, decoder
+from service.http.problems import ProblemError
+from service.http.responses import OpenFileResponse, preferred_wait
+from service.jobs.jobs import fit_identity
+from service.storage.blobs import Blobs
+from service.storage.database import DataFolderInUseError
+from service.storage.rows import Caller, FitKey
+from service.storage.schema import STEPS
+from service.storage.store import MissingMeasurementError, Store
+from service.wire.fit_options import DEFAULTS, from_wire, to_wire
+from service.wire.option_parsing import parse_options, parse_query
 
 LOCAL = Caller()
 FIT = FitKey("", "f")

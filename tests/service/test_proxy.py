@@ -17,9 +17,9 @@ import httpx
 import numpy as np
 import pytest
 
-from service.points import NPY
-from service.problems import KINDS, TYPE_PREFIX
+from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
+from service.wire.points import NPY
 from tests.service.running import ENDLESS, Server, free_port, wait_until
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"

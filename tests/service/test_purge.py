@@ -15,15 +15,15 @@ from typing import Any
 import httpx
 import pytest
 
-from dsbrdf.merl import FILE_SIZE
-from service.database import FILE_NAME
+from dsbrdf.data.merl import FILE_SIZE
+from service.storage.database import FILE_NAME
 from tests.service.running import ENDLESS, QUICK, Server, wait_until
 
 DAY = 86400.0
 
 
 def command(*words: str) -> "subprocess.CompletedProcess[str]":
-    arguments = [sys.executable, "-m", "dsbrdf.cli", *words]
+    arguments = [sys.executable, "-m", "dsbrdf.cli.main", *words]
     return subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
 
 

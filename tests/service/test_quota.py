@@ -8,10 +8,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from dsbrdf.merl import FILE_SIZE
-from service.quota import StorageQuotaError, Uploads
-from service.rows import Caller
-from service.store import Store
+from dsbrdf.data.merl import FILE_SIZE
+from service.storage.quota import StorageQuotaError, Uploads
+from service.storage.rows import Caller
+from service.storage.store import Store
 from tests.service.conftest import new_key
 from tests.service.running import Server, assert_problem, wait_until
 

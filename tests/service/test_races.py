@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines import NOT_STARTED, Fault, FitTask, Fitted, Outcome
-from dsbrdf.engines.places import Places
-from service import jobs as jobs_module
-from service.jobs import Jobs
-from service.metrics import Metrics
-from service.rows import Caller, FitKey, FitRow
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines.fair_slots import Places
+from service.jobs import jobs as jobs_module
+from service.jobs.jobs import Jobs
+from service.operations.metrics import Metrics
 from service.settings import Settings
-from service.store import Store
+from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.store import Store
 
 LOCAL = Caller()
 OPTIONS = dsbrdf.FitOptions()

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from dsbrdf import FitOptions, InvalidArgumentError
-from service.option_parsing import parse_options, parse_query
-from service.schemas import OptionsDocument
+from service.wire.option_parsing import parse_options, parse_query
+from service.wire.schemas import OptionsDocument
 from tests.service.running import Server, assert_problem
 
 SCHEMA = OptionsDocument.model_json_schema()

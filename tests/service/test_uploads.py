@@ -20,10 +20,10 @@ import pytest
 import zstandard
 
 import dsbrdf
-from dsbrdf.merl import FILE_SIZE, encode_merl
+from dsbrdf.data.merl import FILE_SIZE, encode_merl
 from service.app import create_app
-from service.blobs import Incoming
 from service.settings import Settings
+from service.storage.blobs import Incoming
 from tests.service.running import QUICK, Server, assert_problem, wait_until
 
 HEADER = struct.pack("<3i", 90, 90, 180)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.merl import parse_merl
-from dsbrdf.serialize import from_json, from_npz
+from dsbrdf.data.merl import parse_merl
+from dsbrdf.output.serialize import from_json, from_npz
 from tests.service.running import Server, assert_problem
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")

@@ -1,0 +1,220 @@
+"""What ``dsbrdf demo`` does: the whole way over HTTP, from a measurement to lobes and a picture.
+
+The service runs as it does for everyone else, in a process of its own; the demo talks to it through httpx only.
+"""
+
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.extras import require
+from dsbrdf.fitting.report import FitReport
+from dsbrdf.model.decomposition import LABELS
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.figures import overview_figure, render
+from dsbrdf.output.report_text import bands_table, components_table, metrics_line, parameters_table, selection_table
+from dsbrdf.output.serialize import from_json
+
+if TYPE_CHECKING:
+    import httpx
+
+Array = NDArray[np.float64]
+
+START_SECONDS = 60.0
+STOP_SECONDS = 10.0
+SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, whose values are compared
+
+
+def run(folder: Path) -> None:
+    """Run the demo: print what the service answers and leave ``demo.png`` in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to put the picture; made if it does not exist.
+
+    Raises
+    ------
+    MissingExtraError
+        If the service, httpx or matplotlib is not installed.
+    RuntimeError
+        If the service does not start; the message ends with its log.
+    """
+    require("dev", "fastapi", "uvicorn", "httpx", "matplotlib", purpose="the demo")
+    import httpx
+
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="dsbrdf-demo-") as scratch, running_service(Path(scratch)) as url:
+        _title(f"Service on {url}, ready after {time.perf_counter() - begin:.1f} s")
+        measurement = _paint()
+        summary = profiles(measurement)
+        with httpx.Client(base_url=url, timeout=60.0) as client:
+            fit = _post(client, measurement)
+            model, report = from_json(_get(client, fit, "export", format="json").text)
+            _show_lobes(_get(client, fit, "lobes").json()["items"], model)
+            _show_metrics(fit["metrics"], report)
+            _show_values(client, fit, summary)
+            _show_sum(client, fit)
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = folder / "demo.png"
+    write_atomically(picture, [render(overview_figure(summary, model))])
+    _title(f"Picture of measured profiles, fit and lobes: {picture}")
+    print(f"Done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data are removed.")
+
+
+@contextmanager
+def running_service(folder: Path) -> Iterator[str]:
+    """Run ``python -m service`` on a free port of the loopback address while the block runs.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it keeps its data and its log.
+
+    Yields
+    ------
+    str
+        Its URL; it is ready to take work.
+
+    Raises
+    ------
+    RuntimeError
+        If it ends, or is not ready in time; the message ends with its log.
+    """
+    log = folder / "service.log"
+    command = [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(folder / "data")]
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)  # noqa: S603 (no outside input)
+    try:
+        url = _address_when_ready(process, log)
+        if url is None:
+            raise RuntimeError(f"the service did not start; its log:\n{log.read_text(errors='replace')[-2000:]}")
+        yield url
+    finally:
+        stop(process)
+
+
+def stop(process: "subprocess.Popen[bytes]") -> None:
+    """Ask a process to end, and end it if it does not."""
+    process.terminate()
+    try:
+        process.wait(STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _address_when_ready(process: "subprocess.Popen[bytes]", log: Path) -> str | None:
+    """Wait for the service and return its URL, which its log tells; None if it ends or takes too long."""
+    import httpx
+
+    deadline = time.monotonic() + START_SECONDS
+    while process.poll() is None and time.monotonic() < deadline:
+        told = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
+        with suppress(httpx.TransportError):  # not listening yet, or busy
+            if told and httpx.get(f"{told[0]}/health/ready", timeout=5.0).is_success:
+                return told[0]
+        time.sleep(0.05)
+    return None
+
+
+def _paint() -> Measurement:
+    """A red paint with a glossy coat, and the noise of an instrument."""
+    return synthetic_measurement(
+        roughness=0.06,
+        diffuse=(0.40, 0.16, 0.10),
+        specular=(0.04, 0.04, 0.04),
+        noise=0.02,
+        name="generated red paint with a glossy coat",
+    )
+
+
+def _post(client: "httpx.Client", measurement: Measurement) -> dict[str, Any]:
+    """Fit the measurement, twice: the second time nothing is computed."""
+    content = encode_merl(measurement)
+    _title(f"POST /v1/fits with {len(content):,} bytes: {measurement.name}")
+    for _ in range(2):
+        begin = time.perf_counter()
+        response = client.post("/v1/fits", content=content, headers={"Content-Type": "application/octet-stream"})
+        response.raise_for_status()
+        fit: dict[str, Any] = response.json()
+        seconds = time.perf_counter() - begin
+        print(f"{response.status_code} {response.reason_phrase}, fit {fit['id']} {fit['status']}, {seconds:.2f} s")
+    if fit["status"] != "succeeded":
+        raise RuntimeError(f"the fit has {fit['status']}: {fit['error']}")
+    return fit
+
+
+def _get(client: "httpx.Client", fit: dict[str, Any], path: str, **query: Any) -> "httpx.Response":
+    return client.get(f"/v1/fits/{fit['id']}/{path}", params=query).raise_for_status()
+
+
+def _values(client: "httpx.Client", fit: dict[str, Any], path: str, theta_half: Array, theta_diff: Array) -> Array:
+    """BRDF values (n, 3) over HTTP, for angles (n,) [degrees]."""
+    query = {"theta_half_deg": theta_half.tolist(), "theta_diff_deg": theta_diff.tolist()}
+    return np.array(_get(client, fit, path, **query).json()["values"])
+
+
+def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
+    _title("Lobes, by component")
+    _print(*components_table(components), "", *parameters_table(model))
+
+
+def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) -> None:
+    """How the numbers of lobes were chosen, and how good the fit is, where."""
+    if report is None:
+        raise RuntimeError("the service has exported the fit without its report")
+    _title("How many lobes")
+    _print(*selection_table(report))
+    _title("Metrics")
+    _print(metrics_line(metrics), "", *bands_table(report))
+
+
+def _show_values(client: "httpx.Client", fit: dict[str, Any], summary: Profiles) -> None:
+    """Measured values, mean over phi_diff, against those that the service gives."""
+    _title("Measured and fitted values [1/sr]")
+    nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
+    theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
+    measured = summary.mean[:, nodes[:, 1], nodes[:, 0]].T
+    fitted = _values(client, fit, "brdf", theta_half, theta_diff)
+    names = "".join(f"{channel + ' measured, fitted':>23}" for channel in CHANNELS)
+    print(f"{'theta_half':>10}{'theta_diff':>12}{names}")
+    for angles, pairs in zip(zip(theta_half, theta_diff, strict=True), np.stack([measured, fitted], -1), strict=True):
+        cells = "".join(f"{data:>12.4f} {value:>10.4f}" for data, value in pairs)
+        print(f"{angles[0]:>9.1f}°{angles[1]:>11.0f}°{cells}")
+
+
+def _show_sum(client: "httpx.Client", fit: dict[str, Any]) -> None:
+    """The components' values and that they add up to the fit's."""
+    _title("Components at theta_half 2°, theta_diff 30° [1/sr]")
+    point = np.array([2.0]), np.array([30.0])
+    parts = {label: _values(client, fit, f"lobes/{label}/brdf", *point)[0] for label in LABELS}
+    whole = _values(client, fit, "brdf", *point)[0]
+    total = np.sum(list(parts.values()), axis=0)
+    for label, value in (*parts.items(), ("sum", total), ("fit", whole)):
+        print(f"{label:<16}" + "".join(f"{number:>14.8f}" for number in value))
+    print(f"largest difference between sum and fit: {np.abs(total - whole).max():.1e}")
+
+
+def _title(text: str) -> None:
+    print(f"\n{text}")
+
+
+def _print(*lines: str) -> None:
+    for line in lines:
+        print(line)

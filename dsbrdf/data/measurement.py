@@ -1,0 +1,69 @@
+"""A measured isotropic BRDF on the angular grid of the MERL data base."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.data.merl_validation import SCALE, checked_values, encode_values
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One measured material.
+
+    Attributes
+    ----------
+    stored : ndarray, shape (3, 90, 90, 180)
+        The numbers exactly as the file holds them, read-only; axes (channel, theta_half,
+        theta_diff, phi_diff).
+    scale : ndarray, shape (3,)
+        Factor of each channel from ``stored`` to the BRDF in 1/sr.
+    valid : ndarray of bool, shape (90, 90, 180)
+        Nodes with all three channels >= 0 and both directions strictly above the horizon, read-only.
+    name : str
+        The material's name, by default that of its file.
+    sha256 : str
+        Hexadecimal digest of the file's bytes: the identity of the measurement.
+    """
+
+    stored: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    name: str
+    sha256: str
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The BRDF in 1/sr, shape (3, 90, 90, 180); a new array (35 MB) at every call.
+
+        Only the nodes in ``valid`` carry a measured value.
+        """
+        return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
+
+    @classmethod
+    def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> "Measurement":
+        """Make a measurement of an array, as if it had been written to a file and read back.
+
+        Parameters
+        ----------
+        values : array_like, shape (3, 90, 90, 180)
+            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); negative where there is no
+            value.
+        valid : array_like of bool, shape (90, 90, 180), optional
+            Nodes that carry a value; the others are marked with a negative number, whatever they hold.
+        name : str
+            The material's name.
+
+        Returns
+        -------
+        Measurement
+            Its ``sha256`` is that of the encoded bytes, its ``values`` equal the given ones to rounding.
+
+        Raises
+        ------
+        MeasurementFormatError
+            If a shape is wrong or the values are not an acceptable measurement.
+        """
+        stored, usable, sha256 = checked_values(b"".join(encode_values(values, valid)))
+        return cls(stored=stored, scale=SCALE, valid=usable, name=name, sha256=sha256)

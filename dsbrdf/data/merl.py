@@ -1,0 +1,153 @@
+"""The MERL ``.binary`` format: bytes <-> `Measurement` (Matusik et al. 2003).
+
+A file is three little-endian int32 dimensions (90, 90, 180) followed by 3 x 90 x 90 x 180 little-endian
+float64 values, axes (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
+is the BRDF in 1/sr; a negative value marks a node without a measurement.
+
+`MerlChecker` takes the bytes in pieces of any size, so that a file can be checked while it arrives;
+`parse_merl` and `read_merl` go through the same code.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl_validation import (
+    FILE_SIZE,
+    HEADER_SIZE,
+    SCALE,
+    MerlChecker,
+    check_header,
+    check_length,
+    checked_values,
+    encode_stored,
+    encode_values,
+)
+from dsbrdf.errors import MeasurementFormatError
+
+__all__ = [
+    "FILE_SIZE",
+    "SCALE",
+    "MerlChecker",
+    "check_header",
+    "check_length",
+    "encode_merl",
+    "parse_merl",
+    "read_merl",
+    "write_merl",
+]
+
+
+def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") -> Measurement:
+    """Measurement in the bytes of a MERL file.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file. Immutable bytes are used in place, not copied.
+    name : str
+        The material's name.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
+    """
+    view = memoryview(data).cast("B")
+    if not view.readonly:
+        view = memoryview(bytes(view))
+    stored, valid, sha256 = checked_values(view)
+    return Measurement(stored=stored, scale=SCALE, valid=valid, name=name, sha256=sha256)
+
+
+def read_merl(path: str | os.PathLike[str]) -> Measurement:
+    """Read a MERL ``.binary`` file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its stem becomes the measurement's name.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right. A file of a wrong header or length
+        is refused before its values are read.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    source = Path(path)
+    status = source.stat()
+    if not source.is_file():
+        kind = "a directory" if source.is_dir() else "not a regular file"
+        raise MeasurementFormatError(f"{source} is {kind}; a MERL measurement is a file of {FILE_SIZE} bytes.")
+    with source.open("rb") as file:
+        check_header(file.read(HEADER_SIZE))
+        check_length(status.st_size)
+        file.seek(0)
+        # One byte more than needed tells a file that has grown since.
+        data = file.read(FILE_SIZE + 1)
+    return parse_merl(data, source.stem)
+
+
+def encode_merl(measurement: Measurement | ArrayLike, valid: ArrayLike | None = None) -> bytes:
+    """Bytes of a MERL file.
+
+    Parameters
+    ----------
+    measurement : Measurement or array_like, shape (3, 90, 90, 180)
+        A measurement is encoded bit for bit as it was read; an array is the BRDF in 1/sr, negative where
+        there is no value.
+    valid : array_like of bool, shape (90, 90, 180), optional
+        For an array: the nodes that carry a value. The others are stored as -1, whatever they hold.
+
+    Returns
+    -------
+    bytes
+        ``FILE_SIZE`` of them.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If a shape is wrong or a value is NaN or infinite.
+    """
+    return b"".join(_pieces(measurement, valid))
+
+
+def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLike) -> None:
+    """Write a MERL ``.binary`` file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to write; an existing file is replaced.
+    measurement : Measurement or array_like, shape (3, 90, 90, 180)
+        A measurement is written bit for bit as it was read; an array is the BRDF in 1/sr, negative where
+        there is no value.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If the shape is wrong or a value is NaN or infinite.
+    OSError
+        If the file cannot be written.
+    """
+    write_atomically(path, _pieces(measurement, None))
+
+
+def _pieces(measurement: Measurement | ArrayLike, valid: ArrayLike | None) -> Iterator[bytes | memoryview]:
+    if isinstance(measurement, Measurement):
+        return encode_stored(measurement.stored)
+    return encode_values(measurement, valid)

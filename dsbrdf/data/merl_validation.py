@@ -1,0 +1,333 @@
+"""The bytes of a MERL ``.binary`` file, checked piece by piece while they arrive, and made of values.
+
+The order of precedence is fixed, whatever the pieces: the header, the length, then the values, so that one
+file always gets one and the same sentence. `dsbrdf.data.merl` describes the format.
+"""
+
+import hashlib
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, nodes_above_horizon
+from dsbrdf.errors import MeasurementFormatError
+
+__all__ = [
+    "FILE_SIZE",
+    "HEADER",
+    "HEADER_SIZE",
+    "LARGEST_VALUE",
+    "SCALE",
+    "SMALLEST_VALID_SHARE",
+    "MerlChecker",
+    "check_header",
+    "check_length",
+    "checked_values",
+    "encode_stored",
+    "encode_values",
+]
+
+HEADER = struct.pack("<3i", *GRID_SHAPE)
+HEADER_SIZE = len(HEADER)
+NODES = 90 * 90 * 180
+FILE_SIZE = HEADER_SIZE + 3 * NODES * 8
+SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
+SCALE.flags.writeable = False
+LARGEST_VALUE = 1e8  # [1/sr]; no reflectance comes near it
+SMALLEST_VALID_SHARE = 0.01
+
+_FLOAT32_SIZE = HEADER_SIZE + 3 * NODES * 4
+_SHAPE = (len(CHANNELS), *GRID_SHAPE)
+_PIECE = 1 << 20
+_AXES = ("theta_half", "theta_diff", "phi_diff")
+
+
+def check_header(header: bytes | bytearray | memoryview) -> None:
+    """Check the first 12 bytes of a file: its three dimensions, each on its own.
+
+    Parameters
+    ----------
+    header : bytes-like
+        At least the first 12 bytes; what follows is ignored.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If there are fewer than 12 bytes or a dimension is not that of the MERL grid.
+    """
+    start = bytes(header[:HEADER_SIZE])
+    if len(start) < HEADER_SIZE:
+        check_length(len(start))
+    if start == HEADER:
+        return
+    found = struct.unpack("<3i", start)
+    right = f"a MERL measurement has {GRID_SHAPE} for (theta_half, theta_diff, phi_diff)"
+    if struct.unpack(">3i", start) == GRID_SHAPE:
+        fault = "are stored big-endian; a MERL file is little-endian throughout"
+        raise MeasurementFormatError(f"The dimensions {GRID_SHAPE} in the header {fault}.")
+    if sorted(found) == sorted(GRID_SHAPE):
+        raise MeasurementFormatError(f"The dimensions in the header are swapped: {found}; {right}.")
+    wrong = [
+        f"{axis} is {size} and not {expected}"
+        for axis, size, expected in zip(_AXES, found, GRID_SHAPE, strict=True)
+        if size != expected
+    ]
+    raise MeasurementFormatError(f"The dimensions in the header are {found}: {', '.join(wrong)}; {right}.")
+
+
+def check_length(n_bytes: int) -> None:
+    """Check the length of a whole file, header included.
+
+    Parameters
+    ----------
+    n_bytes : int
+        Its length in bytes.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If it is not ``FILE_SIZE``.
+    """
+    if n_bytes == FILE_SIZE:
+        return
+    right = f"a MERL measurement has exactly {FILE_SIZE} bytes (12 + 3 x 90 x 90 x 180 x 8)"
+    if n_bytes > FILE_SIZE:
+        # The sentence is the same whether the whole length is known or a stream was cut off.
+        raise MeasurementFormatError(f"The data is longer than {FILE_SIZE} bytes; {right}.")
+    if n_bytes == 0:
+        raise MeasurementFormatError(f"The data is empty; {right}.")
+    if n_bytes == _FLOAT32_SIZE:
+        raise MeasurementFormatError(
+            f"The data has {n_bytes} bytes, the length of float32 values; {right}, its values being float64."
+        )
+    raise MeasurementFormatError(f"The data has only {n_bytes} bytes and seems cut off; {right}.")
+
+
+class MerlChecker:
+    """Check the bytes of a MERL file piece by piece, in bounded memory.
+
+    Feed every byte in order with `update`, then call `finish`. Beyond the piece at hand it keeps two bits per
+    node, 0.4 MB, so that many uploads can be checked side by side.
+
+    Attributes
+    ----------
+    n_bytes : int
+        How many bytes were seen.
+    """
+
+    def __init__(self) -> None:
+        self.n_bytes = 0
+        self._header = b""
+        self._rest = b""  # the first bytes of a value that the next piece completes
+        self._n_values = 0
+        self._measured = np.full(NODES // 8, 0xFF, dtype=np.uint8)  # bits: no channel is negative
+        self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
+        self._above = nodes_above_horizon().reshape(-1)
+        self._not_finite = _Fault()
+        self._too_large = _Fault()
+
+    def update(self, piece: bytes | bytearray | memoryview) -> None:
+        """Take the next bytes.
+
+        Parameters
+        ----------
+        piece : bytes-like
+            Of any length.
+
+        Raises
+        ------
+        MeasurementFormatError
+            As soon as the header is wrong or there are more bytes than a file has. Wrong values are reported
+            by `finish`, because their count is part of the sentence.
+        """
+        view = memoryview(piece).cast("B")
+        if len(self._header) < HEADER_SIZE:
+            taken = HEADER_SIZE - len(self._header)
+            self._header += bytes(view[:taken])
+            self.n_bytes += len(view[:taken])
+            view = view[taken:]
+            if len(self._header) == HEADER_SIZE:
+                check_header(self._header)
+        self.n_bytes += len(view)
+        if self.n_bytes > FILE_SIZE:
+            check_length(self.n_bytes)
+        if self._rest and len(view) > 0:
+            taken = 8 - len(self._rest)
+            self._rest += bytes(view[:taken])
+            view = view[taken:]
+            if len(self._rest) == 8:
+                self._take(np.frombuffer(self._rest, dtype="<f8"))
+                self._rest = b""
+        whole = len(view) // 8 * 8
+        if whole:
+            self._take(np.frombuffer(view[:whole], dtype="<f8"))
+        if whole < len(view):
+            self._rest = bytes(view[whole:])
+
+    def finish(self) -> NDArray[np.bool_]:
+        """Conclude after the last byte.
+
+        Returns
+        -------
+        ndarray of bool, shape (90, 90, 180)
+            The valid nodes: no channel negative and both directions strictly above the horizon.
+
+        Raises
+        ------
+        MeasurementFormatError
+            If the length is wrong, a value is NaN or infinite or above 1e8/sr, fewer than 1 % of the nodes
+            above the horizon are valid, or all valid nodes are zero.
+        """
+        check_length(self.n_bytes)
+        if self._not_finite.count:
+            raise MeasurementFormatError(
+                f"{self._not_finite.sentence('is', 'are')} NaN or infinite; every value must be finite."
+            )
+        if self._too_large.count:
+            raise MeasurementFormatError(
+                f"{self._too_large.sentence('exceeds', 'exceed')} 1e8/sr, which no reflectance has; "
+                "stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
+            )
+        valid = np.unpackbits(self._measured).view(np.bool_)
+        valid &= self._above
+        n_valid, n_above = int(valid.sum()), int(self._above.sum())
+        if n_valid < SMALLEST_VALID_SHARE * n_above:
+            raise MeasurementFormatError(
+                f"Of the {n_above} nodes above the horizon the number of valid ones (no channel negative) "
+                f"is {n_valid}; a measurement needs at least {SMALLEST_VALID_SHARE:.0%} of them."
+            )
+        if not (np.packbits(valid) & self._positive).any():
+            raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
+        return valid.reshape(GRID_SHAPE)
+
+    def _take(self, values: NDArray[np.float64]) -> None:
+        """Record whole values, which may span channels."""
+        while values.size:
+            channel, node = divmod(self._n_values, NODES)
+            part = values[: NODES - node]
+            values = values[part.size :]
+            self._inspect(part, channel, slice(node, node + part.size))
+            self._n_values += part.size
+
+    def _inspect(self, values: NDArray[np.float64], channel: int, nodes: slice) -> None:
+        limit = LARGEST_VALUE / SCALE[channel]
+        with np.errstate(invalid="ignore"):  # a signalling NaN warns in every comparison
+            largest, smallest = values.max(), values.min()
+            if not (np.isfinite(largest) and np.isfinite(smallest)):
+                self._not_finite.record(~np.isfinite(values), channel, nodes.start)
+            if largest > limit:  # a NaN hides the true maximum, but then it is the fault to name
+                self._too_large.record((values > limit) & self._above[nodes], channel, nodes.start)
+            octets = slice(nodes.start // 8, -(-nodes.stop // 8))
+            self._measured[octets] &= _packed(values >= 0.0, nodes.start % 8, fill=True)
+            self._positive[octets] |= _packed(values > 0.0, nodes.start % 8, fill=False)
+
+
+def _packed(flags: NDArray[np.bool_], lead: int, *, fill: bool) -> NDArray[np.uint8]:
+    """Pack flags into whole bytes, the first of them behind ``lead`` bits that hold ``fill``, as the last ones do."""
+    padded = np.full(-(-(lead + flags.size) // 8) * 8, fill, dtype=np.bool_)
+    padded[lead : lead + flags.size] = flags
+    return np.packbits(padded)
+
+
+class _Fault:
+    """How often a fault occurs, and where first."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._first = ""
+
+    def record(self, where: NDArray[np.bool_], channel: int, start: int) -> None:
+        found = np.flatnonzero(where)
+        if found.size and not self.count:
+            node = tuple(int(index) for index in np.unravel_index(start + int(found[0]), GRID_SHAPE))
+            self._first = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
+        self.count += found.size
+
+    def sentence(self, one: str, many: str) -> str:
+        if self.count == 1:
+            return f"1 value, {self._first}, {one}"
+        return f"{self.count} values, the first {self._first}, {many}"
+
+
+def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArray[np.bool_], str]:
+    """Values of a whole file, once every check has passed.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The file; read-only, used in place.
+
+    Returns
+    -------
+    stored : ndarray, shape (3, 90, 90, 180)
+        The numbers as the file holds them; a read-only view.
+    valid : ndarray of bool, shape (90, 90, 180)
+        The valid nodes, read-only.
+    sha256 : str
+        Hexadecimal digest of the bytes.
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
+    """
+    view = memoryview(data).cast("B")
+    check_header(view)
+    check_length(len(view))
+    checker, digest = MerlChecker(), hashlib.sha256()
+    for start in range(0, len(view), _PIECE):
+        piece = view[start : start + _PIECE]
+        checker.update(piece)
+        digest.update(piece)
+    valid = checker.finish()
+    valid.flags.writeable = False
+    stored = np.frombuffer(view, dtype="<f8", offset=HEADER_SIZE).reshape(_SHAPE)
+    return stored, valid, digest.hexdigest()
+
+
+def encode_values(values: ArrayLike, valid: ArrayLike | None = None) -> Iterator[bytes | memoryview]:
+    """Bytes of the file that holds these values [1/sr], in pieces.
+
+    Parameters
+    ----------
+    values : array_like, shape (3, 90, 90, 180)
+        The BRDF in 1/sr, negative where there is no value.
+    valid : array_like of bool, shape (90, 90, 180), optional
+        Nodes that carry a value; the others are stored as -1, whatever they hold.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If a shape is wrong or a value is NaN or infinite.
+    """
+    return encode_stored(_stored(values, valid))
+
+
+def encode_stored(stored: NDArray[np.float64]) -> Iterator[bytes | memoryview]:
+    """Bytes of the file that holds these numbers, shape (3, 90, 90, 180), as they are, in pieces."""
+    yield HEADER
+    for channel in stored:
+        yield np.ascontiguousarray(channel, dtype="<f8").data.cast("B")
+
+
+def _stored(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
+    """Numbers for the file: values [1/sr] divided by the scale, -1 where there is none."""
+    try:
+        brdf = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MeasurementFormatError(f"The values must be real numbers of the shape {_SHAPE}.") from None
+    if brdf.shape != _SHAPE:
+        raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {_SHAPE}.")
+    stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]
+    if valid is not None:
+        mask = np.asarray(valid, dtype=np.bool_)
+        if mask.shape != GRID_SHAPE:
+            raise MeasurementFormatError(f"The valid nodes have the shape {mask.shape}; it must be {GRID_SHAPE}.")
+        stored[:, ~mask] = -1.0
+    if not np.isfinite(stored).all():
+        count = int((~np.isfinite(stored)).sum())
+        are = "is" if count == 1 else "are"
+        raise MeasurementFormatError(f"{count} of the values {are} NaN or infinite; every value must be finite.")
+    return stored

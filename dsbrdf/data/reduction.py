@@ -1,0 +1,155 @@
+"""The exact reduction of a measurement to what a bivariate model can see of it.
+
+The model does not depend on phi_diff, so the squared error of any such model ``m`` splits, for every
+(channel, theta_diff, theta_half), into
+
+    sum_phi w (f - m)**2 = W (mean - m)**2 + within,
+
+with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a constant of the data.  A fit on the
+`Profiles` is therefore a fit on all 4.4 million samples, and the sum of ``within`` is the **bivariate floor**
+that no model of this kind can go below.
+
+This is the only place that decides which samples count, and how much.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import above_horizon, incident_cosines
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import InvalidArgumentError
+
+Array = NDArray[np.float64]
+
+WEIGHTINGS = ("plain", "cosine", "log")
+"""The known weightings of the samples, see `profiles`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Sufficient summary of a measurement for bivariate models.
+
+    Attributes
+    ----------
+    mean, weight, within : ndarray, shape (3, 90, 90)
+        Weighted mean [1/sr], summed weight, and summed weighted squared deviation from the mean [1/sr^2] over
+        phi_diff, for each (channel, theta_diff, theta_half).  Where ``weight`` is 0 the others are 0.
+    horizon_cutoff : float or None
+        Largest angle to the normal of either direction of the samples used [rad]; None is the horizon.
+    weighting : str
+        One of `WEIGHTINGS`.
+    robust : bool
+        Whether outliers over phi_diff were down-weighted.
+    name, sha256 : str
+        Of the measurement.
+    """
+
+    mean: Array
+    weight: Array
+    within: Array
+    horizon_cutoff: float | None
+    weighting: str
+    robust: bool
+    name: str
+    sha256: str
+
+    @property
+    def weighted(self) -> bool:
+        """Whether some samples count more than others; the metrics are defined on profiles where none does."""
+        return self.weighting != "plain" or self.robust
+
+
+def profiles(
+    measurement: Measurement,
+    *,
+    horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF,
+    weighting: str = "plain",
+    robust: bool = False,
+) -> Profiles:
+    """Reduce a measurement to its profiles over (theta_diff, theta_half).
+
+    Parameters
+    ----------
+    measurement : Measurement
+        The samples f [1/sr].
+    horizon_cutoff : float or None, optional
+        Samples with a direction further than this from the normal are left out [rad]; None keeps all samples above
+        the horizon.
+    weighting : {"plain", "cosine", "log"}, optional
+        ``plain`` counts every sample alike (the paper); ``cosine`` weighs by cos(theta_in)**2, the squared error of
+        reflected radiance; ``log`` weighs by (cos_in / (1 + mean cos_in))**2, which to first order is the squared
+        error of log(1 + f cos_in).
+    robust : bool, optional
+        Down-weight samples that lie far from the median over phi_diff.
+
+    Returns
+    -------
+    Profiles
+
+    Raises
+    ------
+    InvalidArgumentError
+        If an option is unknown or out of range.
+    """
+    check_horizon_cutoff(horizon_cutoff)
+    if weighting not in WEIGHTINGS:
+        raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {weighting!r}")
+    shape = (3, THETA_DIFF.size, THETA_HALF.size)
+    mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for i, theta_half in enumerate(THETA_HALF):
+        used = used_nodes(measurement, i, horizon_cutoff)
+        samples = measurement.stored[:, i] * measurement.scale[:, None, None]
+        weights = np.broadcast_to(used.astype(float), samples.shape)
+        if robust:
+            weights = weights * _outlier_weights(samples, used)
+        if weighting != "plain":
+            cos_in, _ = incident_cosines(theta_half, THETA_DIFF[:, None], PHI_DIFF)
+            typical = _summarize(samples, weights)[0][..., None] if weighting == "log" else 0.0
+            weights = weights * (cos_in / (1.0 + typical * np.maximum(cos_in, 0.0))) ** 2
+        mean[:, :, i], weight[:, :, i], within[:, :, i] = _summarize(samples, weights)
+    return Profiles(mean, weight, within, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256)
+
+
+def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+    """Samples of the theta_half row ``i`` that count, shape (90 theta_diff, 180 phi_diff)."""
+    cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
+    return measurement.valid[i] & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+
+
+def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
+    """Raise `InvalidArgumentError` unless the cutoff is None or an angle in (0, pi/2] [rad]."""
+    if horizon_cutoff is not None and not 0.0 < horizon_cutoff <= np.pi / 2:
+        raise InvalidArgumentError(
+            f"the horizon cutoff must lie above 0 and at most at 90 degrees, not at {np.degrees(horizon_cutoff):g}"
+        )
+
+
+def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Weighted mean, summed weight and within-sum over the last axis; zeros where there is no weight."""
+    total = weights.sum(-1)
+    mean = np.einsum("...p,...p->...", weights, samples) / np.where(total > 0, total, 1.0)
+    deviation = samples - mean[..., None]
+    return mean, total, np.einsum("...p,...p,...p->...", weights, deviation, deviation)
+
+
+def _outlier_weights(samples: Array, used: NDArray[np.bool_]) -> Array:
+    """Tukey's biweight about the median over phi_diff, with the scale from the median absolute deviation."""
+    masked = np.where(used, samples, np.nan)
+    median = _nanmedian(masked)
+    scale = 1.4826 * _nanmedian(np.abs(masked - median))
+    # A row of equal samples has no spread: what differs from it by more than one per cent is an outlier.
+    scale = np.maximum(scale, 1e-2 * np.abs(median) + 1e-12)
+    relative = np.where(used, (samples - median) / (6.0 * scale), 0.0)
+    return np.where(np.abs(relative) < 1.0, (1.0 - relative**2) ** 2, 0.0)
+
+
+def _nanmedian(samples: Array) -> Array:
+    """Median over the last axis, NaN left out, kept as an axis of length 1; 0 where all are NaN."""
+    count = np.sum(~np.isnan(samples), axis=-1, keepdims=True)
+    ordered = np.sort(samples, axis=-1)  # NaN sorts last
+    lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
+    upper = np.take_along_axis(ordered, count // 2 % samples.shape[-1], axis=-1)
+    return np.where(count > 0, 0.5 * (lower + np.where(count % 2 == 0, upper, lower)), 0.0)

@@ -1,0 +1,147 @@
+"""Analytic measurements: a microfacet material with known parameters, or a model, on the full MERL grid.
+
+The material is the sum of a GGX microfacet lobe (Walter et al. 2007) with height-correlated Smith shadowing
+and Schlick's Fresnel term, and of the diffuse term of Ashikhmin and Shirley (2000), which gives to the
+surface reflection what it takes and keeps the sum reciprocal and energy conserving.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.data.geometry import incident_cosines
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import InvalidArgumentError
+
+__all__ = ["BivariateModel", "model_measurement", "synthetic_measurement"]
+
+_Triple = tuple[float, float, float]
+
+
+class BivariateModel(Protocol):
+    """Anything that gives RGB values of the half and the difference angle, such as `dsbrdf.DSBRDF`."""
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> NDArray[np.float64]:
+        """Values in 1/sr, shape (..., 3), of angles in radians."""
+        ...
+
+
+def synthetic_measurement(
+    *,
+    roughness: float = 0.1,
+    diffuse: _Triple = (0.30, 0.12, 0.06),
+    specular: _Triple = (0.05, 0.05, 0.05),
+    noise: float = 0.0,
+    seed: int = 0,
+    name: str = "synthetic",
+) -> Measurement:
+    """Measurement of an analytic material.
+
+    Parameters
+    ----------
+    roughness : float
+        Width of the GGX distribution of slopes (its ``alpha``), in [0.005, 1].
+    diffuse : tuple of float
+        RGB albedo of the diffuse term, in [0, 1].
+    specular : tuple of float
+        RGB reflectance of the surface at normal incidence (``F0``), in [0, 1].
+    noise : float
+        Relative standard deviation of independent log-normal noise of mean 1 on every value, in [0, 1].
+    seed : int
+        Seed of the noise: the same arguments give the same bytes.
+    name : str
+        The material's name.
+
+    Returns
+    -------
+    Measurement
+        Nodes below the horizon are marked invalid, all others are valid.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If a parameter is out of its range.
+    """
+    if not 0.005 <= roughness <= 1.0:
+        raise InvalidArgumentError(f"roughness must be in [0.005, 1], not {roughness:g}.")
+    albedo, reflectance = _colour("diffuse", diffuse), _colour("specular", specular)
+    above = nodes_above_horizon()
+    cos_in, cos_out = (
+        cosine[above] for cosine in incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF)
+    )
+    cos_half, cos_diff = (
+        np.broadcast_to(cosine, above.shape)[above]
+        for cosine in (np.cos(THETA_HALF)[:, None, None], np.cos(THETA_DIFF)[:, None])
+    )
+    lobe = _ggx(cos_half, cos_in, cos_out, roughness)
+    grazing = (1.0 - cos_diff) ** 5
+    matte = 28.0 / (23.0 * np.pi) * (1.0 - (1.0 - cos_in / 2) ** 5) * (1.0 - (1.0 - cos_out / 2) ** 5)
+    values = np.full((3, *above.shape), -1.0)
+    for channel in range(3):
+        fresnel = reflectance[channel] + (1.0 - reflectance[channel]) * grazing
+        values[channel, above] = fresnel * lobe + albedo[channel] * (1.0 - reflectance[channel]) * matte
+    return Measurement.from_values(_noisy(values, noise, seed), above, name)
+
+
+def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
+    """Measurement whose every node holds the value of a model.
+
+    Parameters
+    ----------
+    model : object with ``evaluate(theta_half, theta_diff) -> (..., 3)``
+        The model, such as a `dsbrdf.DSBRDF`.
+    noise, seed, name
+        As for `synthetic_measurement`.
+
+    Returns
+    -------
+    Measurement
+        Nodes below the horizon are marked invalid.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the noise is out of its range.
+    MeasurementFormatError
+        If the model's values are no acceptable measurement, such as NaN.
+    """
+    rows = np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)
+    above = nodes_above_horizon()
+    values = np.where(above, rows[..., np.newaxis], -1.0)
+    return Measurement.from_values(_noisy(values, noise, seed), above, name)
+
+
+def _ggx(
+    cos_half: NDArray[np.float64],
+    cos_in: NDArray[np.float64],
+    cos_out: NDArray[np.float64],
+    alpha: float,
+) -> NDArray[np.float64]:
+    """GGX distribution times the shadowing of both directions, over 4 cos_in cos_out."""
+    square = alpha * alpha
+    # 1 + (square - 1) cos^2 = sin^2 + square cos^2, without the cancellation at cos = 1.
+    slope = (1.0 - cos_half) * (1.0 + cos_half) + square * cos_half**2
+    distribution = square / (np.pi * slope**2)
+    smith_in = cos_out * np.sqrt(square + (1.0 - square) * cos_in**2)
+    smith_out = cos_in * np.sqrt(square + (1.0 - square) * cos_out**2)
+    return np.asarray(distribution * 0.5 / (smith_in + smith_out), dtype=np.float64)
+
+
+def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.float64]:
+    """Values times log-normal noise of mean 1 and the given standard deviation."""
+    if not 0.0 <= noise <= 1.0:
+        raise InvalidArgumentError(f"noise must be in [0, 1], not {noise:g}.")
+    if noise == 0.0:
+        return values
+    variance = np.log1p(noise * noise)
+    normal = np.random.default_rng(seed).standard_normal(values.shape)
+    return np.asarray(values * np.exp(np.sqrt(variance) * normal - variance / 2), dtype=np.float64)
+
+
+def _colour(name: str, colour: _Triple) -> NDArray[np.float64]:
+    values = np.asarray(colour, dtype=np.float64)
+    if values.shape != (3,) or not ((values >= 0.0) & (values <= 1.0)).all():
+        raise InvalidArgumentError(f"{name} must be three numbers (RGB) in [0, 1], not {colour}.")
+    return values

@@ -1,0 +1,242 @@
+"""Algorithm 1 of Nishino 2009 on a batch of slices: expectation-maximisation for mixtures of hemi-EPDs.
+
+A slice is the profile of one channel at one theta_diff.  The E-step gives every lobe its share of the data,
+
+    q_k(theta) = l_k(theta) / sum_j l_j(theta),
+
+and the M-step fits each lobe alone to its share by Levenberg-Marquardt,
+
+    argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2.
+
+Because q depends on theta_half only, the sum over the raw samples and the sum over the profile differ by a
+constant, so that the algorithm runs exactly on `Profiles`.  All slices, channels and lobes iterate together:
+each Levenberg-Marquardt step is one pass over an array of shape (problems, theta_half) and a 2 x 2 system in
+(log kappa, log gamma) for each problem.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.model.hemi_epd import half_width
+
+Array = NDArray[np.float64]
+
+KAPPA_BOUNDS = (1e-9, 40.0)
+"""Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
+GAMMA_BOUNDS = (1e-4, 1e7)
+"""From flat to a fiftieth of a degree."""
+_LOWER = np.log([KAPPA_BOUNDS[0], GAMMA_BOUNDS[0]])
+_UPPER = np.log([KAPPA_BOUNDS[1], GAMMA_BOUNDS[1]])
+
+EM_TOLERANCE = 1e-4
+"""A slice has converged when an iteration changes its curve by less than this share of the data's norm."""
+M_STEP_TOLERANCE = 1e-9
+M_STEP_ITERATIONS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class SliceFits:
+    """Mixtures fitted to a batch of slices.
+
+    Attributes
+    ----------
+    kappa, gamma : ndarray, shape (slices, lobes)
+        Lobes sorted by kappa, the largest first.
+    iterations : ndarray of int, shape (slices,)
+        EM iterations used.
+    converged : ndarray of bool, shape (slices,)
+        Whether the curve stopped moving within the iterations allowed.
+    """
+
+    kappa: Array
+    gamma: Array
+    iterations: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+
+
+def fit_slices(
+    theta_half: Array,
+    mean: Array,
+    weight: Array,
+    n_lobes: int,
+    *,
+    iterations: int = 100,
+    robust: bool = False,
+    largest_kappa: Array | None = None,
+    on_iteration: Callable[[int], None] | None = None,
+) -> SliceFits:
+    """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice.
+
+    Parameters
+    ----------
+    theta_half : ndarray, shape (N,)
+        Angles of the samples [rad].
+    mean, weight : ndarray, shape (slices, N)
+        Data [1/sr] and their weights, 0 for what is not to be used.  Every slice needs some weight.
+    n_lobes : int
+        Number of lobes.
+    iterations : int, optional
+        Bound on the EM iterations.
+    robust : bool, optional
+        Down-weight large residuals of each M-step (Huber's weights about the mixture of the last iteration).
+    largest_kappa : ndarray, shape (slices,), optional
+        Bound on kappa below that of `KAPPA_BOUNDS`: what keeps a lobe from growing where there are no samples.
+    on_iteration : callable, optional
+        Called with the number of each EM iteration.
+
+    Returns
+    -------
+    SliceFits
+    """
+    log_cos = np.log(np.cos(theta_half))
+    upper = np.tile(_UPPER, (len(mean), 1))
+    if largest_kappa is not None:
+        upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1]))
+    parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
+    used = np.zeros(len(mean), np.int64)
+    converged = np.zeros(len(mean), bool)
+    # Lobes at the lower bound of kappa stand for nothing: a slice of zeros must not wait until they stop moving.
+    still = EM_TOLERANCE * np.sqrt(np.sum(weight * mean**2, axis=1)) + KAPPA_BOUNDS[0] * np.sqrt(weight.sum(axis=1))
+    active = np.arange(len(mean))
+    for iteration in range(1, iterations + 1):
+        data, weights, old = mean[active], weight[active], parameters[active]
+        curves = lobe_curves(log_cos, old)
+        targets = e_step(curves) * data[:, None, :]
+        if robust:
+            weights = weights * huber_weights(data - curves.sum(1), weights)
+        new = m_step(log_cos, targets, weights, old, upper[active])
+        change = np.sqrt(np.sum(weights * (lobe_curves(log_cos, new) - curves).sum(1) ** 2, axis=1))
+        parameters[active] = new
+        used[active] = iteration
+        done = change <= still[active]
+        converged[active[done]] = True
+        active = active[~done]
+        if on_iteration is not None:
+            on_iteration(iteration)
+        if active.size == 0:
+            break
+    order = np.argsort(-parameters[:, :, 0], axis=1, kind="stable")
+    kappa, gamma = np.moveaxis(np.exp(np.take_along_axis(parameters, order[:, :, None], axis=1)), -1, 0)
+    return SliceFits(kappa, gamma, used, converged)
+
+
+def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> Array:
+    """Starting log-parameters, shape (slices, lobes, 2): one lobe from all data, then halved for each next one.
+
+    Kappa comes from the peak, gamma from the angle at which the data fall to half of it.
+    """
+    data = np.where(weight > 0, mean, 0.0)
+    peak = np.maximum(data.max(axis=1), np.expm1(KAPPA_BOUNDS[0]))
+    kappa = np.clip(np.log1p(peak), *KAPPA_BOUNDS)
+    above = (data >= 0.5 * peak[:, None]) & (weight > 0)
+    last = np.where(above.any(axis=1), above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1), 0)
+    width = theta_half[np.minimum(last + 1, theta_half.size - 1)]
+    # A lobe of shape 1 and this kappa has a known half width; its log-cosine scales with 1 / gamma.
+    gamma = np.log(np.cos(half_width(kappa, 1.0))) / np.log(np.cos(width))
+    halving = 0.5 ** np.arange(n_lobes)
+    start = np.log(np.stack([kappa, np.clip(gamma, *GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
+    return np.clip(start, _LOWER, _UPPER)
+
+
+def lobe_curves(log_cos: Array, parameters: Array) -> Array:
+    """Lobes of shape (..., N) for log-parameters of shape (..., 2) at the angles with these log-cosines."""
+    kappa, gamma = np.exp(parameters[..., 0, None]), np.exp(parameters[..., 1, None])
+    return np.expm1(kappa * np.exp(gamma * log_cos))
+
+
+def e_step(curves: Array) -> Array:
+    """Responsibilities, shape (slices, lobes, N), that sum to 1 over the lobes (Nishino 2009, Algorithm 1).
+
+    Where every lobe has underflowed to zero the lobes share alike.
+    """
+    total = curves.sum(axis=1, keepdims=True)
+    return np.where(total > 0, curves / np.where(total > 0, total, 1.0), 1.0 / curves.shape[1])
+
+
+def huber_weights(residual: Array, weight: Array) -> Array:
+    """Huber's weights for residuals of shape (slices, N), their scale from the median of |residual|."""
+    size = np.abs(residual)
+    scale = 1.345 * 1.4826 * np.nanmedian(np.where(weight > 0, size, np.nan), axis=1, keepdims=True)
+    return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
+
+
+def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array | None = None) -> Array:
+    """Fit every lobe alone to its share of the data.
+
+    Parameters
+    ----------
+    log_cos : ndarray, shape (N,)
+        Log-cosines of theta_half.
+    targets : ndarray, shape (slices, lobes, N)
+        Shares q_k L of the data.
+    weights : ndarray, shape (slices, N)
+        Weights of the samples.
+    start : ndarray, shape (slices, lobes, 2)
+        Log-parameters to start from.
+    upper : ndarray, shape (slices, 2), optional
+        Largest log-parameters; those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS` if not given.
+
+    Returns
+    -------
+    ndarray, shape (slices, lobes, 2)
+        Log-parameters of the least-squares fits within the bounds.
+    """
+    slices, lobes, n = targets.shape
+    upper = np.tile(_UPPER, (slices * lobes, 1)) if upper is None else np.repeat(upper, lobes, axis=0)
+    target = targets.reshape(-1, n)
+    root = np.repeat(np.sqrt(weights), lobes, axis=0)
+    parameters = start.reshape(-1, 2).copy()
+    damping = np.full(len(parameters), 1e-3)
+    active = np.arange(len(parameters))
+    residual, jacobian = _residuals(log_cos, target, root, parameters)
+    for _ in range(M_STEP_ITERATIONS):
+        old = parameters[active]
+        cost = np.einsum("pn,pn->p", residual, residual)
+        at_bound = np.stack([old <= _LOWER, old >= upper[active]])
+        step = _damped_step(jacobian, residual, damping[active], at_bound)
+        new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER, upper[active])
+        new_residual, new_jacobian = _residuals(log_cos, target[active], root[active], new)
+        better = np.einsum("pn,pn->p", new_residual, new_residual) <= cost
+        parameters[active[better]] = new[better]
+        residual = np.where(better[:, None], new_residual, residual)
+        jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
+        damping[active] = np.where(better, damping[active] * 0.1, damping[active] * 10.0)
+        still = np.abs(new - old).max(axis=1) > M_STEP_TOLERANCE
+        still &= damping[active] < 1e12
+        active, residual, jacobian = active[still], residual[still], jacobian[still]
+        if active.size == 0:
+            break
+    return parameters.reshape(slices, lobes, 2)
+
+
+def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) -> tuple[Array, Array]:
+    """Weighted residuals (problems, N) and their derivatives (problems, 2, N) in log kappa and log gamma."""
+    kappa, gamma = np.exp(parameters[:, :1]), np.exp(parameters[:, 1:])
+    log_power = gamma * log_cos
+    exponent = kappa * np.exp(log_power)
+    value = np.expm1(exponent)
+    by_log_kappa = root * exponent * (value + 1.0)
+    return root * (value - target), np.stack([by_log_kappa, by_log_kappa * log_power], axis=1)
+
+
+def _damped_step(jacobian: Array, residual: Array, damping: Array, at_bound: NDArray[np.bool_]) -> Array:
+    """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form.
+
+    A parameter that stands at a bound (lower or upper: ``at_bound``, (2, problems, 2)) and would leave it is held, and
+    the other one steps alone: clipping the joint step instead would make the other one creep.
+    """
+    normal = jacobian @ np.swapaxes(jacobian, 1, 2)
+    gradient = np.einsum("pin,pn->pi", jacobian, residual)
+    held = (at_bound[0] & (gradient > 0)) | (at_bound[1] & (gradient < 0))
+    gradient = np.where(held, 0.0, gradient)
+    floor = np.finfo(float).tiny
+    a = normal[:, 0, 0] * (1.0 + damping) + floor
+    b = normal[:, 1, 1] * (1.0 + damping) + floor
+    c = np.where(held.any(axis=1), 0.0, normal[:, 0, 1])
+    determinant = np.maximum(a * b - c * c, floor)
+    step_kappa = (c * gradient[:, 1] - b * gradient[:, 0]) / determinant
+    step_gamma = (c * gradient[:, 0] - a * gradient[:, 1]) / determinant
+    return np.stack([step_kappa, step_gamma], axis=-1)

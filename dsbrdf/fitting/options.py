@@ -1,0 +1,104 @@
+"""What can be chosen about a fit."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
+from dsbrdf.data.reduction import WEIGHTINGS, check_horizon_cutoff
+from dsbrdf.errors import InvalidArgumentError
+
+MAX_LOBES = 8
+METHODS = ("global", "paper")
+MAX_RING_LOBES = 2
+MAX_MASK = 10.0
+MAX_EM_ITERATIONS = 10_000
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What can be chosen about a fit; checked when made.
+
+    Attributes
+    ----------
+    n_lobes : int or "auto"
+        Number of lobes about the normal, 1 to 8; "auto" takes the smallest number that is not significantly worse
+        than 5 (Nishino 2009, section 5), and 3 with the method "paper".
+    method : {"global", "paper"}
+        "global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.
+    ring_lobes : int or "auto"
+        Number of lobes with a center of their own, 0 to 2, beside the others; "auto" adds them while they pay.  The
+        method "paper" has none.
+    knots : tuple of float or None
+        Angles theta_diff at which the method "global" has its knots, whole degrees, increasing [rad]; None places
+        14 where the data ask for them.
+    horizon_cutoff : float or None
+        Samples with a direction further than this from the normal are left out [rad]; None is the horizon.
+    mask : float or None
+        Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
+        mask) for "global", 1 for "paper".
+    weighting : {"plain", "cosine", "log"}
+        Weights of the samples, see `dsbrdf.profiles`.
+    robust : bool
+        Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half.
+    em_iterations : int
+        Bound on the iterations of Algorithm 1.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If a choice is unknown or out of range.
+    """
+
+    n_lobes: int | Literal["auto"] = "auto"
+    method: Literal["global", "paper"] = "global"
+    ring_lobes: int | Literal["auto"] = "auto"
+    knots: tuple[float, ...] | None = None
+    horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF
+    mask: float | None = None
+    weighting: Literal["plain", "cosine", "log"] = "plain"
+    robust: bool = False
+    em_iterations: int = 100
+
+    def __post_init__(self) -> None:
+        if self.n_lobes != "auto" and not _is_integer(self.n_lobes, 1, MAX_LOBES):
+            raise InvalidArgumentError(
+                f'n_lobes must be an integer from 1 to {MAX_LOBES} or "auto", not {self.n_lobes!r}'
+            )
+        if self.ring_lobes != "auto" and not _is_integer(self.ring_lobes, 0, MAX_RING_LOBES):
+            raise InvalidArgumentError(
+                f'ring_lobes must be an integer from 0 to {MAX_RING_LOBES} or "auto", not {self.ring_lobes!r}'
+            )
+        if self.method not in METHODS:
+            raise InvalidArgumentError(f"method must be one of {', '.join(METHODS)}, not {self.method!r}")
+        if self.method == "paper" and self.ring_lobes not in ("auto", 0):
+            raise InvalidArgumentError('the method "paper" has no ring lobes: use ring_lobes 0 or "auto"')
+        if self.method == "paper" and self.knots is not None:
+            raise InvalidArgumentError('the method "paper" has its slices every 5 degrees: leave the knots out')
+        if self.weighting not in WEIGHTINGS:
+            raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {self.weighting!r}")
+        _check_knots(self.knots)
+        check_horizon_cutoff(self.horizon_cutoff)
+        if self.mask is not None and not 0.0 <= self.mask <= MAX_MASK:
+            raise InvalidArgumentError(f"mask must be a number from 0 to {MAX_MASK:g}, not {self.mask!r}")
+        if not isinstance(self.robust, bool):
+            raise InvalidArgumentError(f"robust must be true or false, not {self.robust!r}")
+        if not _is_integer(self.em_iterations, 1, MAX_EM_ITERATIONS):
+            raise InvalidArgumentError(
+                f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
+            )
+
+
+def _check_knots(knots: tuple[float, ...] | None) -> None:
+    if knots is None:
+        return
+    degrees = np.degrees(np.asarray(knots, dtype=float))
+    whole = np.abs(degrees - np.round(degrees)) < 1e-6
+    increasing = degrees.ndim == 1 and 2 <= degrees.size <= THETA_DIFF.size and bool(np.all(np.diff(degrees) > 0))
+    if not (increasing and np.all(whole) and degrees[0] > -0.5 and degrees[-1] < 89.5):
+        raise InvalidArgumentError("knots must be at least two increasing angles of whole degrees from 0 to 89 degrees")
+
+
+def _is_integer(value: object, smallest: int, largest: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and smallest <= value <= largest

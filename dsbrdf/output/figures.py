@@ -1,0 +1,298 @@
+"""Pictures of a fit, in the style of Nishino 2009, Figure 1.
+
+Every function returns a `matplotlib.figure.Figure` that belongs to the caller alone: nothing here touches
+pyplot or any other global state, so figures may be made in any thread.  Matplotlib is the extra ``plot``.
+
+Profiles are mirrored to -90..90 degrees of theta_half, as in the paper.  They span orders of magnitude, so every
+slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on the
+linear axis of the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.extras import require
+from dsbrdf.model.decomposition import LABELS, decompose, lobe_widths
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
+
+    from dsbrdf.data.reduction import Profiles
+    from dsbrdf.model.decomposition import Component
+    from dsbrdf.model.dsbrdf import DSBRDF
+
+Array = NDArray[np.float64]
+
+DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
+"""The slices that are drawn unless told otherwise [rad]."""
+
+FORMATS = ("png", "svg", "pdf")
+"""What `render` can make."""
+
+CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
+LOBE_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
+DELTA_COLOUR = "#868e96"
+LINE_STYLES = ("-", "--", ":", "-.")
+CURVE = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
+HEIGHT = 3.4  # of a row of panels, in inches
+
+
+def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
+    """Measured profiles (squares) and the fit (lines) of all channels (Nishino 2009, Figure 1, row a).
+
+    Parameters
+    ----------
+    profiles : Profiles
+        The measurement, averaged over phi_diff.
+    model : DSBRDF
+        The fit.
+    theta_diff : sequence of float, optional
+        The slices [rad]; each is drawn at the nearest row of the measurement.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there is no theta_diff, or one outside of 0..pi/2.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    rows = _nearest_rows(theta_diff)
+    figure = _canvas(len(rows), height=HEIGHT)
+    figure.suptitle(profiles.name)
+    _profiles_row(figure, profiles, model, rows)
+    return figure
+
+
+def lobes_figure(
+    profiles: Profiles,
+    model: DSBRDF,
+    *,
+    theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
+    channel: str = "red",
+) -> Figure:
+    """Individual lobes (coloured by component) under their sum (black) (Nishino 2009, Figure 1, row b).
+
+    Parameters
+    ----------
+    profiles, model, theta_diff
+        As for `profiles_figure`.
+    channel : {"red", "green", "blue"}, optional
+        The colour channel, one at a time as in the paper.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgumentError
+        As `profiles_figure`, and if the channel is unknown.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    rows, index = _nearest_rows(theta_diff), _channel_index(channel)
+    figure = _canvas(len(rows), height=HEIGHT)
+    figure.suptitle(f"{profiles.name}, {channel} channel")
+    _lobes_row(figure, profiles, model, rows, index)
+    return figure
+
+
+def overview_figure(
+    profiles: Profiles,
+    model: DSBRDF,
+    *,
+    theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
+    channel: str = "red",
+) -> Figure:
+    """Both rows of Nishino 2009, Figure 1: profiles with the fit above, lobes of one channel below.
+
+    Parameters, return value and errors are those of `lobes_figure`.
+    """
+    rows, index = _nearest_rows(theta_diff), _channel_index(channel)
+    figure = _canvas(len(rows), height=2 * HEIGHT + 0.3)
+    figure.suptitle(profiles.name, fontsize=12)
+    (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
+    above.suptitle("(a) measured, mean over $\\phi_\\mathrm{diff}$ (squares), and fit (lines)", fontsize=10)
+    below.suptitle(f"(b) lobes of the {channel} channel", fontsize=10)
+    _profiles_row(above, profiles, model, rows)
+    _lobes_row(below, profiles, model, rows, index)
+    return figure
+
+
+def render(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
+    """Encode a figure.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        From one of the functions above.
+    image_format : {"png", "svg", "pdf"}, optional
+        The kind of file.
+    dpi : float, optional
+        Dots per inch of a png.
+
+    Returns
+    -------
+    bytes
+        The content of the file.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the format is unknown.
+    """
+    if image_format not in FORMATS:
+        raise InvalidArgumentError(f"a picture's format must be {_one_of(FORMATS)}, not {image_format!r}")
+    buffer = BytesIO()
+    figure.savefig(buffer, format=image_format, dpi=dpi)
+    return buffer.getvalue()
+
+
+def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
+    """Panels of all channels, two for each slice, with their legend."""
+    pairs = _pairs(figure, len(rows))
+    for row, pair in zip(rows, pairs, strict=True):
+        fitted = model.evaluate(CURVE, THETA_DIFF[row])
+        data = [_measured(profiles, row, channel) for channel in range(3)]
+        _set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
+        for ax in pair:
+            for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
+                _draw_points(ax, *points, colour, "s", f"{channel}, measured")
+                _draw_curve(ax, curve, colour, label=f"{channel}, fit")
+    _draw_legend(figure, pairs[0][0], columns=min(6, 3 * len(rows)))
+
+
+def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int) -> None:
+    """Panels of the lobes of one channel, two for each slice, with their legend."""
+    lobes = [lobe for component in decompose(model) for lobe in _lobes(component, model)]
+    pairs = _pairs(figure, len(rows))
+    for row, pair in zip(rows, pairs, strict=True):
+        points = _measured(profiles, row, channel)
+        fitted = model.evaluate(CURVE, THETA_DIFF[row])[:, channel]
+        _set_limits(pair, row, fitted, points[1])
+        for ax in pair:
+            _draw_points(ax, *points, "black", "o", "measured")
+            _draw_curve(ax, fitted, "black", label="fit, all lobes")
+            for label, colour, style, lobe in lobes:
+                curve = lobe.evaluate(CURVE, THETA_DIFF[row])[:, channel]
+                _draw_curve(ax, curve, colour, style=style, label=label)
+        lowest = min((float(lobe.evaluate(0.0, THETA_DIFF[row])[channel]) for *_, lobe in lobes), default=0.0)
+        pair[1].set_ylim(bottom=min(0.0, 1.2 * lowest))  # a negative delta term is seen as well
+    _draw_legend(figure, pairs[0][0], columns=2 * len(rows))
+
+
+def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
+    """Legend label, colour, line style and model of each lobe, and of the delta term, if there is one."""
+    if np.any(component.delta):
+        yield "delta term", DELTA_COLOUR, LINE_STYLES[0], model.select((), with_delta=True)
+    widths, rings = np.degrees(lobe_widths(model)[0]), np.any(model.center > 0.0, axis=(0, 1))
+    for number, lobe in enumerate(component.lobes):
+        kind = f"{component.label.replace('_', ' ')}{' (ring)' if rings[lobe] else ''}"
+        label = f"{lobe}: {kind}, half width {widths[lobe]:.2g}°"
+        part = model.select((lobe,), with_delta=False)
+        yield label, LOBE_COLOURS[component.label], LINE_STYLES[number % len(LINE_STYLES)], part
+
+
+def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
+    """Nodes with data that a logarithmic axis can show: theta_half [rad] and mean over phi_diff [1/sr]."""
+    mean = profiles.mean[channel, row]
+    used = (profiles.weight[channel, row] > 0) & (mean > 0)
+    return THETA_HALF[used], mean[used]
+
+
+def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
+    """Axes of a slice: all angles on a logarithmic scale, and four half widths of the peak on a linear one."""
+    top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
+    bottom = float(measured.min(initial=top))
+    total = fitted.reshape(CURVE.size, -1).sum(axis=1)
+    half_width = CURVE[np.flatnonzero(total >= 0.5 * total.max())[-1]]
+    reach = float(np.degrees(np.clip(4.0 * half_width, np.radians(3.0), np.pi / 2)))
+    everything, peak = pair
+    everything.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
+    everything.set_xticks(range(-90, 91, 30))
+    everything.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
+    peak.set(xlim=(-reach, reach), ylim=(0.0, 1.08 * top))
+    peak.set_title("the peak, linear axis", fontsize=9)
+    for ax in pair:
+        ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
+        ax.tick_params(labelsize=8)
+
+
+def _draw_curve(ax: Axes, values: Array, colour: str, *, label: str, style: str = "-") -> None:
+    ax.plot(*_mirrored(CURVE, values), style, color=colour, linewidth=1.2, label=label)
+
+
+def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
+    """Hollow markers, as many as the panel has room for."""
+    spacing = np.radians(ax.get_xlim()[1] / 36.0)
+    kept: list[int] = []
+    for node, angle in enumerate(theta_half):
+        if not kept or angle - theta_half[kept[-1]] >= spacing:
+            kept.append(node)
+    ax.plot(
+        *_mirrored(theta_half[kept], values[kept]),
+        marker,
+        color=colour,
+        markerfacecolor="none",
+        markersize=3.4,
+        markeredgewidth=0.6,
+        label=label,
+    )
+
+
+def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
+    """Both sides of theta_half = 0, in degrees."""
+    degrees = np.degrees(theta_half)
+    return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
+
+
+def _draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
+    """One legend under the panels, which all show the same kinds of line as ``ax``."""
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+
+
+def _canvas(slices: int, *, height: float) -> Figure:
+    """Return an empty figure as wide as two panels for each slice."""
+    require("plot", "matplotlib", purpose="figures")
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    return Figure(figsize=(5.5 * slices, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
+
+
+def _pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
+    """Two panels for each slice, side by side."""
+    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
+    return list(zip(axes[::2], axes[1::2], strict=True))
+
+
+def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
+    """Rows of the measurement's grid nearest to the slices asked for."""
+    angles = np.asarray(theta_diff, dtype=np.float64)
+    if angles.ndim != 1 or not angles.size or not np.all((angles >= 0.0) & (angles <= np.pi / 2)):
+        raise InvalidArgumentError("theta_diff must be one or more angles from 0 to pi/2 [rad]")
+    return [int(np.argmin(np.abs(THETA_DIFF - angle))) for angle in angles]
+
+
+def _channel_index(channel: str) -> int:
+    if channel not in CHANNELS:
+        raise InvalidArgumentError(f"channel must be {_one_of(CHANNELS)}, not {channel!r}")
+    return CHANNELS.index(channel)
+
+
+def _one_of(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} or {names[-1]}"

@@ -1,0 +1,327 @@
+"""Models and reports <-> versioned JSON and .npz, without loss.
+
+Both formats hold the same: the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, where there is one,
+the report of its fit. JSON writes every number with as many digits as bring back the same bits. Reading
+trusts nothing: whatever is damaged raises one `ModelFormatError`.
+"""
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, fields
+from pathlib import Path
+from typing import Any, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.report import FitReport, FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+
+__all__ = [
+    "FORMAT",
+    "VERSION",
+    "from_json",
+    "from_npz",
+    "load",
+    "model_from_dict",
+    "model_to_dict",
+    "report_from_dict",
+    "report_to_dict",
+    "save",
+    "to_json",
+    "to_npz",
+]
+
+FORMAT = "dsbrdf"
+VERSION = 1
+
+_ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
+_MODEL_KEYS = (*_ARRAYS, "interpolation")
+_LARGEST_FILE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
+
+
+def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
+    """Write a model, or a fit's model with its report, to a ``.json`` or ``.npz`` file.
+
+    The file is written whole or not at all.
+
+    Parameters
+    ----------
+    model : DSBRDF or FitResult
+        What to write.
+    path : path-like
+        Where to; its suffix chooses the format.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the suffix is neither ``.json`` nor ``.npz``, or the report holds what JSON cannot.
+    OSError
+        If the file cannot be written.
+    """
+    plain, report = (model.model, model.report) if isinstance(model, FitResult) else (model, None)
+    as_json = _suffix(path) == ".json"
+    write_atomically(path, [to_json(plain, report).encode() if as_json else to_npz(plain, report)])
+
+
+def load(path: str | os.PathLike[str]) -> DSBRDF:
+    """Read the model in a ``.json`` or ``.npz`` file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its suffix tells the format. `from_json` and `from_npz` give the report too.
+
+    Returns
+    -------
+    DSBRDF
+
+    Raises
+    ------
+    ModelFormatError
+        If the file is damaged, of another kind, or of a newer version.
+    InvalidArgumentError
+        If the suffix is neither ``.json`` nor ``.npz``.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    suffix = _suffix(path)
+    with Path(path).open("rb") as file:
+        content = file.read(_LARGEST_FILE + 1)
+    if len(content) > _LARGEST_FILE:
+        raise ModelFormatError(f"The file is longer than the {_LARGEST_FILE} bytes that a model can take.")
+    if suffix == ".npz":
+        return from_npz(content)[0]
+    try:
+        text = content.decode()
+    except UnicodeDecodeError:
+        raise ModelFormatError("The file is not a JSON text in UTF-8, as a stored model must be.") from None
+    return from_json(text)[0]
+
+
+def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
+    """Return a model and its report as JSON text.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    report : FitReport, optional
+
+    Returns
+    -------
+    str
+        ``{"format": "dsbrdf", "version": 1, "model": {...}, "report": {...} or null}``.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the report holds what JSON cannot, such as NaN.
+    """
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "model": model_to_dict(model),
+        "report": None if report is None else report_to_dict(report),
+    }
+    return _dump(document)
+
+
+def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
+    """Model and report, if any, of a JSON text; the inverse of `to_json`.
+
+    Raises
+    ------
+    ModelFormatError
+        If the text is damaged, of another kind, or of a newer version.
+    """
+    document = _parse(text)
+    if not isinstance(document, dict):
+        raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
+    _check_version(document.get("format"), document.get("version"))
+    for key in ("model", "report"):
+        if key not in document:
+            raise ModelFormatError(f"The stored model lacks the key {key!r}.")
+    model, report = document["model"], document["report"]
+    return model_from_dict(model), None if report is None else report_from_dict(report)
+
+
+def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
+    """Return a model and its report as the bytes of a NumPy ``.npz`` file.
+
+    The arrays carry the names of the model's attributes; the report is JSON text. Nothing is pickled.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the report holds what JSON cannot, such as NaN.
+    """
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        allow_pickle=False,
+        format=np.array(FORMAT),
+        version=np.array(VERSION),
+        interpolation=np.array(model.interpolation),
+        report=np.array(_dump(None if report is None else report_to_dict(report))),
+        **{name: getattr(model, name) for name in _ARRAYS},
+    )
+    return buffer.getvalue()
+
+
+def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
+    """Model and report, if any, of the bytes of an ``.npz`` file; the inverse of `to_npz`.
+
+    Raises
+    ------
+    ModelFormatError
+        If the bytes are damaged, of another kind, or of a newer version.
+    """
+    stored = _unpack(data)
+    _check_version(_scalar(stored.get("format")), _scalar(stored.get("version")))
+    if "report" not in stored:
+        raise ModelFormatError("The stored model lacks the key 'report'.")
+    content = {name: value for name, value in stored.items() if name not in ("format", "version", "report")}
+    if "interpolation" in content:
+        content["interpolation"] = _scalar(content["interpolation"])
+    model = model_from_dict(content)
+    text = _scalar(stored["report"])
+    if not isinstance(text, str):
+        raise ModelFormatError("The report in the stored model is not a text.")
+    report = _parse(text)
+    return model, None if report is None else report_from_dict(report)
+
+
+def model_to_dict(model: DSBRDF) -> dict[str, Any]:
+    """Return a model as nested lists of numbers, keyed by the names of its attributes; angles in radians."""
+    return {name: getattr(model, name).tolist() for name in _ARRAYS} | {"interpolation": model.interpolation}
+
+
+def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
+    """Model of nested lists or arrays; the inverse of `model_to_dict`.
+
+    Raises
+    ------
+    ModelFormatError
+        If a key is missing or unknown, or a value has the wrong shape, is not finite or out of range.
+    """
+    _check_keys("model", content, required=_MODEL_KEYS, known=_MODEL_KEYS)
+    arrays = {name: _numbers(name, content[name]) for name in _ARRAYS}
+    interpolation = content["interpolation"]
+    if not isinstance(interpolation, str):
+        raise ModelFormatError("The interpolation in the stored model is not a text.")
+    try:
+        return DSBRDF(**arrays, interpolation=interpolation)
+    except InvalidArgumentError as error:
+        raise ModelFormatError(f"The stored model is not valid: {error}") from None
+
+
+def report_to_dict(report: FitReport) -> dict[str, Any]:
+    """Return a report as plain dicts and lists, keyed by the names of its attributes."""
+    return asdict(report)
+
+
+def report_from_dict(content: Mapping[str, Any]) -> FitReport:
+    """Report of plain dicts and lists; the inverse of `report_to_dict`.
+
+    Raises
+    ------
+    ModelFormatError
+        If a key is missing or unknown or a value is of the wrong kind.
+    """
+    hints = get_type_hints(FitReport)
+    required = [
+        field.name for field in fields(FitReport) if field.default is MISSING and field.default_factory is MISSING
+    ]
+    _check_keys("report", content, required=required, known=list(hints))
+    for name, value in content.items():
+        kind = get_origin(hints[name]) or hints[name]
+        if isinstance(kind, type) and not isinstance(value, kind):
+            raise ModelFormatError(
+                f"The stored report's {name!r} must be of the kind {kind.__name__}, not {type(value).__name__}."
+            )
+    return FitReport(**content)
+
+
+def _suffix(path: str | os.PathLike[str]) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".json", ".npz"):
+        raise InvalidArgumentError(f"A model's file must end in .json or .npz, unlike {Path(path).name!r}.")
+    return suffix
+
+
+def _dump(content: object) -> str:
+    try:
+        return json.dumps(content, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"The report must hold plain, finite content: {error}.") from None
+
+
+def _parse(text: str) -> Any:
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, ModelFormatError):
+            raise
+        raise ModelFormatError("The text is not valid JSON: it is damaged or cut off.") from None
+
+
+def _refuse_constant(constant: str) -> None:
+    raise ModelFormatError(f"The stored model holds {constant}; every number must be finite.")
+
+
+def _unpack(data: bytes) -> dict[str, NDArray[Any]]:
+    """Arrays of an .npz file, of bounded size and without pickles."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size <= _LARGEST_FILE:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                return {str(name): np.asarray(archive[name]) for name in archive.files}
+    except Exception:  # NumPy parses headers as Python and lets all that this can raise pass
+        raise ModelFormatError(
+            "The data is not a readable .npz archive of plain arrays: it is damaged, cut off or of another kind."
+        ) from None
+    raise ModelFormatError(f"The .npz archive unpacks to {size} bytes, more than a model can take.")
+
+
+def _scalar(value: NDArray[Any] | None) -> Any:
+    return value.item() if value is not None and value.shape == () else None
+
+
+def _numbers(name: str, value: Any) -> NDArray[np.float64]:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ModelFormatError(f"The stored model's {name} is not a regular array.") from None
+    if array.dtype.kind not in "fi":
+        raise ModelFormatError(f"The stored model's {name} is not an array of real numbers.")
+    return array.astype(np.float64)
+
+
+def _check_version(name: object, version: object) -> None:
+    if name != FORMAT:
+        raise ModelFormatError(f"The data is not a stored model: its format is not {FORMAT!r}.")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
+    if version > VERSION:
+        raise ModelFormatError(
+            f"The stored model has version {version}, which is newer than the {VERSION} that this release reads."
+        )
+
+
+def _check_keys(
+    what: str, content: Any, *, required: list[str] | tuple[str, ...], known: list[str] | tuple[str, ...]
+) -> None:
+    if not isinstance(content, Mapping):
+        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
+    missing = [key for key in required if key not in content]
+    if missing:
+        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
+    unknown = [key for key in content if key not in known]
+    if unknown:
+        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")

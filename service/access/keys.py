@@ -1,0 +1,136 @@
+"""API keys: who may ask, and how much.
+
+A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret only: a secret of 32 random bytes cannot
+be guessed from it, so nothing slower is needed. The id is public, and it is the owner of what is stored with the key.
+"""
+
+import asyncio
+import hashlib
+import hmac
+import re
+import secrets
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from service.access.rate_limit import Bucket
+from service.settings import Settings
+from service.storage.database import FILE_NAME, Database
+from service.storage.rows import Caller
+
+_KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
+_NO_SECRET = b"\0" * hashlib.sha256().digest_size
+_MB = 1 << 20
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a key may have; None stands for the server's default."""
+
+    requests_per_second: float | None = None
+    stored_mb: int | None = None
+    queued_fits: int | None = None
+
+
+@dataclass(frozen=True)
+class KeyRow:
+    """A key without its secret; times are seconds since 1970."""
+
+    COLUMNS: ClassVar[str] = "id, name, created, revoked, requests_per_second, stored_mb, queued_fits"
+
+    id: str
+    name: str
+    created: float
+    revoked: float | None
+    requests_per_second: float | None
+    stored_mb: int | None
+    queued_fits: int | None
+
+
+def add_key(database: Database, name: str, limits: Limits) -> tuple[KeyRow, str]:
+    """Make a key; return its row and the key itself, which nobody can tell later on."""
+    key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
+    values = (limits.requests_per_second, limits.stored_mb, limits.queued_fits)
+    row = KeyRow(key_id, name, time.time(), None, *values)
+    with database.transaction() as db:
+        db.execute(
+            "INSERT INTO keys (id, name, secret_sha256, created, requests_per_second, stored_mb, queued_fits)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (key_id, name, hashlib.sha256(secret.encode()).hexdigest(), row.created, *values),
+        )
+    return row, f"dsbrdf_{key_id}_{secret}"
+
+
+def all_keys(database: Database) -> list[KeyRow]:
+    """Return every key, in the order in which they were made."""
+    return [KeyRow(*row) for row in database.rows(f"SELECT {KeyRow.COLUMNS} FROM keys ORDER BY rowid")]  # noqa: S608
+
+
+def revoke_key(database: Database, key_id: str) -> bool:
+    """Make a key worthless, what is stored with it stays; return whether there was such a key."""
+    with database.transaction() as db:
+        query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
+        return db.execute(query, (time.time(), key_id)).rowcount > 0
+
+
+def has_active_key(folder: Path) -> bool:
+    """Return whether a data folder, which need not exist, has a key that is not revoked."""
+    if not (folder / FILE_NAME).exists():
+        return False
+    database = Database(folder, beside=True)
+    try:
+        return any(row.revoked is None for row in all_keys(database))
+    finally:
+        database.close()
+
+
+@dataclass(frozen=True)
+class ActiveKey:
+    """A key that is let in, the requests that it may make at the moment, and what is set when it is revoked."""
+
+    secret_sha256: bytes
+    caller: Caller
+    bucket: Bucket
+    revoked: asyncio.Event
+
+
+class Keys:
+    """The active keys in memory; none until they are loaded.
+
+    Parameters
+    ----------
+    settings : Settings
+        The limits of keys that have none of their own.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._active: dict[str, ActiveKey] = {}
+
+    def load(self, database: Database) -> list[ActiveKey]:
+        """Read the keys again, and return those that have been revoked; what a key has used of its rate stays used."""
+        columns = "id, secret_sha256, requests_per_second, stored_mb, queued_fits"
+        rows = database.rows(f"SELECT {columns} FROM keys WHERE revoked IS NULL")  # noqa: S608
+        before, self._active = self._active, {row[0]: self._key(*row) for row in rows}
+        return [key for key_id, key in before.items() if key_id not in self._active]
+
+    def find(self, text: bytes) -> ActiveKey | None:
+        """Return the key that `text` is, in a time that does not tell what is wrong with it."""
+        parts = _KEY.fullmatch(text)
+        if parts is None:
+            return None
+        key = self._active.get(parts[1].decode())
+        expected = _NO_SECRET if key is None else key.secret_sha256
+        right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
+        return key if right else None
+
+    def _key(self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, fits: Any) -> ActiveKey:
+        settings = self._settings
+        rate = settings.key_requests_per_second if rate is None else rate
+        stored_mb = settings.key_stored_mb if stored_mb is None else stored_mb
+        caller = Caller(key_id, stored_mb * _MB, settings.key_queued_fits if fits is None else fits)
+        known = self._active.get(key_id)
+        bucket = known.bucket if known is not None and known.bucket.rate == rate else Bucket(rate)
+        revoked = asyncio.Event() if known is None else known.revoked
+        return ActiveKey(bytes.fromhex(digest), caller, bucket, revoked)

@@ -1,0 +1,199 @@
+"""What may be wrong with an installation and a data folder: ``dsbrdf doctor`` looks, and changes nothing."""
+
+import asyncio
+import json
+import os
+import platform
+import shutil
+import sqlite3
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import scipy
+from pydantic import ValidationError
+
+import dsbrdf
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.engines.engine import Engine, Fault, FitTask, Limits
+from dsbrdf.engines.local import LocalEngine
+from service.commands.command_line import Parser, refuse, settings_of
+from service.http.problems import sentence
+from service.jobs.engine_factory import engine_of
+from service.settings import Settings
+from service.storage.blobs import Blobs
+from service.storage.database import FILE_NAME
+from service.storage.schema import STEPS
+
+_EXTRAS = {"service": "uvicorn", "client": "httpx", "plot": "matplotlib", "progress": "tqdm", "dask": "distributed"}
+_ANSWER = 10.0  # seconds that the scheduler may take
+_QUICK = dsbrdf.FitOptions(method="paper", n_lobes=1, em_iterations=3)
+_MOMENT = 1.0  # seconds
+
+
+class WrongError(Exception):
+    """Something is wrong; the message says what, and what would help."""
+
+
+def checks(settings: Settings) -> Iterator[tuple[str, Callable[[], str]]]:
+    """Yield names and checks; a check returns what it has found, or raises an exception that says what is wrong."""
+    folder = settings.data_dir
+    yield "python", _python
+    yield "extras", _extras
+    yield "data folder", lambda: _writable(folder)
+    yield "disk", lambda: _space(folder, settings.min_free_mb)
+    if (folder / FILE_NAME).exists():
+        yield "database", lambda: _database(folder)
+        yield "measurements", lambda: _measurements(folder)
+    yield "child process", lambda: asyncio.run(_fit(settings))
+    if settings.engine == "dask":
+        yield "scheduler", lambda: asyncio.run(_scheduler(engine_of(settings), settings.scheduler))
+
+
+def _python() -> str:
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]["name"]
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    return (
+        f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, BLAS {blas}; "
+        f"one BLAS thread in the processes that fit, OMP_NUM_THREADS here: {threads}"
+    )
+
+
+def _extras() -> str:
+    there = [extra for extra, module in _EXTRAS.items() if find_spec(module) is not None]
+    missing = [extra for extra in _EXTRAS if extra not in there]
+    rest = f"; not installed: {', '.join(missing)}" if missing else ""
+    return f"dsbrdf {dsbrdf.__version__} with {', '.join(there)}{rest}"
+
+
+def _writable(folder: Path) -> str:
+    if not folder.exists():
+        return f"{folder} does not exist yet; the service makes it"
+    if (folder / "blobs").exists():
+        Blobs(folder).check()
+        return f"{folder} can be written to"
+    return f"{folder} holds nothing of a service yet"
+
+
+def _space(folder: Path, least_mb: int) -> str:
+    there = next(path for path in (folder, *folder.resolve().parents) if path.exists())
+    free = shutil.disk_usage(there).free >> 20
+    if free < least_mb:
+        raise WrongError(f"{free} MB are free; the service wants {least_mb} MB: free some, or dsbrdf purge")
+    return f"{free} MB are free"
+
+
+def _database(folder: Path) -> str:
+    with closing(_connection(folder)) as db:
+        (version,) = db.execute("PRAGMA user_version").fetchone()
+        if version > len(STEPS):
+            raise WrongError(f"schema version {version} is of a newer release; this one knows {len(STEPS)}")
+        faults = [row[0] for row in db.execute("PRAGMA integrity_check(3)")]
+        if faults != ["ok"]:
+            raise WrongError(f"{'; '.join(faults)}: restore the folder from a copy")
+        older = "" if version == len(STEPS) else f", which the next start of the service brings to {len(STEPS)}"
+        (fits,) = db.execute("SELECT count(*) FROM fits").fetchone()
+    return f"intact, schema version {version}{older}, {fits} fits"
+
+
+def _measurements(folder: Path) -> str:
+    """Compare every file with its row; what may be coming or going in this moment is looked at again."""
+    blobs = Blobs(folder)
+    faults = {sha256: fault for sha256 in _rows(folder) if (fault := blobs.damage(sha256))}
+    strays = set(blobs.all()) - _rows(folder)
+    if faults or strays:
+        time.sleep(_MOMENT)
+    still = _rows(folder)
+    faults = {sha256: fault for sha256, fault in faults.items() if sha256 in still}
+    strays = (strays & set(blobs.all())) - still
+    if faults:
+        sha256, fault = next(iter(faults.items()))
+        raise WrongError(
+            f"{len(faults)} of {len(still)} files are damaged or missing, first {sha256} ({fault}): upload that "
+            "measurement again"
+        )
+    if strays:
+        raise WrongError(
+            f"{len(strays)} files have no row, first {min(strays)}: the next start of the service drops them"
+        )
+    return f"{len(still)} files are what their rows say"
+
+
+def _rows(folder: Path) -> set[str]:
+    with closing(_connection(folder)) as db:
+        return {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
+
+
+def _connection(folder: Path) -> sqlite3.Connection:
+    """Open the database for reading only."""
+    uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
+    return sqlite3.connect(uri, uri=True, timeout=10.0)
+
+
+async def _fit(settings: Settings) -> str:
+    engine = LocalEngine(1, Limits(settings.fit_seconds, settings.fit_memory_mb))
+    await engine.start()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "generated.binary"
+            dsbrdf.write_merl(path, synthetic_measurement())
+            async with engine.turn():
+                outcome = await engine.run(FitTask("doctor", path, _QUICK), lambda _: None)
+    finally:
+        await engine.close()
+    if isinstance(outcome, Fault):
+        raise WrongError(f"a generated measurement could not be fitted: {outcome.message}")
+    return "a generated measurement was fitted in a process of its own"
+
+
+async def _scheduler(engine: Engine, address: str) -> str:
+    await engine.start()
+    try:
+        deadline = asyncio.get_running_loop().time() + _ANSWER
+        while True:
+            try:
+                await engine.check()
+            except RuntimeError:
+                if asyncio.get_running_loop().time() > deadline:
+                    raise
+                await asyncio.sleep(0.2)
+            else:
+                return f"{address} answers and has workers"
+    finally:
+        await engine.close()
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = Parser(
+        prog="dsbrdf doctor",
+        description="Look for what may be wrong with the installation and the service's folder; "
+        "a server may run meanwhile.",
+    )
+    parser.add_common()
+    arguments = parser.parse_args(words)
+    try:
+        settings = settings_of(arguments)
+    except ValidationError as error:
+        return refuse(sentence(error.errors()))
+    found = []
+    for name, check in checks(settings):
+        try:
+            fine, detail = True, check()
+        except (WrongError, OSError, sqlite3.Error, RuntimeError, ImportError) as error:
+            fine, detail = False, str(error)
+        found.append({"check": name, "fine": fine, "detail": detail})
+        if not arguments.json:
+            print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
+    if arguments.json:
+        print(json.dumps({"items": found}))
+    return 0 if all(item["fine"] for item in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""The command ``dsbrdf keys``: add, list and revoke API keys, beside a running server too."""
+
+import argparse
+import json
+import math
+import re
+import sqlite3
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from service.access.keys import KeyRow, Limits, add_key, all_keys, revoke_key
+from service.commands.command_line import Parser, refuse, settings_of
+from service.http.problems import sentence
+from service.storage.database import FILE_NAME, Database
+from service.storage.schema import DataFolderError
+
+_LONGEST_NAME = 100
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    arguments = _parser().parse_args(words)
+    try:
+        folder = settings_of(arguments).data_dir
+        if arguments.run is not _add and not (folder / FILE_NAME).exists():
+            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
+        database = Database(folder, beside=True)
+        try:
+            run: Callable[[Database, argparse.Namespace], int] = arguments.run
+            return run(database, arguments)
+        finally:
+            database.close()
+    except ValidationError as error:
+        return refuse(sentence(error.errors()))
+    except (DataFolderError, OSError) as error:
+        return refuse(str(error))
+    except sqlite3.Error as error:
+        refuse(f"the database cannot be written to: {error}")
+        return 1
+
+
+def _add(database: Database, arguments: argparse.Namespace) -> int:
+    limits = Limits(arguments.requests_per_second, arguments.stored_mb, arguments.queued_fits)
+    row, key = add_key(database, arguments.name, limits)
+    sys.stderr.write(f"dsbrdf: the key {row.id} of {row.name!r} is shown this once\n")
+    print(key)
+    return 0
+
+
+def _list(database: Database, arguments: argparse.Namespace) -> int:
+    rows = all_keys(database)
+    if arguments.json:
+        print(json.dumps({"items": [_document(row) for row in rows]}))
+        return 0
+    print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
+    for row in rows:
+        limits = (row.requests_per_second, row.stored_mb, row.queued_fits)
+        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
+        print(f"{row.id:<14}{_day(row.created):<18}{_day(row.revoked):<18}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
+    return 0
+
+
+def _revoke(database: Database, arguments: argparse.Namespace) -> int:
+    if not revoke_key(database, arguments.id):
+        # What was given is not repeated: it could be a whole key.
+        return refuse("there is no key with this id; dsbrdf keys list tells the ids")
+    return 0
+
+
+def _document(row: KeyRow) -> dict[str, object]:
+    times = {name: None if at is None else _time(at).isoformat() for name, at in _times(row).items()}
+    return asdict(row) | times
+
+
+def _times(row: KeyRow) -> dict[str, float | None]:
+    return {"created": row.created, "revoked": row.revoked}
+
+
+def _time(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _day(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{_time(seconds):%Y-%m-%d %H:%M}"
+
+
+def _name(text: str) -> str:
+    if not 0 < len(text) <= _LONGEST_NAME or not text.isprintable() or text.isspace():
+        raise argparse.ArgumentTypeError(f"a name has 1 to {_LONGEST_NAME} printable characters")
+    return text
+
+
+def _rate(text: str) -> float:
+    with suppress(ValueError):
+        rate = float(text)
+        if math.isfinite(rate) and rate >= 0.001:
+            return rate
+    raise argparse.ArgumentTypeError(f"{text} is not a rate; 0.001 or more is")
+
+
+def _count(text: str) -> int:
+    if re.fullmatch("[0-9]{1,12}", text) is None:
+        raise argparse.ArgumentTypeError(f"{text} is not a bound; a whole number from 0 is")
+    return int(text)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="dsbrdf keys", description="API keys of the service; a running server heeds a change at once.")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    add = commands.add_parser("add", help="make a key and print it, this once")
+    add.set_defaults(run=_add)
+    add.add_argument("name", type=_name, metavar="NAME", help="whose key it is, for the list")
+    add.add_argument("--requests-per-second", type=_rate, metavar="N", help="five times as many may come at once")
+    add.add_argument("--stored-mb", type=_count, metavar="N", help="most that may be stored [MB of 2^20 bytes]")
+    add.add_argument("--queued-fits", type=_count, metavar="N", help="most fits that may wait or run")
+    listing = commands.add_parser("list", help="print the keys, without their secrets")
+    listing.set_defaults(run=_list)
+    listing.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    revoke = commands.add_parser("revoke", help="refuse a key from now on; what is stored with it stays")
+    revoke.set_defaults(run=_revoke)
+    revoke.add_argument("id", metavar="ID", help="as the list tells it")
+    for command in (add, listing, revoke):
+        command.add_argument("--data-dir", type=Path, metavar="DIR", help="the service's folder")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

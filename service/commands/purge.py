@@ -1,0 +1,142 @@
+"""Retention: ``dsbrdf purge`` removes what is old, beside a running server too.
+
+Fits go when they ended longer ago than that, measurements when they were stored longer ago and no remaining fit of
+their owner uses them, files with the last row of any owner. A server that runs notices and drops what it has in memory.
+"""
+
+import argparse
+import json
+import re
+import sqlite3
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from service.commands.command_line import Parser, refuse, settings_of
+from service.http.problems import sentence
+from service.storage.blobs import Blobs
+from service.storage.database import FILE_NAME, Database
+from service.storage.schema import DataFolderError
+
+_AGE = re.compile(r"([0-9]{1,6})([smhdw])")
+_SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_AT_ONCE = 50  # rows in a transaction, so that a server waits for a moment at most
+
+_OLD_FITS = "FROM fits WHERE status NOT IN ('accepted', 'running') AND coalesce(finished, created) < :before"
+# A fit that remains keeps its measurement; one that is old is about to go.
+_OLD_MEASUREMENTS = (
+    "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f WHERE f.owner = m.owner"
+    " AND f.measurement = m.sha256"
+    " AND (f.status IN ('accepted', 'running') OR coalesce(f.finished, f.created) >= :before))"
+)
+
+
+@dataclass(frozen=True)
+class Purged:
+    """What has gone, or would go: rows of fits and of measurements, and bytes of files."""
+
+    fits: int
+    measurements: int
+    bytes: int
+
+
+def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
+    """Remove what is older than the time `before` [s since 1970].
+
+    Raises
+    ------
+    DataFolderError
+        If the folder cannot be opened.
+    """
+    database, blobs = Database(folder, beside=True), Blobs(folder)
+    try:
+        if dry_run:
+            return _counted(database, before)
+        fits = measurements = freed = 0
+        while gone := _remove_fits(database, before):
+            fits += gone
+        while gone_now := _remove_measurements(database, blobs, before):
+            measurements += len(gone_now)
+            freed += sum(gone_now)
+    finally:
+        database.close()
+    return Purged(fits, measurements, freed)
+
+
+def _counted(database: Database, before: float) -> Purged:
+    with database.transaction() as db:
+        values = {"before": before}
+        (fits,) = db.execute(f"SELECT count(*) {_OLD_FITS}", values).fetchone()
+        old = db.execute(f"SELECT sha256, size, count(*) {_OLD_MEASUREMENTS} GROUP BY sha256", values).fetchall()
+        last = [size for sha256, size, rows in old if rows == _rows_of(db, sha256)]
+    return Purged(fits, sum(rows for *_, rows in old), sum(last))
+
+
+def _remove_fits(database: Database, before: float) -> int:
+    query = f"DELETE FROM fits WHERE rowid IN (SELECT rowid {_OLD_FITS} LIMIT {_AT_ONCE})"  # noqa: S608
+    with database.transaction() as db:
+        return db.execute(query, {"before": before}).rowcount
+
+
+def _remove_measurements(database: Database, blobs: Blobs, before: float) -> list[int]:
+    """Remove some old measurements; return for each how many bytes it has freed."""
+    query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_AT_ONCE}"
+    freed = []
+    with database.transaction() as db:
+        for rowid, sha256, size in db.execute(query, {"before": before}).fetchall():
+            db.execute("DELETE FROM measurements WHERE rowid = ?", (rowid,))
+            last = _rows_of(db, sha256) == 0
+            if last:  # inside the transaction: an upload of the same bytes comes before it or after it
+                blobs.remove(sha256)
+            freed.append(size if last else 0)
+    return freed
+
+
+def _rows_of(db: sqlite3.Connection, sha256: str) -> int:
+    (number,) = db.execute("SELECT count(*) FROM measurements WHERE sha256 = ?", (sha256,)).fetchone()
+    return int(number)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = Parser(
+        prog="dsbrdf purge",
+        description="Remove fits that ended long ago, and measurements as old that no other fit uses, of every key; "
+        "a server may run meanwhile.",
+    )
+    parser.add_argument("--older-than", type=_age, required=True, metavar="AGE", help="such as 30d, 12h or 45m")
+    parser.add_argument("--dry-run", action="store_true", help="only tell what would be removed")
+    parser.add_common()
+    arguments = parser.parse_args(words)
+    try:
+        folder = settings_of(arguments).data_dir
+        if not (folder / FILE_NAME).exists():
+            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
+        purged = purge(folder, time.time() - arguments.older_than, dry_run=arguments.dry_run)
+    except ValidationError as error:
+        return refuse(sentence(error.errors()))
+    except (DataFolderError, OSError) as error:
+        return refuse(str(error))
+    if arguments.json:
+        print(json.dumps({**asdict(purged), "dry_run": arguments.dry_run}))
+    else:
+        verb = "would be removed" if arguments.dry_run else "removed"
+        print(f"{purged.fits} fits and {purged.measurements} measurements {verb}, {purged.bytes / 1e6:.1f} MB of files")
+    return 0
+
+
+def _age(text: str) -> int:
+    parts = _AGE.fullmatch(text)
+    if parts is None:
+        raise argparse.ArgumentTypeError(
+            f"{text[:40]!r} is no age; 30d, 12h or 45m is, and s, m, h, d, w are the units"
+        )
+    return int(parts[1]) * _SECONDS[parts[2]]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

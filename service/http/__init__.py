@@ -1,0 +1,1 @@
+"""What is common to all requests: problems, bodies, limits, answers and the OpenAPI document."""

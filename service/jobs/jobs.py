@@ -1,0 +1,287 @@
+"""The life of a fit: accepted, running, then succeeded, failed or cancelled.
+
+The store's row is the truth; what is here is what a running process needs besides: the tasks that wait for a
+free slot or for the engine, their progress, and who wants to hear of a change.
+"""
+
+import asyncio
+import hashlib
+import json
+import logging
+import sqlite3
+from collections.abc import AsyncIterator, Callable, Coroutine
+from dataclasses import dataclass, field
+from typing import Any, ParamSpec, TypeVar
+
+from starlette.concurrency import run_in_threadpool
+from structlog.contextvars import bind_contextvars
+
+import dsbrdf
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
+from service.operations.metrics import Metrics
+from service.settings import Settings
+from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.store import Store
+from service.wire.fit_options import from_wire, to_wire
+
+logger = logging.getLogger(__name__)
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_PAUSE = 5.0  # seconds between attempts at what the machine does not allow just now: to write, to start a process
+_LAST_PATIENCE = 1.0  # seconds that a write may wait for others when the service is about to end
+_OF_THE_DISK = (OSError, sqlite3.DatabaseError)
+_LONGEST_END = 5.0  # seconds that who cancels a fit waits until its process has ended
+_LEAST_CHANGE = 0.01  # of progress, that is worth telling
+_LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
+# A fit that runs whenever the service breaks off may be the cause: beyond the first number it waits, ever
+# longer, so that there is a service that can be asked to cancel it; at the second one it is given up.
+_INTERRUPTIONS_FORGIVEN = 8
+_REST = 1.0  # seconds; twice as many with each further interruption
+_INTERRUPTIONS_ALLOWED = 100  # with the longest rest before most of them: the better part of an hour of breaking off
+_LONGEST_REST = 30.0  # seconds
+
+
+def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
+    """Return the id of a fit: a hash of the measurement, the options and the algorithm's version."""
+    parts = {"measurement": measurement, "options": to_wire(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@dataclass
+class _Live:
+    """An unfinished fit in this process."""
+
+    task: "asyncio.Task[None]"
+    progress: float = 0.0
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def tell(self) -> None:
+        """Wake everyone who waits for a change."""
+        self.changed.set()
+        self.changed = asyncio.Event()
+
+
+class Jobs:
+    """Runs fits and tells of them.
+
+    Parameters
+    ----------
+    store : Store
+    engine : Engine
+    settings : Settings
+    metrics : Metrics
+    """
+
+    def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
+        self._store = store
+        self._engine = engine
+        self._settings = settings
+        self._metrics = metrics
+        self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._live: dict[FitKey, _Live] = {}
+        self._in_order = asyncio.Lock()  # a row and its task are made, or given up, without another change between
+
+    async def start(self) -> None:
+        """Run again what an earlier process left unfinished."""
+        for row in await run_in_threadpool(self._store.resume):
+            self._begin(row.key, row.interruptions)
+
+    def let_go(self) -> None:
+        """Let everyone who waits for a fit or follows one have its present state: the service is about to end."""
+        self._store.database.patience = _LAST_PATIENCE
+        if not self._stopping.done():
+            self._stopping.set_result(None)
+        for live in self._live.values():
+            live.tell()
+
+    async def close(self) -> None:
+        """Stop all fits; their rows stay unfinished, so that the next process runs them."""
+        self.let_go()
+        tasks = [live.task for live in self._live.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        try:
+            await run_in_threadpool(self._store.hand_over)
+        except _OF_THE_DISK as error:
+            logger.warning("the next start of the service will find its fits interrupted (%s)", error)
+
+    async def submit(self, caller: Caller, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
+        """Accept a fit of a stored measurement, or find the same one.
+
+        Returns
+        -------
+        FitRow
+            Its row, which is durable.
+        bool
+            Whether it is computed because of this call.
+        """
+        key = FitKey(caller.owner, fit_identity(measurement, options))
+        versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
+        async with self._in_order:
+            row, new = await run_in_threadpool(
+                self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
+            )
+            if new and not self._stopping.done():
+                self._begin(key)
+        return row, new
+
+    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
+        """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
+        live = self._live.get(key)
+        if live is not None and seconds > 0:
+            ends = (live.task, self._stopping, *ends)
+            await asyncio.wait(ends, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        return await run_in_threadpool(self._store.fit, key)
+
+    def progress(self, row: FitRow) -> float:
+        """Return the finished share of a fit, 0 to 1."""
+        if row.status == "succeeded":
+            return 1.0
+        live = self._live.get(row.key)
+        return 0.0 if live is None else live.progress
+
+    async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at every change, until it has ended, has been deleted, or the service ends."""
+        while True:
+            live = self._live.get(key)
+            changed = None if live is None else live.changed
+            row = await run_in_threadpool(self._store.fit, key)
+            if row is None:
+                return
+            yield row
+            if row.ended or self._stopping.done():
+                return
+            if changed is not None:
+                await changed.wait()
+            else:  # the row is ahead of, or behind, this process by one step
+                await asyncio.sleep(0.05)
+
+    async def cancel(self, key: FitKey) -> FitRow | None:
+        """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
+        async with self._in_order:
+            row = await run_in_threadpool(self._store.cancel_fit, key)
+            live = self._live.get(key)
+            if row is not None and live is not None:
+                live.task.cancel()
+        if row is not None and live is not None:
+            await asyncio.wait([live.task], timeout=_LONGEST_END)
+        return row
+
+    def _begin(self, key: FitKey, interruptions: int = 0) -> None:
+        previous = self._live.get(key)
+        task = asyncio.create_task(self._live_through(key, previous.task if previous else None, interruptions))
+        self._live[key] = live = _Live(task)
+
+        def forget(_: "asyncio.Task[None]") -> None:
+            if self._live.get(key) is live:
+                del self._live[key]
+            live.tell()
+
+        task.add_done_callback(forget)
+
+    async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
+        bind_contextvars(fit=str(key))
+        if previous is not None:  # cancelled, and asked for again before its process had ended
+            await _to_its_end(asyncio.wait([previous]))
+        try:
+            if interruptions >= _INTERRUPTIONS_ALLOWED:
+                reason = f"The service has broken off {interruptions} times while it ran this fit."
+                await _written(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
+                return
+            if interruptions > _INTERRUPTIONS_FORGIVEN:
+                await asyncio.sleep(min(_REST * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _LONGEST_REST))
+            while not await self._attempt(key):
+                pass
+        except Exception:
+            # The row stays unfinished, and the next start of the service runs the fit again.
+            logger.exception("the fit could not be brought to its end")
+            raise
+
+    async def _attempt(self, key: FitKey) -> bool:
+        """Run a fit once; return whether it is over."""
+        async with self._engine.turn(key.owner):
+            row = await _written(self._store.start_fit, key)
+            if row is None:
+                return True
+            self._tell(key, 0.0)
+            if row.started is not None and row.attempts == 1:
+                self._metrics.took("waiting", max(0.0, row.started - row.created))  # clocks are set back, too
+            with self._metrics.timing("fitting"):
+                outcome = await self._compute(row)
+            if isinstance(outcome, Fault) and outcome.origin == "system":
+                await asyncio.sleep(_LOST_PAUSE)
+                if self._stopping.done():  # its process was ended together with this one: the next one runs it
+                    return True
+            return await _written(self._record, row, outcome)
+
+    async def _compute(self, row: FitRow) -> Outcome:
+        """Run the fit of a row, with a file that is what it should be; wait as long as no process can be started."""
+        while True:
+            damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
+            try:
+                task = FitTask(str(row.key), self._store.blobs.path(row.measurement), from_wire(row.options))
+                outcome = await self._engine.run(task, lambda share: self._tell(row.key, share))
+                found = await damage
+            except OSError as error:
+                outcome, found = Fault("system", NOT_STARTED, f"The fit could not be started: {error}."), None
+            except Exception as error:
+                logger.exception("the engine broke")
+                message = f"The engine broke with {type(error).__name__}; the log says why."
+                return Fault("system", "EngineFailed", message)
+            if found is not None:
+                message = f"The stored measurement is damaged ({found}); upload it again and ask for the fit once more."
+                return Fault("system", "MeasurementDamaged", message)
+            if not (isinstance(outcome, Fault) and outcome.type == NOT_STARTED):
+                return outcome
+            logger.warning("%s Trying again in %g s.", outcome.message, _PAUSE)
+            await asyncio.sleep(_PAUSE)
+
+    def _record(self, row: FitRow, outcome: Outcome) -> bool:
+        """Write how an attempt ended; return whether the fit is over."""
+        if isinstance(outcome, Fitted):
+            self._store.complete_fit(row.key, outcome.document, outcome.metrics)
+            logger.info("the fit has succeeded")
+            return True
+        if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:
+            logger.warning("the fit runs again: %s", outcome.message)
+            self._metrics.retries.inc()
+            return self._store.requeue_fit(row.key) is None
+        self._store.fail_fit(row.key, _error(outcome))
+        logger.warning("the fit has failed: %s", outcome.message)
+        return True
+
+    def _tell(self, key: FitKey, share: float) -> None:
+        live = self._live.get(key)
+        if live is not None and (share == 0.0 or share - live.progress >= _LEAST_CHANGE):
+            live.progress = share
+            live.tell()
+
+
+async def _written(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call `write` in a thread, again and again while the disk does not take it: a computed fit is not thrown away.
+
+    A cancelled call returns when the thread has come to its end, so that nothing is written later than one thinks.
+    """
+    while True:
+        try:
+            return await _to_its_end(run_in_threadpool(write, *args, **kwargs))
+        except _OF_THE_DISK as error:
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _PAUSE)
+            await asyncio.sleep(_PAUSE)
+
+
+async def _to_its_end(work: Coroutine[Any, Any, T]) -> T:
+    """Await `work`; a cancelled call returns when it has ended all the same."""
+    task = asyncio.create_task(work)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        await asyncio.wait([task])
+        raise
+
+
+def _error(fault: Fault) -> dict[str, str]:
+    return {"origin": fault.origin, "type": fault.type, "message": fault.message}

@@ -1,0 +1,128 @@
+"""What is counted and timed, for Prometheus; each application has a registry of its own.
+
+Labels take few values: a path counts under its route's template, every path without a route under one label, and
+nothing is counted by owner, fit or measurement.
+"""
+
+import logging
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Literal, get_args
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from service.storage.database import Database
+from service.storage.rows import Status
+
+Stage = Literal["upload", "waiting", "fitting", "evaluating"]
+
+MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+NO_ROUTE = "unknown"
+_METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
+_SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+
+logger = logging.getLogger(__name__)
+
+
+class Metrics:
+    """The metrics of one service.
+
+    Attributes
+    ----------
+    requests_in_progress, event_streams : Gauge
+        Requests, and streams of events, that are being answered.
+    uploaded_bytes : Counter
+        Bytes of request bodies, as they came over the wire.
+    retries : Counter
+        Fits that run once more because their process was lost.
+    """
+
+    def __init__(self) -> None:
+        self._registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        labels = ("method", "route", "status")
+        self._requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
+        self._request_seconds = Histogram(
+            "dsbrdf_request_seconds",
+            "Time from a request's head to the end of its answer [s].",
+            ("method", "route"),
+            buckets=_SECONDS,
+            registry=registry,
+        )
+        stage_seconds = Histogram(
+            "dsbrdf_stage_seconds",
+            "Time that a part of the work takes [s].",
+            ("stage",),
+            buckets=_SECONDS,
+            registry=registry,
+        )
+        self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
+        self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
+        self.event_streams = Gauge("dsbrdf_event_streams", "Streams of a fit's events being sent.", registry=registry)
+        self.uploaded_bytes = Counter("dsbrdf_uploaded_bytes", "Bytes of request bodies received.", registry=registry)
+        self.retries = Counter("dsbrdf_fit_retries", "Fits that ran again after a lost process.", registry=registry)
+        self._known: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
+
+    def answered(self, method: str, route: str, status: int, seconds: float) -> None:
+        """Count a request; `route` is its route's template or `NO_ROUTE`."""
+        known = self._known.get((method, route, status))
+        if known is None:  # the look-up of labels costs more than counting
+            label = method if method in _METHODS else "other"
+            known = (
+                self._requests.labels(label, route, str(status)),
+                self._request_seconds.labels(label, route),
+            )
+            if label == method:
+                self._known[method, route, status] = known
+        counter, histogram = known
+        counter.inc()
+        histogram.observe(seconds)
+
+    def took(self, stage: Stage, seconds: float) -> None:
+        """Note how long a part of the work took."""
+        self._stages[stage].observe(seconds)
+
+    @contextmanager
+    def timing(self, stage: Stage) -> Iterator[None]:
+        """Note how long the block takes, if it goes well."""
+        begin = perf_counter()
+        yield
+        self.took(stage, perf_counter() - begin)
+
+    def collect_from(self, database: Database) -> None:
+        """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
+        self._registry.register(_Stored(database))
+
+    def exposition(self) -> bytes:
+        """Return everything in Prometheus' text format."""
+        return generate_latest(self._registry)
+
+
+class _Stored(Collector):
+    """What the database knows better than a counter that starts at zero with the process."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the gauges."""
+        states = GaugeMetricFamily("dsbrdf_fits", "Fits by state; the accepted ones are the queue.", labels=("state",))
+        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
+        try:
+            numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+            ((stored_bytes,),) = self._database.rows(files)
+        except sqlite3.Error as error:  # what has been counted is wanted all the more
+            logger.warning("the metrics are without those of the database: %s", error)
+            return
+        for state in get_args(Status):
+            states.add_metric((state,), numbers.get(state, 0))
+        yield states
+        yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=stored_bytes)
+
+    def describe(self) -> Iterator[Metric]:
+        """Yield nothing: names are known without asking the database."""
+        yield from ()

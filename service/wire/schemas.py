@@ -1,0 +1,235 @@
+"""Wire types: what the JSON documents hold. Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, create_model, model_validator
+from pydantic_core import PydanticCustomError
+
+from dsbrdf.data.grid import THETA_DIFF
+from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES
+from service.wire.fit_options import DEFAULTS, WIRE_TYPES
+
+FIT_ID = r"^[0-9a-f]{32}$"
+SHA256 = r"^[0-9a-f]{64}$"
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
+
+
+class _Input(BaseModel):
+    """A document that clients send: what it does not know is an error, not ignored."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_what_is_unknown(cls, given: Any) -> Any:
+        unknown = [] if not isinstance(given, dict) else [name for name in given if name not in cls.model_fields]
+        if unknown:
+            known = ", ".join(cls.model_fields)
+            raise PydanticCustomError(
+                "unknown", "Unknown {name}; known are {known}", {"name": repr(str(unknown[0])[:60]), "known": known}
+            )
+        return given
+
+
+# The library checks the ranges; here they are told. A test holds the two against each other.
+_KNOTS: dict[str, Any] = {
+    "uniqueItems": True,
+    "description": "Increasing, whole degrees; null places them where the data ask for it.",
+}
+_RANGES: dict[str, Any] = {
+    "n_lobes": Annotated[int, Field(ge=1, le=MAX_LOBES)] | Literal["auto"],
+    "ring_lobes": Annotated[int, Field(ge=0, le=MAX_RING_LOBES)] | Literal["auto"],
+    "knots_deg": Annotated[
+        list[Annotated[int, Field(ge=0, le=THETA_DIFF.size - 1)]],
+        Field(min_length=2, max_length=THETA_DIFF.size, json_schema_extra=_KNOTS),
+    ]
+    | None,
+    "horizon_cutoff_deg": Annotated[float, Field(gt=0, le=90)] | None,
+    "mask": Annotated[float, Field(ge=0, le=MAX_MASK)] | None,
+    "em_iterations": Annotated[int, Field(ge=1, le=MAX_EM_ITERATIONS)],
+}
+# Algorithm 1 has neither ring lobes nor knots of its own choice.
+_RULES: dict[str, Any] = {
+    "if": {"properties": {"method": {"const": "paper"}}, "required": ["method"]},
+    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}}},
+}
+_option_fields: dict[str, Any] = {name: (_RANGES.get(name, hint), DEFAULTS[name]) for name, hint in WIRE_TYPES.items()}
+OptionsDocument = create_model(
+    "FitOptions",
+    __config__=ConfigDict(extra="forbid", json_schema_extra=_RULES),
+    __doc__="Options of a fit; what is not given is the default.",
+    **_option_fields,
+)
+_Options = Annotated[dict[str, Any], WithJsonSchema(OptionsDocument.model_json_schema())]
+
+
+class FitRequest(_Input):
+    """A fit of a stored measurement."""
+
+    measurement: Annotated[str, Field(pattern=SHA256, description="The measurement's sha256.")]
+    options: _Options = {}
+
+
+class AnglesRequest(_Input):
+    """Points by half and difference angles."""
+
+    theta_half_deg: list[Number]
+    theta_diff_deg: list[Number]
+
+
+class DirectionsRequest(_Input):
+    """Points by pairs of unit vectors; the surface's normal is (0, 0, 1)."""
+
+    omega_in: list[Vector]
+    omega_out: list[Vector]
+
+
+class Page(_Input):
+    """Which part of a list."""
+
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer.")] = 50
+    cursor: Annotated[
+        str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
+    ] = None
+
+
+class Waiting(_Input):
+    """How long to wait for a fit."""
+
+    wait: Annotated[
+        float, Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s].")
+    ] = 0.0
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem document."""
+
+    type: Annotated[str, Field(description="Stable name of the problem, for scripts.")]
+    title: str
+    status: int
+    detail: Annotated[str, Field(description="One sentence: what is wrong and what would be right.")]
+    instance: str
+
+
+class FitFault(BaseModel):
+    """Why a fit failed."""
+
+    origin: Annotated[
+        Literal["input", "compute", "system"],
+        Field(
+            description="`input`: the measurement or the options do not allow a fit. `compute`: the computation broke "
+            "or met its time or memory limit. `system`: its process was lost. The same request runs again unless the "
+            "origin is `input`."
+        ),
+    ]
+    type: str
+    message: str
+
+
+class Lobes(BaseModel):
+    """Parameters of lobes: per channel (red, green, blue), knot of theta_diff, and lobe."""
+
+    theta_diff_deg: Annotated[list[float], Field(description="Knots, shape (D,).")]
+    kappa: Annotated[list[list[list[float]]], Field(description="Scale, shape (3, D, K).")]
+    gamma: Annotated[list[list[list[float]]], Field(description="Shape, shape (3, D, K).")]
+    center_deg: Annotated[list[list[list[float]]], Field(description="Ring angle, shape (3, D, K).")]
+    delta: Annotated[list[list[float]], Field(description="Height where theta_half < 1 degree [1/sr], shape (3, D).")]
+    interpolation: str
+
+
+class FitSummary(BaseModel):
+    """A fit without its lobes."""
+
+    id: Annotated[str, Field(pattern=FIT_ID)]
+    status: Literal["accepted", "running", "succeeded", "failed", "cancelled"]
+    progress: Share
+    measurement: Annotated[str, Field(pattern=SHA256)]
+    options: _Options
+    metrics: dict[str, float | None] | None
+    error: FitFault | None
+    created: datetime
+    started: datetime | None
+    finished: datetime | None
+    algorithm: Annotated[str, Field(description="Version of the fit algorithm.")]
+    library: Annotated[str, Field(description="Version of the library that accepted the fit.")]
+
+
+class FitDocument(FitSummary):
+    """A fit: its state, and once it has succeeded its metrics and lobes."""
+
+    lobes: Lobes | None
+
+
+class FitList(BaseModel):
+    """A page of fits, newest first."""
+
+    items: list[FitSummary]
+
+
+class MeasurementDocument(BaseModel):
+    """A stored measurement."""
+
+    sha256: Annotated[str, Field(pattern=SHA256, description="Its identity: the sha256 of the file's bytes.")]
+    size: Annotated[int, Field(description="Length of the file [bytes].")]
+    valid_nodes: Annotated[int, Field(description="Grid nodes with a value in all channels, above the horizon.")]
+    created: datetime
+
+
+class MeasurementList(BaseModel):
+    """A page of measurements, newest first."""
+
+    items: list[MeasurementDocument]
+
+
+class Values(BaseModel):
+    """BRDF values, one RGB triple for each point [1/sr]."""
+
+    values: list[Rgb]
+
+
+class ComponentDocument(BaseModel):
+    """One component of a fit; the three components' values add up to the fit's."""
+
+    label: Literal["specular_spike", "specular_lobe", "diffuse"]
+    lobes: Annotated[list[int], Field(description="Indices of its lobes in the fit.")]
+    parameters: Lobes
+    albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
+    half_width_deg: Annotated[float | None, Field(description="Half width at half maximum; null without lobes.")]
+    margin: Annotated[float | None, Field(description="How clear the label is; null without lobes.")]
+
+
+class ComponentList(BaseModel):
+    """The components of a fit, from narrow to wide."""
+
+    items: list[ComponentDocument]
+
+
+class Progress(BaseModel):
+    """A server-sent event of a fit."""
+
+    id: str
+    status: Literal["accepted", "running", "succeeded", "failed", "cancelled"]
+    progress: Share
+    error: FitFault | None
+
+
+class Health(BaseModel):
+    """The state of the service."""
+
+    status: Literal["live", "ready"]
+    version: str
+
+
+class Export(_Input):
+    """What to export."""
+
+    format: Annotated[Literal["json", "npz", "merl"], Field(description="Format of the file.")]
+    component: Annotated[
+        Literal["specular_spike", "specular_lobe", "diffuse"] | None,
+        Field(description="One component instead of the whole fit."),
+    ] = None
