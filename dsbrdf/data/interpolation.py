@@ -1,0 +1,138 @@
+"""A measurement at any angles: linear interpolation of its logarithm between the nodes of the grid.
+
+The axes are the grid's own: ``sqrt(theta_half)``, in which the rows are evenly spaced, ``theta_diff`` and ``phi_diff``,
+which is periodic with period pi because reciprocity makes column 180 the column 0.  The logarithm follows highlights,
+which fall by orders of magnitude from node to node, far better than the value does.
+
+A node without a value takes that of the nearest valid node along theta_diff, along which reflectance changes slowest.
+Every node then has one value, so the interpolation has no steps, not even beside invalid nodes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt
+
+from dsbrdf.data.grid import GRID_SHAPE
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import InvalidArgumentError
+
+__all__ = ["InterpolatedMeasurement", "interpolate"]
+
+_FLOOR = 1e-6  # Added before the logarithm, for values of 0; far below any reflectance that can be seen [1/sr].
+_POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache.
+
+
+@dataclass(frozen=True, eq=False)
+class InterpolatedMeasurement:
+    """Values of a measurement at any angles; see `interpolate`.
+
+    Attributes
+    ----------
+    measurement : Measurement
+        The nodes' values.
+    source : ndarray of int32, shape (90, 90, 180)
+        For each node, the flat index of the node whose value it takes: its own where it is valid.
+    """
+
+    measurement: Measurement
+    source: NDArray[np.int32]
+
+    def evaluate(
+        self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2
+    ) -> NDArray[np.float64]:
+        """BRDF values for half and difference angles.
+
+        Parameters
+        ----------
+        theta_half, theta_diff : array_like
+            Angles, 0 to pi/2 [rad]; beyond the last row of the grid its value is held.
+        phi_diff : array_like
+            Any angle [rad].  The three broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            RGB values [1/sr], never negative.  Below the horizon they continue those above it.
+        """
+        try:
+            angles = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (theta_half, theta_diff, phi_diff)))
+        except ValueError:
+            raise InvalidArgumentError("theta_half, theta_diff and phi_diff must broadcast together") from None
+        if not all(np.isfinite(angle).all() for angle in angles):
+            raise InvalidArgumentError("an angle must be a finite number")
+        flat = [angle.ravel() for angle in angles]
+        values = np.empty((flat[0].size, 3))
+        for start in range(0, flat[0].size, _POINTS_AT_ONCE):
+            block = slice(start, start + _POINTS_AT_ONCE)
+            values[block] = self._values(*(angle[block] for angle in flat)).T
+        return values.reshape(*angles[0].shape, 3)
+
+    def _values(
+        self, theta_half: NDArray[np.float64], theta_diff: NDArray[np.float64], phi_diff: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Values at N points, shape (3, N)."""
+        rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
+        row, row_share = _cells(rows, GRID_SHAPE[0])
+        diff, diff_share = _cells(np.clip(np.degrees(theta_diff), 0.0, 90.0), GRID_SHAPE[1])
+        turn = np.mod(np.degrees(phi_diff), 180.0)
+        column = np.minimum(turn.astype(np.intp), GRID_SHAPE[2] - 1)
+        column_share = turn - column
+        stored = self.measurement.stored.reshape(3, -1)
+        scale = self.measurement.scale[:, np.newaxis]
+        logarithm = np.zeros((3, rows.size))
+        for corner in range(8):
+            a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
+            weight = (
+                (row_share if a else 1.0 - row_share)
+                * (diff_share if b else 1.0 - diff_share)
+                * (column_share if c else 1.0 - column_share)
+            )
+            node = self.source[row + a, diff + b, (column + c) % GRID_SHAPE[2]]
+            logarithm += weight * np.log(stored[:, node] * scale + _FLOOR)
+        return np.maximum(np.exp(logarithm) - _FLOOR, 0.0)
+
+
+def interpolate(measurement: Measurement) -> InterpolatedMeasurement:
+    """Continue a measurement between its nodes.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        At least one node must be valid.
+
+    Returns
+    -------
+    InterpolatedMeasurement
+        Equal to the measurement at its valid nodes, continuous everywhere.
+    """
+    if not measurement.valid.any():
+        raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
+    return InterpolatedMeasurement(measurement, _nearest_valid(measurement.valid))
+
+
+def _cells(position: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Lower node of the cell that holds each position, and the share of the upper one, at most 1: the last is held."""
+    lower = np.minimum(position.astype(np.intp), count - 2)
+    return lower, np.minimum(position - lower, 1.0)
+
+
+def _nearest_valid(valid: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Flat index of the node whose value each node takes.
+
+    Towards theta_diff = 0 first, where nodes are farther above the horizon; then away from it; then along another
+    (theta_half, phi_diff), the nearest that has a valid node.
+    """
+    steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
+    before = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)
+    lacking = before[:, 0] < 0  # columns whose first node has no value
+    first = valid.argmax(axis=1) if lacking.any() else np.zeros_like(lacking, dtype=np.intp)
+    diff = np.where(before < 0, first[:, np.newaxis], before)
+    row, column = np.indices((GRID_SHAPE[0], GRID_SHAPE[2]))
+    empty = ~valid.any(axis=1)
+    if empty.any():
+        row, column = distance_transform_edt(empty.astype(np.uint8), return_distances=False, return_indices=True)
+        diff = np.moveaxis(diff, 1, 0)[:, row, column].swapaxes(0, 1)
+    start = (row * GRID_SHAPE[1] * GRID_SHAPE[2] + column).astype(np.int32)
+    return start[:, np.newaxis] + diff.astype(np.int32) * np.int32(GRID_SHAPE[2])

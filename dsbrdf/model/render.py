@@ -1,0 +1,176 @@
+"""Lit spheres: a unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
+
+The viewer's direction is (0, 0, 1) at every pixel.  Two lightings:
+
+- ``three_lights``: three distant lights, `THREE_LIGHTS`.  A key light and a fill light show two highlights; a light
+  from behind shows the rim at a difference angle of 70 degrees.
+- ``environment``: light from all around, `dsbrdf.model.environment.environment_radiance`.
+
+Where f is needed depends on the lighting and the size only.  It is found once, so that an image costs one call of
+``evaluate`` and sparse products.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.interpolation import interpolate
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.environment import EnvironmentRings, environment_rings
+
+__all__ = ["LIGHTINGS", "THREE_LIGHTS", "Light", "render_sphere", "sphere_normals"]
+
+Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array, Array], Array]
+
+LIGHTINGS = ("three_lights", "environment")
+SIZES = (8, 1024)
+"""Smallest and largest number of pixels along a side."""
+_VIEW = np.array([0.0, 0.0, 1.0])
+
+
+class Reflectance(Protocol):
+    """Anything that gives RGB values of the three angles, such as `dsbrdf.DSBRDF`."""
+
+    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values in 1/sr, shape (..., 3), of angles in radians."""
+        ...
+
+
+Source = Measurement | Reflectance | Evaluate
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light.
+
+    Attributes
+    ----------
+    direction : tuple of float
+        Unit vector towards the light.
+    irradiance : tuple of float
+        RGB irradiance of a surface that faces the light.
+    """
+
+    direction: tuple[float, float, float]
+    irradiance: tuple[float, float, float]
+
+
+def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
+    """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
+    polar, turn = np.radians((from_view, azimuth))
+    direction = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)
+    return Light((float(direction[0]), float(direction[1]), float(direction[2])), (irradiance,) * 3)
+
+
+THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
+"""Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
+
+
+def render_sphere(source: Source, *, lighting: str = "three_lights", size: int = 128) -> Array:
+    """Picture of a lit sphere.
+
+    Parameters
+    ----------
+    source : Measurement, model or callable
+        The material: a measurement, which is interpolated, an object with
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, or such a function.
+    lighting : {"three_lights", "environment"}
+        See the module.
+    size : int
+        Pixels along a side, 8 to 1024; the sphere touches the border.
+
+    Returns
+    -------
+    ndarray, shape (size, size, 3)
+        Linear RGB radiance, the first row at the top; 0 beside the sphere.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the lighting is unknown, the size is out of range, or the source is none of the above.
+    """
+    if lighting not in LIGHTINGS:
+        raise InvalidArgumentError(f"lighting must be one of {', '.join(LIGHTINGS)}, not {lighting!r}")
+    if not SIZES[0] <= size <= SIZES[1]:
+        raise InvalidArgumentError(f"size must be from {SIZES[0]} to {SIZES[1]} pixels, not {size}")
+    evaluate = _evaluator(source)
+    image = np.zeros((size, size, 3))
+    _, mask = sphere_normals(size)
+    lit = _three_lights(size) if lighting == "three_lights" else _environment(size)
+    image[mask] = lit.radiance(evaluate)
+    return image
+
+
+@lru_cache(maxsize=8)
+def sphere_normals(size: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Normals of the sphere's N pixels, shape (N, 3), row by row, and which pixels these are, shape (size, size)."""
+    across = (np.arange(size) + 0.5) * 2.0 / size - 1.0
+    x, y = np.meshgrid(across, -across)
+    square = x * x + y * y
+    mask = square < 1.0
+    normals = np.stack([x[mask], y[mask], np.sqrt(1.0 - square[mask])], axis=-1)
+    normals.flags.writeable = mask.flags.writeable = False
+    return normals, mask
+
+
+def _evaluator(source: Source) -> Evaluate:
+    if isinstance(source, Measurement):
+        return interpolate(source).evaluate
+    evaluate = getattr(source, "evaluate", source)
+    if not callable(evaluate):
+        kind = type(source).__name__
+        raise InvalidArgumentError(f"what is rendered must be a measurement, a model or a function, not {kind}")
+    return evaluate
+
+
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    """Pixels that lights reach: ``gather[channel]`` sums the values at the points to the N pixels."""
+
+    angles: tuple[Array, Array, Array]
+    gather: tuple[sparse.csr_array, ...]
+
+    def radiance(self, evaluate: Evaluate) -> Array:
+        values = evaluate(*self.angles)
+        return np.stack([gather @ values[:, c] for c, gather in enumerate(self.gather)], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _three_lights(size: int) -> _Lit:
+    normals, _ = sphere_normals(size)
+    frame = _surface_frame(normals)
+    directions = np.array([light.direction for light in THREE_LIGHTS])
+    cosine = normals @ directions.T
+    pixel, light = np.nonzero(cosine > 0.0)
+    to_surface = frame[pixel]
+    omega_in = np.einsum("nij,nj->ni", to_surface, directions[light])
+    omega_out = to_surface @ _VIEW
+    angles = half_difference(omega_in, omega_out)
+    irradiance = np.array([light.irradiance for light in THREE_LIGHTS])[light] * cosine[pixel, light][:, np.newaxis]
+    point = np.arange(pixel.size)
+    gather = [sparse.csr_array((irradiance[:, c], (pixel, point)), (len(normals), point.size)) for c in range(3)]
+    return _Lit(angles, tuple(gather))
+
+
+def _surface_frame(normals: Array) -> Array:
+    """Rotations from the world to frames whose z axes are the normals, shape (N, 3, 3), without a special case.
+
+    The rotation of the view onto the normal, about the axis at right angles to both; z > 0 for all normals.
+    """
+    x, y, z = normals.T
+    share = 1.0 / (1.0 + z)
+    rows = [[1.0 - x * x * share, -x * y * share, -x], [-x * y * share, 1.0 - y * y * share, -y], [x, y, z]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+@lru_cache(maxsize=2)
+def _environment(size: int) -> EnvironmentRings:
+    return environment_rings(sphere_normals(size)[0], size)
