@@ -45,7 +45,7 @@ def _axes(towards: Array) -> Array:
 # Nothing here is narrower than the nodes of the integral are apart: widths and edges are in radians or slopes.
 _ZENITH, _HORIZON, _GROUND = np.array([0.25, 0.45, 0.9]), np.array([0.9, 0.95, 1.0]), np.array([0.22, 0.19, 0.16])
 _HORIZON_WIDTH = 0.02
-_SUN, _SUN_DIRECTION, _SUN_WIDTH = np.array([90.0, 82.0, 70.0]), _unit(-0.55, 0.6, 0.58), np.radians(3.0)
+_SUN, _SUN_DIRECTION, _SUN_WIDTH = np.array([50.0, 46.0, 40.0]), _unit(-0.55, 0.6, 0.58), np.radians(4.0)
 _WINDOW, _WINDOW_AXES = np.array([5.0, 5.0, 5.0]), _axes(_unit(0.87, 0.13, 0.5))
 _WINDOW_HALF_SIZE, _WINDOW_EDGE = np.array([0.35, 0.5]), 0.02
 

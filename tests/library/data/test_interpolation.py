@@ -1,0 +1,120 @@
+"""A measurement between its nodes: exact at them, without steps anywhere, blind to what is not valid."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.interpolation import interpolate
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import InvalidArgumentError
+
+Angles = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def random_angles(count: int, seed: int = 0) -> Angles:
+    generator = np.random.default_rng(seed)
+    theta_half = np.pi / 2 * generator.uniform(0.0, 1.0, count) ** 2
+    return theta_half, generator.uniform(0.0, np.pi / 2, count), generator.uniform(0.0, 2.0 * np.pi, count)
+
+
+@pytest.fixture(scope="module")
+def holed(plastic: Measurement) -> Measurement:
+    """The plastic with a fifth of its nodes lost, and a block and whole lines besides; what is lost was enormous."""
+    valid = plastic.valid & (np.random.default_rng(3).uniform(size=GRID_SHAPE) > 0.2)
+    valid[10:20, 5:40, 30:50] = False
+    valid[:, :, 100] = False
+    valid[33] = False
+    return Measurement.from_values(np.where(valid, plastic.values, 1e6), valid)
+
+
+def test_nodes_are_reproduced(plastic: Measurement) -> None:
+    row, diff, column = np.nonzero(plastic.valid)
+    found = interpolate(plastic).evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])
+    np.testing.assert_allclose(found, plastic.values[:, plastic.valid].T, rtol=1e-9)
+
+
+def test_nodes_are_reproduced_beside_lost_ones(holed: Measurement) -> None:
+    row, diff, column = np.nonzero(holed.valid)
+    found = interpolate(holed).evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])
+    np.testing.assert_allclose(found, holed.values[:, holed.valid].T, rtol=1e-9)
+
+
+def test_values_are_those_of_scipys_interpolator_of_the_logarithm(plastic: Measurement) -> None:
+    # The cells with theta_half + theta_diff < 85 degrees have no node below the horizon.
+    theta_half, theta_diff, phi_diff = random_angles(20_000)
+    inside = theta_half + theta_diff < np.radians(83.0)
+    theta_half, theta_diff, phi_diff = theta_half[inside], theta_diff[inside], phi_diff[inside]
+    values = np.maximum(np.concatenate([plastic.values, plastic.values[..., :1]], axis=-1), 1e-3)
+    axes = (np.arange(90.0), np.arange(90.0), np.arange(181.0))
+    points = np.stack(
+        [90.0 * np.sqrt(theta_half / (np.pi / 2)), np.degrees(theta_diff), np.degrees(phi_diff) % 180.0], axis=-1
+    )
+    found = interpolate(plastic).evaluate(theta_half, theta_diff, phi_diff)
+    for channel in range(3):
+        expected = np.exp(RegularGridInterpolator(axes, np.log(values[channel]))(points))
+        # The library adds 1e-6 before it takes the logarithm.
+        np.testing.assert_allclose(found[:, channel], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_there_are_no_steps(holed: Measurement, axis: int) -> None:
+    interpolated = interpolate(holed)
+    generator = np.random.default_rng(axis)
+    angles = list(random_angles(20_000, seed=axis))
+    faces = (THETA_HALF, THETA_DIFF, np.radians(np.arange(361.0)))[axis]
+    angles[axis] = generator.choice(faces[1:], angles[axis].size)
+    before, after = list(angles), list(angles)
+    before[axis], after[axis] = angles[axis] - 1e-9, angles[axis] + 1e-9
+    np.testing.assert_allclose(interpolated.evaluate(*before), interpolated.evaluate(*after), rtol=1e-5)
+
+
+def test_what_is_not_valid_does_not_leak_in(holed: Measurement) -> None:
+    flat = Measurement.from_values(np.where(holed.valid, 0.25, 1e6) * np.ones((3, 1, 1, 1)), holed.valid)
+    np.testing.assert_allclose(interpolate(flat).evaluate(*random_angles(50_000)), 0.25, rtol=1e-9)
+
+
+def test_exchanging_the_directions_changes_nothing(plastic: Measurement) -> None:
+    theta_half, theta_diff, phi_diff = random_angles(5_000)
+    interpolated = interpolate(plastic)
+    there = interpolated.evaluate(theta_half, theta_diff, phi_diff)
+    np.testing.assert_allclose(interpolated.evaluate(theta_half, theta_diff, phi_diff + np.pi), there, rtol=1e-9)
+
+
+def test_the_last_row_is_held(plastic: Measurement) -> None:
+    interpolated = interpolate(plastic)
+    held = interpolated.evaluate(THETA_HALF[89], 0.0, 0.3)
+    np.testing.assert_allclose(interpolated.evaluate(np.pi / 2, 0.0, 0.3), held, rtol=1e-12)
+    held = interpolated.evaluate(0.0, THETA_DIFF[89], 0.3)
+    np.testing.assert_allclose(interpolated.evaluate(0.0, np.pi / 2, 0.3), held, rtol=1e-12)
+
+
+def test_halfway_is_the_geometric_mean(plastic: Measurement) -> None:
+    halfway = 0.5 * (THETA_DIFF[20] + THETA_DIFF[21])
+    ends = plastic.values[:, 12, 20, 7] * plastic.values[:, 12, 21, 7]
+    found = interpolate(plastic).evaluate(THETA_HALF[12], halfway, PHI_DIFF[7])
+    np.testing.assert_allclose(found, np.sqrt(ends), rtol=1e-4)
+
+
+def test_black_stays_black() -> None:
+    values = np.zeros((3, *GRID_SHAPE))
+    values[0] = 0.5
+    found = interpolate(Measurement.from_values(values, nodes_above_horizon())).evaluate(*random_angles(1_000))
+    np.testing.assert_allclose(found[:, 0], 0.5, rtol=1e-9)
+    np.testing.assert_allclose(found[:, 1:], 0.0, atol=1e-15)
+
+
+def test_many_points_are_evaluated_as_one_by_one(plastic: Measurement) -> None:
+    interpolated = interpolate(plastic)
+    theta_half, theta_diff, phi_diff = random_angles(150_000)
+    together = interpolated.evaluate(theta_half, theta_diff, phi_diff)
+    for i in (0, 65_535, 65_536, 149_999):
+        np.testing.assert_array_equal(interpolated.evaluate(theta_half[i], theta_diff[i], phi_diff[i]), together[i])
+    assert interpolated.evaluate(theta_half[:4, None], theta_diff[:3], 0.0).shape == (4, 3, 3)
+
+
+def test_angles_that_are_none_are_refused(plastic: Measurement) -> None:
+    with pytest.raises(InvalidArgumentError, match="finite"):
+        interpolate(plastic).evaluate(0.1, np.nan, 0.0)
+    with pytest.raises(InvalidArgumentError, match="broadcast together"):
+        interpolate(plastic).evaluate(np.zeros(2), np.zeros(3), 0.0)
