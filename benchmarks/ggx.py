@@ -76,6 +76,16 @@ class GGXModel:
         """How many numbers describe the model."""
         return self.diffuse.size + self.alpha.size + self.normal.size + self.grazing.size
 
+    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values at N points, shape (N, 3) [1/sr]; angles in radians, both directions above the horizon."""
+        cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
+        # At the horizon itself masking is 0 / 0; a cosine as small as this is as good.
+        cos_in, cos_out = np.maximum(cos_in, 1e-6), np.maximum(cos_out, 1e-6)
+        nodes = Nodes(np.cos(theta_half), np.cos(theta_diff), cos_in, cos_out)
+        lobes = np.array([microfacet(float(alpha), nodes)[0] for alpha in self.alpha])
+        brightness = self.normal[..., None] + self.grazing[..., None] * nodes.schlick
+        return np.asarray(self.diffuse / np.pi + np.einsum("cln,ln->nc", brightness, lobes))
+
     def row(self, i: int) -> Array:
         """Values on the theta_half row ``i`` of the grid, shape (3, 90, 180) [1/sr]; 0 below the horizon."""
         cos_in, cos_out = incident_cosines(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF)

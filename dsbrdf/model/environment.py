@@ -45,13 +45,12 @@ def _axes(towards: Array) -> Array:
 # Nothing here is narrower than the nodes of the integral are apart: widths and edges are in radians or slopes.
 _ZENITH, _HORIZON, _GROUND = np.array([0.25, 0.45, 0.9]), np.array([0.9, 0.95, 1.0]), np.array([0.22, 0.19, 0.16])
 _HORIZON_WIDTH = 0.02
-_SUN, _SUN_DIRECTION, _SUN_WIDTH = np.array([50.0, 46.0, 40.0]), _unit(-0.55, 0.6, 0.58), np.radians(4.0)
-_WINDOW, _WINDOW_AXES = np.array([5.0, 5.0, 5.0]), _axes(_unit(0.87, 0.13, 0.5))
+_WINDOW, _WINDOW_AXES = np.array([3.0, 3.0, 3.0]), _axes(_unit(0.87, 0.13, 0.5))
 _WINDOW_HALF_SIZE, _WINDOW_EDGE = np.array([0.35, 0.5]), 0.02
 
 
 def environment_radiance(direction: Array) -> Array:
-    """Radiance of the environment: a sky above a ground, a soft sun and a window.
+    """Radiance of the environment without its sun: a sky above a ground, and a window.
 
     Parameters
     ----------
@@ -67,7 +66,6 @@ def environment_radiance(direction: Array) -> Array:
     sky = _HORIZON + (_ZENITH - _HORIZON) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
     above = _logistic(up / _HORIZON_WIDTH)
     radiance = above * sky + (1.0 - above) * _GROUND
-    radiance += _SUN * np.exp((direction @ _SUN_DIRECTION - 1.0) / _SUN_WIDTH**2)[..., np.newaxis]
     # The window is a rectangle on the plane at distance 1, at right angles to its direction.
     across, upward, along = np.moveaxis(direction @ _WINDOW_AXES.T, -1, 0)
     ahead = np.maximum(along, 1e-3)

@@ -4,7 +4,7 @@ The viewer's direction is (0, 0, 1) at every pixel.  Two lightings:
 
 - ``three_lights``: three distant lights, `THREE_LIGHTS`.  A key light and a fill light show two highlights; a light
   from behind shows the rim at a difference angle of 70 degrees.
-- ``environment``: light from all around, `dsbrdf.model.environment.environment_radiance`.
+- ``environment``: light from all around, `dsbrdf.model.environment.environment_radiance`, and the `SUN`.
 
 Where f is needed depends on the lighting and the size only.  It is found once, so that an image costs one call of
 ``evaluate`` and sparse products.
@@ -26,7 +26,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.environment import EnvironmentRings, environment_rings
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
-__all__ = ["LIGHTINGS", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
+__all__ = ["LIGHTINGS", "SUN", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
@@ -73,6 +73,8 @@ def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
 
 THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
 """Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
+SUN = _light(55.0, 132.0, 3.0 * np.pi)
+"""Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
 
 
 def render_sphere(source: Source, *, lighting: str = "three_lights", size: int = 128) -> Array:
@@ -105,8 +107,10 @@ def render_sphere(source: Source, *, lighting: str = "three_lights", size: int =
     evaluate = _evaluator(source)
     image = np.zeros((size, size, 3))
     _, mask = sphere_normals(size)
-    lit = _three_lights(size) if lighting == "three_lights" else _environment(size)
-    image[mask] = lit.radiance(evaluate)
+    if lighting == "three_lights":
+        image[mask] = _lit(size, THREE_LIGHTS).radiance(evaluate)
+    else:
+        image[mask] = _lit(size, (SUN,)).radiance(evaluate) + _environment(size).radiance(evaluate)
     return image
 
 
@@ -167,17 +171,17 @@ class _Lit:
 
 
 @lru_cache(maxsize=4)
-def _three_lights(size: int) -> _Lit:
+def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
     normals, _ = sphere_normals(size)
     frame = _surface_frame(normals)
-    directions = np.array([light.direction for light in THREE_LIGHTS])
+    directions = np.array([light.direction for light in lights])
     cosine = normals @ directions.T
     pixel, light = np.nonzero(cosine > 0.0)
     to_surface = frame[pixel]
     omega_in = np.einsum("nij,nj->ni", to_surface, directions[light])
     omega_out = to_surface @ _VIEW
     angles = half_difference(omega_in, omega_out)
-    irradiance = np.array([light.irradiance for light in THREE_LIGHTS])[light] * cosine[pixel, light][:, np.newaxis]
+    irradiance = np.array([light.irradiance for light in lights])[light] * cosine[pixel, light][:, np.newaxis]
     point = np.arange(pixel.size)
     gather = [sparse.csr_array((irradiance[:, c], (pixel, point)), (len(normals), point.size)) for c in range(3)]
     return _Lit(angles, tuple(gather))
