@@ -102,8 +102,8 @@ def render_sphere(source: Source, *, lighting: str = "three_lights", size: int =
     """
     if lighting not in LIGHTINGS:
         raise InvalidArgumentError(f"lighting must be one of {', '.join(LIGHTINGS)}, not {lighting!r}")
-    if not SIZES[0] <= size <= SIZES[1]:
-        raise InvalidArgumentError(f"size must be from {SIZES[0]} to {SIZES[1]} pixels, not {size}")
+    if not (isinstance(size, (int, np.integer)) and SIZES[0] <= size <= SIZES[1]):
+        raise InvalidArgumentError(f"size must be a whole number from {SIZES[0]} to {SIZES[1]} pixels, not {size}")
     evaluate = _evaluator(source)
     image = np.zeros((size, size, 3))
     _, mask = sphere_normals(size)

@@ -159,8 +159,8 @@ def test_likeness_is_that_of_the_exposed_pictures(plastic: Measurement) -> None:
 def test_what_cannot_be_rendered_is_refused() -> None:
     with pytest.raises(InvalidArgumentError, match="lighting must be one of three_lights, environment, not 'moon'"):
         render_sphere(lambertian, lighting="moon")
-    for size in (7, 1025):
+    for size in (7, 1025, 64.0):
         with pytest.raises(InvalidArgumentError, match=f"from 8 to 1024 pixels, not {size}"):
-            render_sphere(lambertian, size=size)
+            render_sphere(lambertian, size=size)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgumentError, match="not int"):
         render_sphere(3)  # type: ignore[arg-type]
