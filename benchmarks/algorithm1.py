@@ -96,14 +96,14 @@ def fitted_slices(result: FitResult) -> dict[tuple[int, int], int]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks algorithm1", description=__doc__)
-    parser.add_argument("--lobes", type=int, default=3, help="number of lobes (default: 3)")
+    parser.add_argument("--n-lobes", type=int, default=3, help="number of lobes (default: 3)")
     parser.add_argument("--repeats", type=int, default=5, help="runs of which the median counts (default: 5)")
     parser.add_argument("--full", action="store_true", help="run plain SciPy on every slice: takes minutes")
     parser.add_argument("measurement", type=Path, nargs="?", help="MERL file (default: a reference material)")
     arguments = parser.parse_args(argv)
     measurement = the_measurement(arguments.measurement)
-    paper = FitOptions(method="paper", n_lobes=arguments.lobes)
-    usual = FitOptions(n_lobes=arguments.lobes)
+    paper = FitOptions(method="paper", n_lobes=arguments.n_lobes)
+    usual = FitOptions(n_lobes=arguments.n_lobes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         batch, result = seconds_of(lambda: fit(measurement, paper), arguments.repeats)

@@ -58,7 +58,7 @@ async def rate_of(engine: Engine, file: Path, count: int) -> float:
     """Fits per second of an engine."""
 
     async def fit(number: int) -> None:
-        async with engine.turn():
+        async with engine.slot():
             outcome = await engine.run(FitTask(str(number), file, FitOptions()), lambda _: None)
         if isinstance(outcome, Fault):
             raise RuntimeError(outcome.message)  # noqa: TRY004 (an outcome, not an argument)

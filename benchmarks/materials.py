@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.cli.fit_arguments import add_fit_flags, fit_options
+from dsbrdf.cli.fit_arguments import add_fit_options, fit_options
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement
@@ -130,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th of them (default: 1)")
     parser.add_argument("--http", metavar="URL", help="fit through the service there, not in this process")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
-    add_fit_flags(parser)
+    add_fit_options(parser)
     arguments = parser.parse_args(argv)
     options = fit_options(arguments)
     rows, failures = [], []

@@ -7,24 +7,24 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dsbrdf.engines.engine import FitTask, Outcome
-from dsbrdf.engines.fit_task import Report, compute
+from dsbrdf.engines.engine import FitTask, OnProgress, Outcome
+from dsbrdf.engines.fit_steps import compute
 
 
-def die(_: Report) -> None:
+def die(_: OnProgress) -> None:
     """End as a process that is killed."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def do_nothing(_: Report) -> None:
+def do_nothing(_: OnProgress) -> None:
     """End as a process that has done its work."""
 
 
-def compute_unless_named_one(task: FitTask, report: Report) -> Outcome:
+def compute_unless_named_one(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit; the process that is to fit the file ``one`` is killed, as the kernel does when memory is short."""
     if task.fit_id == "one":
-        die(report)
-    return compute(task, report)
+        die(on_progress)
+    return compute(task, on_progress)
 
 
 def fill_and_free(_: Callable[[float], None]) -> int:

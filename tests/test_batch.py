@@ -19,10 +19,10 @@ import pytest
 from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import batch, local
-from dsbrdf.engines.batch import FileFit, default_jobs, fit_files
-from dsbrdf.engines.worker_process import ONE_THREAD
+from dsbrdf.engines.batch import FileFit, fit_files
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.serialize import load
+from dsbrdf.process_settings import ONE_BLAS_THREAD, core_count
 from tests.dask_cluster import DaskCluster, forked
 from tests.deadly import compute_unless_named_one
 from tests.service.running import alive, wait_until
@@ -33,7 +33,7 @@ QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
 # With a knot every degree a fit takes minutes: it does not end while a test looks at it.
 KNOTS = range(81)
 ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, KNOTS)))
-ENDLESS_FLAGS = ("--lobes", "8", "--ring-lobes", "2", "--knots", ",".join(map(str, KNOTS)))
+ENDLESS_FLAGS = ("--n-lobes", "8", "--ring-lobes", "2", "--knots", ",".join(map(str, KNOTS)))
 PATIENCE = 60.0
 SOON = 10.0
 
@@ -124,7 +124,7 @@ def test_processes_have_one_thread_each_and_this_one_keeps_its_own(
         wait_until(lambda: all(map(works, workers)), PATIENCE)
         for worker in workers:
             found = environment(worker)
-            assert found | ONE_THREAD == found
+            assert found | ONE_BLAS_THREAD == found
             assert len(list(Path(f"/proc/{worker}/task").iterdir())) == 2  # the fit, and the watch over the parent
         assert os.environ["OMP_NUM_THREADS"] == "7"
         assert "MKL_NUM_THREADS" not in os.environ
@@ -139,7 +139,7 @@ def test_closing_early_ends_the_processes(files: list[Path]) -> None:
 
 
 def test_jobs() -> None:
-    assert default_jobs() >= 1
+    assert core_count() >= 1
     with pytest.raises(InvalidArgumentError, match="must be at least 1, not 0"):
         next(fit_files([], QUICK, jobs=0))
 
@@ -202,7 +202,7 @@ def test_no_process_and_no_file_outlives_the_command(
 
 def test_an_interrupted_run_resumes(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--lobes", "8"]
+    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--n-lobes", "8"]
     command = [sys.executable, "-m", "dsbrdf.cli.main", *words, "--em-iterations", "200"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -256,7 +256,7 @@ def test_a_batch_on_a_cluster_is_that_of_this_machine(files: list[Path], tmp_pat
 def test_a_cluster_that_is_away_is_told_in_one_sentence(
     files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(batch, "_PATIENCE", 0.5)
+    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT", 0.5)
     address = "tcp://127.0.0.1:1"
     assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
     captured = capsys.readouterr()

@@ -8,8 +8,8 @@ from threading import current_thread, main_thread
 
 import pytest
 
-from dsbrdf.engines.engine import Fault, Limits
-from dsbrdf.engines.worker_process import Child
+from dsbrdf.engines.engine import Fault, FitLimits
+from dsbrdf.engines.worker_process import WorkerProcess
 from tests.deadly import die, do_nothing, fill_and_free
 
 
@@ -29,13 +29,13 @@ def test_how_a_process_ended_is_known_while_others_start(monkeypatch: pytest.Mon
     monkeypatch.setattr(forkserver, "read_signed", read_slowly)
     for _ in range(4):
         with ThreadPoolExecutor(1) as pool:
-            lost = pool.submit(Child(die, (), Limits()).supervise, ignore)
+            lost = pool.submit(WorkerProcess(die, (), FitLimits()).run, ignore)
             while not lost.done():
-                assert Child(do_nothing, (), Limits()).supervise(ignore) is None
+                assert WorkerProcess(do_nothing, (), FitLimits()).run(ignore) is None
         assert lost.result() == Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
 def test_memory_that_is_freed_is_used_again() -> None:
-    pages = Child(fill_and_free, (), Limits()).supervise(ignore)
+    pages = WorkerProcess(fill_and_free, (), FitLimits()).run(ignore)
     assert 0 < pages < 10_000  # given back each time, it would be 51,200

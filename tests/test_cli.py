@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -19,14 +19,16 @@ import pytest
 import dsbrdf
 from dsbrdf import extras
 from dsbrdf.cli import fit_arguments as flags
+from dsbrdf.cli import fit_command, model_commands
 from dsbrdf.cli import main as cli
+from dsbrdf.cli.arguments import Parser
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.engines import batch, local
+from dsbrdf.engines import batch, local, worker_process
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, from_npz, load
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ("--method", "paper", "--lobes", "1", "--em-iterations", "40")
+QUICK = ("--method", "paper", "--n-lobes", "1", "--em-iterations", "40")
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,7 @@ def sentence(capture: Capture) -> str:
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--lobes", "2"]) == 0
+    assert cli.main(["fit", str(plastic_file), "--n-lobes", "2"]) == 0
     out = capsys.readouterr().out
     result = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2))
     assert f"relative_rms {result.report.metrics['relative_rms']:.4g}" in out
@@ -105,7 +107,7 @@ def test_fit_tells_how_the_lobes_were_chosen_and_where_the_error_is(
 
 
 def test_a_ring_lobe_is_shown_with_its_center(plastic_file: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--lobes", "1", "--ring-lobes", "1"]) == 0
+    assert cli.main(["fit", str(plastic_file), "--n-lobes", "1", "--ring-lobes", "1"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("plastic: 1 lobe + 1 ring lobe; ")
     (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
@@ -156,7 +158,7 @@ def test_a_fit_that_was_lost_is_not_the_users_fault(monkeypatch: pytest.MonkeyPa
         yield batch.FileFit(files[0], error="the process died", lost=True)
         yield batch.FileFit(files[1], error="no measurement")
 
-    monkeypatch.setattr(cli, "fit_files", lost)
+    monkeypatch.setattr(fit_command, "fit_files", lost)
     assert cli.main(["fit", "a.binary", "b.binary"]) == 1
     assert capsys.readouterr().err == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
 
@@ -173,7 +175,7 @@ def test_a_folder_stands_for_its_files(plastic_file: Path, tmp_path: Path, capsy
     folder = tmp_path / "materials"
     folder.mkdir()
     assert cli.main(["fit", str(folder)]) == 2
-    assert "holds no .binary file" in sentence(capsys)
+    assert "contains no .binary file" in sentence(capsys)
     (folder / "a.binary").symlink_to(plastic_file)
     (folder / "notes.txt").write_text("not a measurement")
     assert cli.main(["fit", str(folder), "--json", *QUICK]) == 0
@@ -197,6 +199,35 @@ def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
     for file in files:
         shutil.copyfile(plastic_file, file)
     return [str(file) for file in files]
+
+
+@pytest.fixture
+def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every attempt to start a worker process fail."""
+
+    def refuse(*_: Any) -> NoReturn:
+        pytest.fail("a worker process was started")
+
+    monkeypatch.setattr(worker_process, "start_fork_server", refuse)
+    monkeypatch.setattr(worker_process.WorkerProcess, "__init__", refuse)
+
+
+@pytest.mark.usefixtures("no_processes")
+def test_one_file_is_fitted_in_this_process(
+    plastic_file: Path, tmp_path: Path, capsys: Capture, terminal: Callable[[], None]
+) -> None:
+    terminal()
+    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), *QUICK]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("plastic: 1 lobe")
+    assert "1/1 files" in captured.err
+    assert load(tmp_path / "plastic.json").n_lobes == 1
+
+
+@pytest.mark.usefixtures("no_processes")
+def test_one_bad_file_gets_one_sentence(damaged_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(damaged_file)]) == 2
+    assert sentence(capsys).startswith(f"dsbrdf: {damaged_file}: The data has only 1000 bytes")
 
 
 def test_a_second_run_keeps_what_is_there(
@@ -263,8 +294,8 @@ def test_a_full_disk_is_not_the_users_fault(
 
 
 def options_of(*words: str) -> dsbrdf.FitOptions:
-    parser = cli._Parser()
-    flags.add_fit_flags(parser)
+    parser = Parser()
+    flags.add_fit_options(parser)
     return flags.fit_options(parser.parse_args(words))
 
 
@@ -277,7 +308,7 @@ def test_every_option_has_a_flag_with_help(capsys: Capture) -> None:
         cli.main(["fit", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     for field in fields(dsbrdf.FitOptions):
-        flag = "--lobes" if field.name == "n_lobes" else f"--{field.name.replace('_', '-')}"
+        flag = f"--{field.name.replace('_', '-')}"
         assert f" {flag}" in text
     assert "[rad]" not in text
     assert "(default: 80)" in text
@@ -285,20 +316,20 @@ def test_every_option_has_a_flag_with_help(capsys: Capture) -> None:
 
 def test_every_angle_among_the_options_is_known_as_one() -> None:
     names = {field.name for field in fields(dsbrdf.FitOptions)}
-    angles = {name for name, text in flags._field_texts().items() if "[rad]" in text}
-    assert angles == flags.ANGLES & names
+    angles = {name for name, text in flags._field_descriptions().items() if "[rad]" in text}
+    assert angles == flags.ANGLE_FIELDS & names
 
 
 def test_the_help_does_not_depend_on_how_this_python_keeps_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python 3.13 takes the indentation off."""
-    texts = flags._field_texts()
+    texts = flags._field_descriptions()
     assert set(texts) == {field.name for field in fields(dsbrdf.FitOptions)}
     monkeypatch.setattr(dsbrdf.FitOptions, "__doc__", inspect.cleandoc(dsbrdf.FitOptions.__doc__ or ""))
-    assert flags._field_texts() == texts
+    assert flags._field_descriptions() == texts
 
 
 def test_flags_reach_the_options() -> None:
-    words = ["--lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
+    words = ["--n-lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
     asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff=float(np.radians(75)))
     assert options_of(*words) == asked
     assert options_of("--horizon-cutoff", "none").horizon_cutoff is None
@@ -308,9 +339,9 @@ def test_flags_reach_the_options() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--lobes", "9"], "n_lobes must be"),
-        (["--lobes", "two"], "--lobes: must be "),
-        (["--lobes", "2.5"], "--lobes: must be "),
+        (["--n-lobes", "9"], "n_lobes must be"),
+        (["--n-lobes", "two"], "--n-lobes: must be "),
+        (["--n-lobes", "2.5"], "--n-lobes: must be "),
         (["--weighting", "heavy"], "--weighting: must be plain or cosine or log, not 'heavy'"),
         (["--horizon-cutoff", "100"], "cutoff must lie above 0 and at most at 90 degrees, not at 100"),
         (["--horizon-cutoff", "nan"], "cutoff must lie above 0"),
@@ -376,7 +407,7 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
         ([], "--theta-half is missing"),
         (["--theta-half", "1"], "--theta-diff is missing"),
         (["--omega-in", "0,0,1"], "--omega-out is missing"),
-        (["--theta-half", "1", "2", "--theta-diff", "1", "2", "3"], "do not pair up"),
+        (["--theta-half", "1", "2", "--theta-diff", "1", "2", "3"], "cannot be combined"),
         (["--theta-half", "91", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
         (["--theta-half", "-1", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
         (["--theta-half", "x", "--theta-diff", "0"], "--theta-half: invalid float value: 'x'"),
@@ -459,9 +490,14 @@ def test_a_folder_that_is_not_there_is_told_by_the_name_that_was_given(
 
 def test_serve_becomes_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[list[str]] = []
-    monkeypatch.setattr(os, "execv", lambda _, command: calls.append(command))
-    cli.main(["serve"])
-    cli.main(["serve", "--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"])
+
+    def execv(_: str, command: list[str]) -> NoReturn:
+        calls.append(command)
+        raise SystemExit
+
+    monkeypatch.setattr(os, "execv", execv)
+    exit_code(["serve"])
+    exit_code(["serve", "--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"])
     start = [sys.executable, "-m", "service"]
     every = ["--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"]
     assert calls == [start, start + every]
@@ -485,7 +521,16 @@ def test_version(capsys: Capture) -> None:
     assert capsys.readouterr().out == f"dsbrdf {dsbrdf.__version__}\n"
 
 
-@pytest.mark.parametrize("words", [[], ["unknown"], ["fit"], ["eval"], ["export", "m.json"], ["serve", "--port", "x"]])
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]])
+def test_command_that_computes_nothing_imports_no_numpy(words: list[str]) -> None:
+    """NumPy and SciPy would take most of the time of such a command."""
+    program = "import atexit, sys\nfrom dsbrdf.cli.main import main\n"
+    program += "atexit.register(lambda: print(sorted({'numpy', 'scipy'} & {*sys.modules})))\nsys.exit(main())"
+    answer = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("words", [[], ["unknown"], ["fit"], ["eval"], ["export", "m.json"]])
 def test_bad_usage_gets_one_sentence(words: list[str], capsys: Capture) -> None:
     assert exit_code(words) == 2
     assert sentence(capsys).startswith("dsbrdf")
@@ -495,7 +540,7 @@ def test_a_fault_of_our_own_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch,
     def broken(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(cli, "component_documents", broken)
+    monkeypatch.setattr(model_commands, "component_documents", broken)
     with pytest.raises(ZeroDivisionError):
         cli.main(["decompose", str(model_file)])
 

@@ -12,9 +12,9 @@ import pytest
 
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Fault, FitTask, Fitted, Limits
-from dsbrdf.engines.fit_task import complete, fit_parcel, reduce
-from dsbrdf.engines.local import Children
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask, Fitted
+from dsbrdf.engines.fit_steps import complete_report, fit_payload, reduce_measurement
+from dsbrdf.engines.local import WorkerProcesses
 from tests.dask_cluster import DaskCluster, forked
 from tests.service.running import alive, wait_until
 from tests.test_engines import ENDLESS, LIMITS, PATIENCE, QUICK, Stage, fault_of, ready, started, until, until_fitting
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 def test_a_scheduler_that_cannot_be_reached_is_told_in_one_sentence(
     address: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_room, "_PATIENCE", 1.0)
+    monkeypatch.setattr(cluster_room, "_CONNECT_TIMEOUT", 1.0)
 
     async def body() -> str:
         engine = DaskEngine(address, 1)
@@ -57,7 +57,7 @@ def test_a_scheduler_that_cannot_be_reached_is_told_in_one_sentence(
 def test_a_worker_that_hangs_loses_its_fit_to_another(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_room, "_SILENCE", 5.0)
+    monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 5.0)
     own_cluster.start_scheduler()
     hung = own_cluster.add_worker()
 
@@ -67,7 +67,7 @@ def test_a_worker_that_hangs_loses_its_fit_to_another(
             (victim,) = await until_fitting(Stage(own_cluster))
             hung.send_signal(signal.SIGSTOP)
             fault = await until(lambda: fault_of(engine), lambda fault: fault is not None)
-            assert fault.endswith("has not been heard of for 5 s.")
+            assert fault.endswith("has sent nothing for 5 s.")
             other = own_cluster.add_worker()
             await until(lambda: asyncio.sleep(0, forked(other.pid)), bool)
             hung.send_signal(signal.SIGCONT)
@@ -84,7 +84,7 @@ def test_a_worker_that_hangs_loses_its_fit_to_another(
 def test_a_scheduler_that_hangs_is_lost_until_it_answers(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_room, "_SILENCE", 3.0)
+    monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 3.0)
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     assert own_cluster.scheduler is not None
@@ -109,14 +109,14 @@ def test_a_scheduler_that_hangs_is_lost_until_it_answers(
 def test_a_worker_that_could_not_tell_what_it_is_is_asked_again(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_room, "_ANSWER", 0.0)
-    monkeypatch.setattr(cluster_room, "_AGAIN", 0.1)
+    monkeypatch.setattr(cluster_room, "_DESCRIBE_TIMEOUT", 0.0)
+    monkeypatch.setattr(cluster_room, "_RETRY_DELAY", 0.1)
 
     async def body() -> None:
         engine = DaskEngine(cluster.address, 1)
         await engine.start()
-        await until(lambda: fault_of(engine), lambda fault: fault is not None and "has not told within 0 s" in fault)
-        monkeypatch.setattr(cluster_room, "_ANSWER", PATIENCE)
+        await until(lambda: fault_of(engine), lambda fault: "has not answered within 0 s" in (fault or ""))
+        monkeypatch.setattr(cluster_room, "_DESCRIBE_TIMEOUT", PATIENCE)
         await ready(engine)
         await engine.close()
 
@@ -144,9 +144,9 @@ def test_a_cancelled_fit_is_gone_whatever_it_was_doing(cluster: DaskCluster, pla
 
 def test_what_waits_for_a_process_is_cancelled_at_once() -> None:
     async def body() -> None:
-        children = Children(1, Limits())
-        first = asyncio.create_task(children.run(_sleep, 60.0, tell=lambda _: None))
-        second = asyncio.create_task(children.run(_sleep, 60.0, tell=lambda _: None))
+        children = WorkerProcesses(1, FitLimits())
+        first = asyncio.create_task(children.run(_sleep, 60.0, on_progress=lambda _: None))
+        second = asyncio.create_task(children.run(_sleep, 60.0, on_progress=lambda _: None))
         await until(lambda: asyncio.sleep(0, forked(os.getpid())), bool)
         second.cancel()
         await asyncio.wait([second], timeout=PATIENCE)
@@ -167,13 +167,13 @@ def test_a_file_that_changes_while_it_is_fitted_gives_no_result(plastic_file: Pa
     path = tmp_path / "changing.binary"
     shutil.copyfile(plastic_file, path)
     task = FitTask("one", path, QUICK)
-    reduced = reduce(task, lambda _: None)
-    fitted = fit_parcel(reduced.packed, task.options, lambda _: None)
+    reduced = reduce_measurement(task, lambda _: None)
+    fitted = fit_payload(reduced.payload, task.options, lambda _: None)
     assert isinstance(fitted, Fitted)
     with path.open("r+b") as file:
         file.seek(-8, os.SEEK_END)
         file.write(bytes(8))
-    outcome = complete(fitted, task, reduced.sha256, lambda _: None)
+    outcome = complete_report(fitted, task, reduced.sha256, lambda _: None)
     message = "The measurement's file was changed while it was being fitted."
     assert outcome == Fault("system", "MeasurementChanged", message)
 

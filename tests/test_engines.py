@@ -21,9 +21,9 @@ from dsbrdf import FitOptions
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines import worker_process as child
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Limits, Outcome
-from dsbrdf.engines.fair_slots import Places
-from dsbrdf.engines.fit_task import reduce
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask, Fitted, Outcome
+from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.fit_steps import reduce_measurement
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.output.serialize import to_json
 from tests.dask_cluster import DaskCluster, forked
@@ -35,7 +35,7 @@ QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
 MIDDLE = FitOptions(method="paper", n_lobes=8, em_iterations=100)
 SLOW = FitOptions(n_lobes=8, ring_lobes=2)
 ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, range(81))))  # minutes
-LIMITS = Limits(seconds=120.0, memory_mb=4096)
+LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 PATIENCE = 120.0
 
 
@@ -45,7 +45,7 @@ class Stage:
     def __init__(self, cluster: DaskCluster | None) -> None:
         self.cluster = cluster
 
-    def engine(self, limits: Limits = LIMITS) -> Engine:
+    def engine(self, limits: FitLimits = LIMITS) -> Engine:
         return LocalEngine(1, limits) if self.cluster is None else DaskEngine(self.cluster.address, 1, limits)
 
     def fitting(self) -> list[int]:
@@ -104,7 +104,7 @@ async def until_busy(cluster: DaskCluster) -> "subprocess.Popen[bytes]":
     return worker
 
 
-def run(stage: Stage, task: FitTask, limits: Limits = LIMITS) -> tuple[Outcome, list[float]]:
+def run(stage: Stage, task: FitTask, limits: FitLimits = LIMITS) -> tuple[Outcome, list[float]]:
     shares: list[float] = []
 
     async def body() -> Outcome:
@@ -185,12 +185,12 @@ def test_a_file_that_is_gone_is_a_fault_of_the_system(stage: Stage, tmp_path: Pa
 
 
 def test_a_fit_has_a_memory_limit(stage: Stage, plastic_file: Path) -> None:
-    outcome, _ = run(stage, FitTask("one", plastic_file, SLOW), Limits(60.0, 200))
+    outcome, _ = run(stage, FitTask("one", plastic_file, SLOW), FitLimits(60.0, 200))
     assert outcome == Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 
 def test_a_fit_has_a_time_limit(stage: Stage, plastic_file: Path) -> None:
-    outcome, _ = run(stage, FitTask("one", plastic_file, ENDLESS), Limits(0.5, 4096))
+    outcome, _ = run(stage, FitTask("one", plastic_file, ENDLESS), FitLimits(0.5, 4096))
     assert outcome == Fault("compute", "TimeLimit", "The fit took longer than the 0.5 s that a fit may take.")
     wait_until(lambda: not stage.fitting())
 
@@ -255,7 +255,7 @@ def test_so_many_are_in_flight_as_there_is_room_for(
     begun: list[int] = []
 
     async def fit_one(engine: Engine, number: int, go: asyncio.Event) -> None:
-        async with engine.turn():
+        async with engine.slot():
             begun.append(number)
             await go.wait()
 
@@ -337,10 +337,10 @@ def test_without_fork_servers_processes_are_started_afresh(plastic_file: Path, m
 
 
 def test_only_profiles_travel(plastic_file: Path) -> None:
-    plain = reduce(FitTask("one", plastic_file, FitOptions()), lambda _: None)
-    weighted = reduce(FitTask("one", plastic_file, FitOptions(weighting="log")), lambda _: None)
-    assert len(plain.packed) < 400_000
-    assert len(weighted.packed) < 1_000_000
+    plain = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
+    weighted = reduce_measurement(FitTask("one", plastic_file, FitOptions(weighting="log")), lambda _: None)
+    assert len(plain.payload) < 400_000
+    assert len(weighted.payload) < 1_000_000
 
 
 def test_a_cluster_is_waited_for_and_followed(own_cluster: DaskCluster, plastic_file: Path) -> None:
@@ -376,7 +376,7 @@ def test_a_cluster_is_waited_for_and_followed(own_cluster: DaskCluster, plastic_
     held: list[object] = []
 
     async def hold(engine: Engine) -> None:
-        async with engine.turn() as turn:
+        async with engine.slot() as turn:
             held.append(turn)
             await asyncio.sleep(PATIENCE)
 
@@ -453,7 +453,7 @@ def test_a_worker_that_may_not_start_processes_is_not_used(own_cluster: DaskClus
         engine = stage.engine()
         await engine.start()
         fault = await until(lambda: fault_of(engine), lambda fault: fault is not None and "processes" in fault)
-        assert "may not start processes" in fault
+        assert "may not start child processes" in fault
         assert "--no-nanny" in fault
         assert "DASK_DISTRIBUTED__WORKER__DAEMON=false" in fault
         own_cluster.add_worker()
@@ -492,12 +492,12 @@ def test_fits_stay_within_the_memory_of_their_worker(own_cluster: DaskCluster, p
 
 def test_places_are_given_in_order_and_to_the_emptiest() -> None:
     async def body() -> None:
-        places = Places({"a": 2, "b": 1})
+        places = FairSlots({"a": 2, "b": 1})
         taken: list[str] = []
         go = asyncio.Event()
 
         async def take(number: int) -> None:
-            async with places.one() as place:
+            async with places.slot() as place:
                 taken.append(f"{number}{place}")
                 await go.wait()
 
@@ -522,13 +522,13 @@ def test_places_are_given_in_order_and_to_the_emptiest() -> None:
 
 def test_a_place_given_to_one_who_leaves_goes_to_the_next() -> None:
     async def body() -> None:
-        places = Places({"a": 1})
+        places = FairSlots({"a": 1})
 
         async def take() -> None:
-            async with places.one():
+            async with places.slot():
                 await asyncio.sleep(0)
 
-        async with places.one():
+        async with places.slot():
             waiting = asyncio.create_task(take())
             await asyncio.sleep(0)
         waiting.cancel()  # it has been given the place, and has not run since

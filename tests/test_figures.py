@@ -18,7 +18,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.figures import lobes_figure, overview_figure, profiles_figure, render
+from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
 
 Fitted = tuple[Profiles, DSBRDF]
 
@@ -87,7 +87,7 @@ def test_the_overview_has_both_rows_for_every_slice(fitted: Fitted) -> None:
 def test_a_slice_without_data_still_makes_a_picture(fitted: Fitted) -> None:
     summary, model = fitted
     assert not np.any(summary.weight[:, 89])
-    assert render(profiles_figure(summary, model, theta_diff=[np.pi / 2])).startswith(b"\x89PNG")
+    assert encode_figure(profiles_figure(summary, model, theta_diff=[np.pi / 2])).startswith(b"\x89PNG")
 
 
 def test_a_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
@@ -100,13 +100,13 @@ def test_a_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
 def test_formats(fitted: Fitted) -> None:
     figure = profiles_figure(*fitted, theta_diff=[0.0])
     width, height = figure.get_size_inches()
-    image = imread(BytesIO(render(figure, dpi=100)), format="png")
+    image = imread(BytesIO(encode_figure(figure, dpi=100)), format="png")
     assert image.shape == (round(height * 100), round(width * 100), 4)
     assert image[..., :3].std() > 0.05
-    assert b"<svg" in render(figure, "svg")
-    assert render(figure, "pdf").startswith(b"%PDF")
-    with pytest.raises(InvalidArgumentError, match="a picture's format must be png, svg or pdf, not 'bmp'"):
-        render(figure, "bmp")
+    assert b"<svg" in encode_figure(figure, "svg")
+    assert encode_figure(figure, "pdf").startswith(b"%PDF")
+    with pytest.raises(InvalidArgumentError, match="the image format must be png, svg or pdf, not 'bmp'"):
+        encode_figure(figure, "bmp")
 
 
 @pytest.mark.parametrize("theta_diff", [[], [-0.1], [2.0], [np.nan], [[0.0]]])
@@ -123,7 +123,7 @@ def test_an_unknown_channel_is_refused(fitted: Fitted) -> None:
 def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     with pytest.raises(
-        extras.MissingExtraError, match=r"figures cannot do without matplotlib.*pip install 'dsbrdf\[plot\]'"
+        extras.MissingExtraError, match=r"matplotlib must be installed for figures: pip install 'dsbrdf\[plot\]'"
     ):
         profiles_figure(*fitted)
 
@@ -131,12 +131,12 @@ def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatc
 def test_a_figure_touches_no_global_state() -> None:
     code = """
 import sys, numpy as np
-from dsbrdf.output.figures import overview_figure, render
+from dsbrdf.output.figures import encode_figure, overview_figure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.data.reduction import Profiles
 ones = np.ones((3, 90, 90))
 model = DSBRDF([0.0], ones[:, :1, :1], ones[:, :1, :1], ones[:, :1, :1] * 0, ones[:, :1, 0] * 0)
-render(overview_figure(Profiles(ones, ones, ones * 0, None, "plain", False, "flat", ""), model))
+encode_figure(overview_figure(Profiles(ones, ones, ones * 0, None, "plain", False, "flat", ""), model))
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -146,4 +146,4 @@ def test_figures_are_the_callers_own(fitted: Fitted) -> None:
     first, second = (profiles_figure(*fitted, theta_diff=[0.0]) for _ in range(2))
     assert isinstance(first, Figure)
     assert first is not second
-    assert render(first) == render(second)
+    assert encode_figure(first) == encode_figure(second)

@@ -134,7 +134,7 @@ def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, t
     save(model, path)
     bad = replace(report, metrics={"relative_rms": float("nan")})
     for target in (path, tmp_path / "model.npz"):
-        with pytest.raises(InvalidArgumentError, match="report must hold plain, finite content"):
+        with pytest.raises(InvalidArgumentError, match="report must contain only plain, finite values"):
             save(FitResult(model, bad), target)
     assert_same_bits(load(path), model)
     assert list(tmp_path.iterdir()) == [path]

@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 import dsbrdf
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Limits
+from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask
 from dsbrdf.engines.local import LocalEngine
 from service.commands.command_line import Parser, refuse, settings_of
 from service.http.problems import sentence
@@ -136,13 +136,13 @@ def _connection(folder: Path) -> sqlite3.Connection:
 
 
 async def _fit(settings: Settings) -> str:
-    engine = LocalEngine(1, Limits(settings.fit_seconds, settings.fit_memory_mb))
+    engine = LocalEngine(1, FitLimits(settings.fit_seconds, settings.fit_memory_mb))
     await engine.start()
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "generated.binary"
             dsbrdf.write_merl(path, synthetic_measurement())
-            async with engine.turn():
+            async with engine.slot():
                 outcome = await engine.run(FitTask("doctor", path, _QUICK), lambda _: None)
     finally:
         await engine.close()

@@ -1,7 +1,7 @@
 """The engine that the settings ask for."""
 
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Limits
+from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
 from service.settings import Settings
 
@@ -14,7 +14,7 @@ def engine_of(settings: Settings) -> Engine:
     MissingExtraError
         If it needs what is not installed.
     """
-    limits = Limits(settings.fit_seconds, settings.fit_memory_mb)
+    limits = FitLimits(settings.fit_seconds, settings.fit_memory_mb)
     if settings.engine == "dask":
         return DaskEngine(settings.scheduler, settings.workers, limits)
     return LocalEngine(settings.workers, limits)

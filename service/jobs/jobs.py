@@ -202,7 +202,7 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._engine.turn(key.owner):
+        async with self._engine.slot(key.owner):
             row = await _written(self._store.start_fit, key)
             if row is None:
                 return True

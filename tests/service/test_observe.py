@@ -260,6 +260,6 @@ def test_what_a_process_that_fits_has_to_say_is_in_the_same_log(own_server: Call
     fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "unreadable"}).json()
     assert fit["status"] == "failed"
     (told,) = [line for line in lines_of(server, "unreadable") if "exception" in line]
-    assert told["logger"] == "dsbrdf.engines.fit_task"
+    assert told["logger"] == "dsbrdf.engines.fit_steps"
     assert told["fit"] == fit["id"]
     assert "FileNotFoundError" in told["exception"]

@@ -13,7 +13,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Fitted, Outcome
-from dsbrdf.engines.fair_slots import Places
+from dsbrdf.engines.fair_slots import FairSlots
 from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
 from service.operations.metrics import Metrics
@@ -33,12 +33,12 @@ class Engine:
         self.at_once = 0
         self.go_on = asyncio.Event()
         self.outcomes: list[Outcome | Exception] = []
-        self.turns = Places({"here": 1})
+        self.slots = FairSlots({"here": 1})
         self.begun: list[str] = []
 
     @asynccontextmanager
-    async def turn(self, whose: str = "") -> AsyncIterator[None]:
-        async with self.turns.one(whose):
+    async def slot(self, owner: str = "") -> AsyncIterator[None]:
+        async with self.slots.slot(owner):
             yield
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:

@@ -1,11 +1,11 @@
-"""A model as a MERL ``.binary`` table, which programs that read measurements open like one."""
+"""A model as a MERL ``.binary`` table, for programs that read measurements."""
 
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.model.dsbrdf import DSBRDF
 
 
 def merl_table(model: DSBRDF) -> bytes:
-    """Return the bytes of a MERL file with the model's values at every node.
+    """Return the bytes of a MERL file with the values of a model at every node.
 
     Parameters
     ----------
@@ -14,7 +14,7 @@ def merl_table(model: DSBRDF) -> bytes:
     Returns
     -------
     bytes
-        34,992,012 of them.
+        34,992,012 bytes.
 
     Raises
     ------
