@@ -1,4 +1,4 @@
-"""The rules that keep the project in shape: who imports whom, what is public, what must not be in the tree."""
+"""Rules on the source tree: which wing may import which, what is public, what must not be in a file."""
 
 import ast
 import importlib
@@ -9,15 +9,18 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Collection
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
+import service
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = sorted((ROOT / "dsbrdf").rglob("*.py"))
-SOURCES = sorted(path for room in ("dsbrdf", "service", "benchmarks") for path in (ROOT / room).rglob("*.py"))
+SOURCES = sorted(path for package in ("dsbrdf", "service", "benchmarks") for path in (ROOT / package).rglob("*.py"))
 HEAVY = {"service", "fastapi", "starlette", "pydantic", "uvicorn", "matplotlib", "tqdm", "httpx", "distributed"}
 PROMISED = {
     "DSBRDF",
@@ -63,14 +66,13 @@ def test_a_library_module_imports_only_what_it_may(path: Path) -> None:
 
 
 def test_all_is_the_public_interface() -> None:
+    values = {name: getattr(dsbrdf, name) for name in dir(dsbrdf) if not name.startswith("_")}
     mine = {
         name
-        for name, value in vars(dsbrdf).items()
-        if not name.startswith("_")
-        and getattr(value, "__module__", "").startswith("dsbrdf")
-        and not inspect.ismodule(value)
+        for name, value in values.items()
+        if getattr(value, "__module__", "").startswith("dsbrdf") and not inspect.ismodule(value)
     }
-    constants = {name for name in dsbrdf.__all__ if name.isupper() and not callable(getattr(dsbrdf, name))}
+    constants = {"ALGORITHM_VERSION", "__version__"}
     assert mine | constants == set(dsbrdf.__all__)
     assert set(dsbrdf.__all__) >= PROMISED
     assert len(dsbrdf.__all__) == len(set(dsbrdf.__all__))
@@ -93,11 +95,106 @@ def test_a_public_name_has_a_docstring(name: str) -> None:
     assert not callable(value) or inspect.getdoc(value)
 
 
-@pytest.mark.parametrize("package", ["dsbrdf", "service"])
-def test_every_room_is_described(package: str) -> None:
-    text = (ROOT / "CONTRIBUTING.md").read_text().partition(f"| room of `{package}`")[2].partition("\n\n")[0]
-    rooms = {path.name for path in (ROOT / package).glob("*.py")} - {"__init__.py"}
-    assert set(re.findall(r"`(\w+\.py)`", text)) == rooms
+PACKAGES = ["dsbrdf", *(["service"] if "Wings, " in (service.__doc__ or "") else [])]
+
+
+def module_name(path: Path) -> str:
+    """Dotted name of a source file, such as ``dsbrdf.data.grid``; that of its package for an ``__init__.py``."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def modules_of(package: str) -> dict[str, Path]:
+    return {module_name(path): path for path in sorted((ROOT / package).rglob("*.py"))}
+
+
+def imports_of(path: Path, modules: Collection[str]) -> set[str]:
+    """Modules of the project that a file imports, at the top or inside a function."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            parent = node.module or ""
+            names = {f"{parent}.{alias.name}" for alias in node.names}
+            found |= names & set(modules)
+            if names - set(modules):
+                found.add(parent)
+    return found & set(modules)
+
+
+def wings_of(package: str) -> list[str]:
+    """The wings in their order, as the package's docstring gives it."""
+    docstring = " ".join((importlib.import_module(package).__doc__ or "").split())
+    listed = re.search(r"Wings, each calling only those to its left: ([\w, ]+)\.", docstring)
+    assert listed, f"the docstring of {package} must list its wings"
+    return listed[1].split(", ")
+
+
+def wing_of(module: str) -> str:
+    """Name of the wing, or of the module at the top of the package; empty for the package itself."""
+    return module.partition(".")[2].partition(".")[0]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_wings_are_those_that_exist(package: str) -> None:
+    existing = {wing_of(module) for module in modules_of(package)} - {"", "__main__"}
+    assert sorted(existing) == sorted(wings_of(package))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_wing_imports_only_wings_to_its_left(package: str) -> None:
+    modules = modules_of(package)
+    order = {name: position for position, name in enumerate([*wings_of(package), "__main__"])}
+    wrong = [
+        f"{module} imports {imported}"
+        for module, path in modules.items()
+        if wing_of(module)  # the package itself may offer what it likes
+        for imported in imports_of(path, modules)
+        if not wing_of(imported) or order[wing_of(imported)] > order[wing_of(module)]
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_import_cycle(package: str) -> None:
+    modules = modules_of(package)
+    graph = {module: imports_of(path, modules) for module, path in modules.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"modules import each other: {' <- '.join(error.args[1])}")
+
+
+def offered_names(path: Path) -> set[str]:
+    """Names that a package gives to those who import it."""
+    names: set[str] = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            names |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Assign):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+            if any(isinstance(target, ast.Name) and target.id == "__all__" for target in node.targets):
+                names |= set(ast.literal_eval(node.value))
+    return {name for name in names if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_is_named_like_a_public_name(package: str) -> None:
+    packages = {module: path for module, path in modules_of(package).items() if path.name == "__init__.py"}
+    offered = {f"{module}.{name}" for module, path in packages.items() for name in offered_names(path)}
+    assert offered & set(modules_of(package)) == set()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_contributing_describes_every_wing(package: str) -> None:
+    table = (ROOT / "CONTRIBUTING.md").read_text().partition(f"| wing of `{package}` |")[2].partition("\n\n")[0]
+    described = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", table, flags=re.MULTILINE)
+    names = [name for cell in described for name in re.findall(r"`(\w+)`", cell)]
+    assert sorted(names) == sorted(wings_of(package))
 
 
 def test_the_lock_pins_with_hashes_and_names_no_registry() -> None:
