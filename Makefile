@@ -49,7 +49,7 @@ bench: $(READY)  ## run the benchmarks but the two long ones
 
 soak: $(READY)  ## load the service for DURATION minutes (30), then look for odd inputs for longer than the tests do
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	$(BIN)/python -m pytest --hypothesis-profile=soak tests/test_fuzz.py tests/service/test_fuzz_bodies.py
+	$(BIN)/python -m pytest --hypothesis-profile=soak -k fuzz
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh

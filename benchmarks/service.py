@@ -25,11 +25,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
-from benchmarks.stand import Stand
 from dsbrdf.data.merl import FILE_SIZE, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.serialize import from_json
-from tests.service.running import Server
+from tests.support.durability.harness import Stand
+from tests.support.server import Server
 
 CONNECTIONS = 16
 POINTS = 1_000_000

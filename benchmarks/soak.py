@@ -23,10 +23,10 @@ from statistics import median
 from typing import NamedTuple
 
 from benchmarks.load import STEPS, Client, Tally
-from benchmarks.stand import Stand
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.service.running import Server
+from tests.support.durability.harness import Stand
+from tests.support.server import Server
 
 _OUT = Path("out")
 _INTERVAL = 3.0  # seconds

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from service.client import Client, ServiceError
+from service.client import AccessError, Client, LimitError, ServiceError
 from service.wire.fit_options import from_wire
-from tests.service.running import ENDLESS, Server
+from tests.support.guarded import Guarded
+from tests.support.server import ENDLESS, Server
 
 pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
@@ -88,3 +89,38 @@ def test_a_service_that_is_not_there_is_named() -> None:
         with pytest.raises(ServiceError, match=r"127\.0\.0\.1:9 is not ready"):
             client.wait_until_ready(0.3)
         assert time.monotonic() - start < 10  # of the 30 s that it waits by itself
+
+
+def test_the_client_sends_its_key_and_tells_what_was_refused(
+    guarded: Guarded, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = str(guarded.server.http.base_url)
+    key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
+    with Client(url, key=key) as client:
+        sha256 = client.upload(data)
+        assert client.measurement(sha256).values.shape == (3, 90, 90, 180)
+        with pytest.raises(LimitError, match="unfinished") as limited:
+            client.submit(data)
+        assert limited.value.problem["status"] == 429
+        assert limited.value.retry_after == 5.0
+        with pytest.raises(ServiceError, match="There is no fit"):
+            client.get("0" * 32)
+    monkeypatch.setenv("DSBRDF_KEY", key)
+    with Client(url) as client:
+        assert list(client.fits()) == []
+    monkeypatch.setenv("DSBRDF_KEY", key[:-2])
+    with Client(url) as client:
+        for call in (lambda: client.upload(data), lambda: list(client.fits()), lambda: client.delete("0" * 32)):
+            with pytest.raises(AccessError, match="API key") as refused:
+                call()
+            assert refused.value.problem["status"] == 401
+            assert key[:-2] not in str(refused.value)
+    monkeypatch.delenv("DSBRDF_KEY")
+    with Client(url) as client, pytest.raises(AccessError, match="API key"):
+        client.upload(data)
+    small = guarded.new_key("small", stored_mb=1)["Authorization"].removeprefix("Bearer ")
+    with Client(url, key=small) as client, pytest.raises(LimitError, match="stored") as full:
+        client.upload(data)
+    assert full.value.retry_after is None
+    with pytest.raises(ValueError, match="key"):
+        Client(url, key="clé")
