@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron
 
 from benchmarks.ggx import Objective, fit_ggx
+from benchmarks.material_filter import add_arguments, chosen_measurements
 from benchmarks.scoring import PAPER_RANGE, RowPredictor, Score, errors, n_numbers, of_profile
-from benchmarks.selected import add_arguments, chosen_measurements
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles

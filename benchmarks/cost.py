@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_files, chosen_measurements
 from benchmarks.scoring import n_numbers
-from benchmarks.selected import REFERENCE_VARIABLE, add_arguments, chosen_files, chosen_measurements
 from dsbrdf.data.merl import read_merl, write_merl
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning

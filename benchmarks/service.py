@@ -28,7 +28,7 @@ from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load
 from dsbrdf.data.merl import FILE_SIZE, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.serialize import from_json
-from tests.support.durability.harness import Stand
+from tests.support.durability.harness import Harness
 from tests.support.server import Server
 
 CONNECTIONS = 16
@@ -62,7 +62,7 @@ class Row(NamedTuple):
 class Place(NamedTuple):
     """Where a row is measured: a running service, and a measurement that it has."""
 
-    stand: Stand
+    harness: Harness
     server: Server
     runs: int
 
@@ -73,7 +73,7 @@ class Place(NamedTuple):
 
     def fitted(self) -> str:
         """Address of a default fit of the measurement."""
-        status, body = post(f"{self.address}/v1/fits?", [self.stand.measurement.read_bytes()], _RAW)
+        status, body = post(f"{self.address}/v1/fits?", [self.harness.measurement.read_bytes()], _RAW)
         assert status in (200, 201), body
         return f"{self.address}/v1/fits/{json.loads(body)['id']}"
 
@@ -81,15 +81,19 @@ class Place(NamedTuple):
 def gets(place: Place) -> list[Row]:
     """Values of one point, beside FastAPI alone, and while fits run."""
     url = f"{place.fitted()}/brdf?{_POINT}"
-    service, bare = [], []
-    with program([sys.executable, "-m", "benchmarks.bare"], place.stand.folder / "bare.log") as address:
+    service, baseline = [], []
+    with program(
+        [sys.executable, "-m", "benchmarks.fastapi_baseline"], place.harness.folder / "baseline.log"
+    ) as address:
         for target, seconds in ((url, 1.0), (f"{address}/values", 1.0)):
             get_repeatedly(target, CONNECTIONS, seconds)
         for _ in range(place.runs):
-            bare.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
+            baseline.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
             service.append(get_repeatedly(url, CONNECTIONS, 3.0))
-    ratio = statistics.median(ours.per_second / theirs.per_second for ours, theirs in zip(service, bare, strict=True))
-    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(bare)}"
+    ratio = statistics.median(
+        ours.per_second / theirs.per_second for ours, theirs in zip(service, baseline, strict=True)
+    )
+    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(baseline)}"
     with _fits_running(place):
         busy = [get_repeatedly(url, CONNECTIONS, 3.0) for _ in range(place.runs)]
     p99 = statistics.median(rate.p99 for rate in busy)
@@ -129,7 +133,7 @@ def npy(place: Place) -> list[Row]:
 
 def uploads(place: Place) -> list[Row]:
     """Different measurements at the same time."""
-    common = memoryview(place.stand.measurement.read_bytes())[:-8]
+    common = memoryview(place.harness.measurement.read_bytes())[:-8]
     _upload(place, common, 0)
     rates, growths = [], []
     for run in range(place.runs):
@@ -152,10 +156,10 @@ def overhead(place: Place) -> list[Row]:
     to every difference. The second row compares with the time of the very fit, as its report tells.
     """
     place.fitted()
-    file = place.stand.folder / "variant.binary"
+    file = place.harness.folder / "variant.binary"
     beside, own, apart, library = [], [], [], []
     for number in range(FITS):
-        body = place.stand.variant(number)
+        body = place.harness.variant(number)
         file.write_bytes(body)
         os.sync()  # the file written above is not the service's to wait for
         read, before = _library(file)
@@ -250,10 +254,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             if measurement is None:
                 measurement = Path(folder) / "plastic.binary"
                 write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-            stand = Stand(Path(folder), measurement, random.Random(0))
-            with stand.server() as server:
+            harness = Harness(Path(folder), measurement, random.Random(0))
+            with harness.server() as server:
                 server.start()
-                for row in PARTS[name](Place(stand, server, arguments.runs)):
+                for row in PARTS[name](Place(harness, server, arguments.runs)):
                     print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
                     missed |= not row.holds
     return int(missed)

@@ -25,7 +25,7 @@ from typing import NamedTuple
 from benchmarks.load import STEPS, Client, Tally
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.support.durability.harness import Stand
+from tests.support.durability.harness import Harness
 from tests.support.server import Server
 
 _OUT = Path("out")
@@ -56,8 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
         measurement = Path(folder) / "plastic.binary"
         write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-        stand = Stand(Path(folder), measurement, random.Random(arguments.seed))
-        samples, idle, tally = soak(stand, 60.0 * arguments.minutes)
+        harness = Harness(Path(folder), measurement, random.Random(arguments.seed))
+        samples, idle, tally = soak(harness, 60.0 * arguments.minutes)
         log = (Path(folder) / "data.log").read_text()
     _OUT.mkdir(exist_ok=True)
     _write(samples, _OUT / "soak.csv")
@@ -67,15 +67,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return _judge(samples, idle, tally, log)
 
 
-def soak(stand: Stand, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
+def soak(harness: Harness, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
     """Load a server; return the samples, the numbers of descriptors before and after, and the answers."""
     tally = Tally()
     samples: list[Sample] = []
-    with stand.server(workers="2") as server:
+    with harness.server(workers="2") as server:
         server.start()
         server.http.close()
         before = _sample(server, 0.0, tally).descriptors
-        with _clients(stand, str(server.http.base_url), tally):
+        with _clients(harness, str(server.http.base_url), tally):
             begin = time.monotonic()
             while (now := time.monotonic() - begin) < seconds:
                 samples.append(_sample(server, now, tally))
@@ -87,13 +87,13 @@ def soak(stand: Stand, seconds: float) -> tuple[list[Sample], tuple[int, int], T
 
 
 @contextmanager
-def _clients(stand: Stand, address: str, tally: Tally) -> Iterator[None]:
+def _clients(harness: Harness, address: str, tally: Tally) -> Iterator[None]:
     over = threading.Event()
     with ThreadPoolExecutor(len(STEPS)) as pool:
         futures = []
         for number, step in enumerate(STEPS):
-            bodies = [stand.variant(2 * number + i) for i in range(2)]
-            client = Client(address, bodies, tally, stand.random.getrandbits(32))
+            bodies = [harness.variant(2 * number + i) for i in range(2)]
+            client = Client(address, bodies, tally, harness.random.getrandbits(32))
             futures.append(pool.submit(client.run, step, over))
         try:
             yield

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.material_filter import add_arguments, chosen_measurements
 from benchmarks.scoring import RowPredictor, errors, of_profile
-from benchmarks.selected import add_arguments, chosen_measurements
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes

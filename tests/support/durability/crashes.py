@@ -12,11 +12,18 @@ from contextlib import contextmanager, suppress
 import httpx
 
 from dsbrdf.data.merl import FILE_SIZE
-from tests.support.durability.harness import Stand, happens, leftovers, processes, rows, same_bits
-from tests.support.durability.stateful_clients import LONG, OPTIONS, Customer, busy
+from tests.support.durability.harness import (
+    Harness,
+    becomes_true,
+    leftovers,
+    processes,
+    query_database,
+    same_bits,
+)
+from tests.support.durability.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
 from tests.support.server import Server
 
-_CUSTOMERS = 4
+_CLIENTS = 4
 _STARTS_KILLED = 0.25  # share of the starts that are killed, too
 _NO_MEMORY = 1 << 26  # bytes of address space, less than a fit's process has when it starts
 _LONGEST_END = 10.0  # seconds
@@ -24,98 +31,98 @@ _LAST_BREATH = 30.0  # seconds after which a process of a server which is gone c
 _PATIENCE = 60.0  # seconds; on a busy machine everything takes longer
 
 
-def server_killed(stand: Stand, times: int) -> str:
+def server_killed(harness: Harness, times: int) -> str:
     """Kill the server at random moments under load; start it again at once."""
-    models = stand.models(*OPTIONS)
-    customers = [Customer(number, stand, models) for number in range(_CUSTOMERS)]
-    with stand.server(workers="2") as server:
+    models = harness.models(*OPTIONS)
+    clients = [StatefulClient(number, harness, models) for number in range(_CLIENTS)]
+    with harness.server(workers="2") as server:
         server.start()
         for _ in range(times):
-            _kill_under_load(stand, server, customers)
-        promised = sum(customer.settle(server.http) for customer in customers)
-        accepted = sum(customer.accepted for customer in customers)
-        _end(stand, server)
+            _kill_under_load(harness, server, clients)
+        promised = sum(client.settle(server.http) for client in clients)
+        accepted = sum(client.accepted for client in clients)
+        _end(harness, server)
     return (
-        f"{times} kills, {_answers(customers)} requests, {accepted} fits accepted, {promised} of them due at the end: "
-        f"{len(stand.faults)} faults"
+        f"{times} kills, {_answers(clients)} requests, {accepted} fits accepted, {promised} of them due at the end: "
+        f"{len(harness.faults)} faults"
     )
 
 
-def _kill_under_load(stand: Stand, server: Server, customers: list[Customer]) -> None:
-    with busy(customers, str(server.http.base_url)) as over:
+def _kill_under_load(harness: Harness, server: Server, clients: list[StatefulClient]) -> None:
+    with running_clients(clients, str(server.http.base_url)) as over:
         # However busy the machine is, some requests are answered before the kill and some are in the middle of it.
-        enough = _answers(customers) + stand.random.randrange(40)
-        happens(lambda: _answers(customers) >= enough, 20.0)
-        time.sleep(stand.random.uniform(0.0, 0.5))
+        enough = _answers(clients) + harness.random.randrange(40)
+        becomes_true(lambda: _answers(clients) >= enough, 20.0)
+        time.sleep(harness.random.uniform(0.0, 0.5))
         over.set()
         before = processes(server)
         server.stop(signal.SIGKILL)
-    while stand.random.random() < _STARTS_KILLED:
+    while harness.random.random() < _STARTS_KILLED:
         server.launch()
-        time.sleep(stand.random.uniform(0.0, 2.0))
+        time.sleep(harness.random.uniform(0.0, 2.0))
         before |= processes(server)
         server.stop(signal.SIGKILL)
     server.start()
-    gone = happens(lambda: not before & processes(server), _LAST_BREATH)
-    stand.expect(gone, "processes outlived a server that was killed")
+    gone = becomes_true(lambda: not before & processes(server), _LAST_BREATH)
+    harness.expect(gone, "processes outlived a server that was killed")
     left = leftovers(server)
-    stand.expect(not left, f"left behind by a server that was killed: {left}")
+    harness.expect(not left, f"left behind by a server that was killed: {left}")
 
 
-def _answers(customers: list[Customer]) -> int:
-    return sum(customer.answers for customer in customers)
+def _answers(clients: list[StatefulClient]) -> int:
+    return sum(client.answers for client in clients)
 
 
-def _end(stand: Stand, server: Server) -> None:
+def _end(harness: Harness, server: Server) -> None:
     """Stop a server, and look for what it has left."""
-    stand.expect(server.stop() == 0, "the server did not end well")
-    stand.expect(happens(lambda: not processes(server), _LAST_BREATH), "processes outlived the server")
+    harness.expect(server.stop() == 0, "the server did not end well")
+    harness.expect(becomes_true(lambda: not processes(server), _LAST_BREATH), "processes outlived the server")
     left = [*leftovers(server), *(server.data_dir / "run").iterdir()]
-    stand.expect(not left, f"left behind by the server: {left}")
-    stand.expect(rows(server, "PRAGMA integrity_check") == [("ok",)], "the database is damaged")
+    harness.expect(not left, f"left behind by the server: {left}")
+    harness.expect(query_database(server, "PRAGMA integrity_check") == [("ok",)], "the database is damaged")
 
 
-def child_killed(stand: Stand, times: int) -> str:
+def child_killed(harness: Harness, times: int) -> str:
     """Kill the process of one of two fits, or both that it may have; the other fit must not notice."""
-    pair = _Pair(stand)
+    pair = _Pair(harness)
     killed = spared = 0
-    with stand.server(workers="2", fit_attempts="2") as server:
+    with harness.server(workers="2", fit_attempts="2") as server:
         server.start()
         while killed < times and spared < 2 * times:
             workers = pair.begin(server)
             meant = 1
-            hit = _kill_soon(stand, stand.random.choice(sorted(workers)))
-            if hit and killed + 1 < times and stand.random.random() < 0.5:
+            hit = _kill_soon(harness, harness.random.choice(sorted(workers)))
+            if hit and killed + 1 < times and harness.random.random() < 0.5:
                 replacement = _next_worker(server, workers)
-                meant += replacement is not None and _kill_soon(stand, replacement)
+                meant += replacement is not None and _kill_soon(harness, replacement)
             lost = pair.check(server, _LOST[meant])
             killed, spared = killed + lost, spared + meant - lost
-        stand.expect(killed >= times, f"only {killed} kills came before the end of a fit")
-        _end(stand, server)
-    return f"{killed} kills ({spared} more came too late): {len(stand.faults)} faults"
+        harness.expect(killed >= times, f"only {killed} kills came before the end of a fit")
+        _end(harness, server)
+    return f"{killed} kills ({spared} more came too late): {len(harness.faults)} faults"
 
 
-def out_of_memory(stand: Stand, times: int) -> str:
+def out_of_memory(harness: Harness, times: int) -> str:
     """Take the memory from the process of one of two fits, at a random moment; the other fit must not notice."""
-    pair = _Pair(stand)
+    pair = _Pair(harness)
     starved = spared = 0
-    with stand.server(workers="2") as server:
+    with harness.server(workers="2") as server:
         server.start()
         while starved < times and spared < 2 * times:
-            victim = stand.random.choice(sorted(pair.begin(server)))
+            victim = harness.random.choice(sorted(pair.begin(server)))
             with suppress(ProcessLookupError):
-                _starve_soon(stand, victim)
+                _starve_soon(harness, victim)
             lost = pair.check(server, _STARVED)
             starved, spared = starved + lost, spared + 1 - lost
-        stand.expect(starved == times, f"only {starved} fits ran out of memory")
-        _end(stand, server)
-    return f"{starved} fits out of memory ({spared} had all they needed by then): {len(stand.faults)} faults"
+        harness.expect(starved == times, f"only {starved} fits ran out of memory")
+        _end(harness, server)
+    return f"{starved} fits out of memory ({spared} had all they needed by then): {len(harness.faults)} faults"
 
 
-def _starve_soon(stand: Stand, pid: int) -> None:
+def _starve_soon(harness: Harness, pid: int) -> None:
     """Lower the limit of a process's memory, from when it has one: that is when it begins to compute."""
-    happens(lambda: resource.prlimit(pid, resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY, _PATIENCE)
-    time.sleep(stand.random.uniform(0.0, 0.1))
+    becomes_true(lambda: resource.prlimit(pid, resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY, _PATIENCE)
+    time.sleep(harness.random.uniform(0.0, 0.1))
     resource.prlimit(pid, resource.RLIMIT_AS, (_NO_MEMORY, _NO_MEMORY))
 
 
@@ -129,18 +136,20 @@ _STARVED = [{_FINE}, {_FINE, ("compute MemoryLimit", 1)}, {_FINE, ("compute Proc
 class _Pair:
     """Two fits that run side by side, long enough to be hit."""
 
-    def __init__(self, stand: Stand) -> None:
-        self._stand = stand
+    def __init__(self, harness: Harness) -> None:
+        self._harness = harness
         self._options = [{**LONG, "n_lobes": 8, "mask": mask} for mask in (0.5, 0.6)]
-        self._models = stand.models(*self._options)
+        self._models = harness.models(*self._options)
         self._fits: list[str] = []
 
     def begin(self, server: Server) -> set[int]:
         """Start both and return their processes."""
-        sha256 = server.http.post("/v1/measurements", content=self._stand.variant(0)).json()["sha256"]
+        sha256 = server.http.post("/v1/measurements", content=self._harness.variant(0)).json()["sha256"]
         answers = [server.submit(sha256, prefer="respond-async", **options) for options in self._options]
         self._fits = [answer.json()["id"] for answer in answers]
-        self._stand.expect(happens(lambda: len(server.workers()) == 2, _PATIENCE), "two fits did not run at once")
+        self._harness.expect(
+            becomes_true(lambda: len(server.workers()) == 2, _PATIENCE), "two fits did not run at once"
+        )
         return server.workers()
 
     def check(self, server: Server, allowed: list[set[tuple[str, int]]]) -> int:
@@ -148,26 +157,26 @@ class _Pair:
         ends = set()
         for fit_id, model in zip(self._fits, self._models, strict=True):
             fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
-            ((attempts,),) = rows(server, f"SELECT attempts FROM fits WHERE id = '{fit_id}'")
+            ((attempts,),) = query_database(server, f"SELECT attempts FROM fits WHERE id = '{fit_id}'")
             error = fit["error"]
             ends.add((f"{error['origin']} {error['type']}" if error else fit["status"], attempts))
             if not error:
                 exported = server.http.get(f"/v1/fits/{fit_id}/export?format=json")
-                self._stand.expect(same_bits(exported.text, model), "a model is not the library's, bit for bit")
+                self._harness.expect(same_bits(exported.text, model), "a model is not the library's, bit for bit")
             server.http.delete(f"/v1/fits/{fit_id}")
-        self._stand.expect(ends in allowed, f"two fits, one of them hit, ended as {ends}")
+        self._harness.expect(ends in allowed, f"two fits, one of them hit, ended as {ends}")
         return sum(attempts - (end == "succeeded") for end, attempts in ends)
 
 
 def _next_worker(server: Server, known: set[int]) -> int | None:
     """Return the process that replaces one of the known ones; none does if that had done its work."""
-    happens(lambda: bool(server.workers() - known), 10.0)
+    becomes_true(lambda: bool(server.workers() - known), 10.0)
     return next(iter(server.workers() - known), None)
 
 
-def _kill_soon(stand: Stand, pid: int) -> bool:
+def _kill_soon(harness: Harness, pid: int) -> bool:
     """Kill a process at a random moment; return whether it was still there."""
-    time.sleep(stand.random.uniform(0.0, 0.3))
+    time.sleep(harness.random.uniform(0.0, 0.3))
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
@@ -175,29 +184,29 @@ def _kill_soon(stand: Stand, pid: int) -> bool:
     return True
 
 
-def terminated(stand: Stand, times: int) -> str:
+def terminated(harness: Harness, times: int) -> str:
     """Stop the server politely while fits run, event streams and long-polls are open, and an upload has begun."""
     worst = 0.0
-    with stand.server(workers="2") as server:
+    with harness.server(workers="2") as server:
         for _ in range(times):
             server.start()
-            sha256 = server.http.post("/v1/measurements", content=stand.variant(0)).json()["sha256"]
+            sha256 = server.http.post("/v1/measurements", content=harness.variant(0)).json()["sha256"]
             answers = [server.submit(sha256, prefer="respond-async", **LONG, mask=i / 10) for i in range(4)]
             fits = [answer.json()["id"] for answer in answers]
             with _held_open(server, fits):
-                time.sleep(stand.random.uniform(0.1, 1.0))
+                time.sleep(harness.random.uniform(0.1, 1.0))
                 begin = time.monotonic()
                 code = server.stop()
                 worst = max(worst, time.monotonic() - begin)
-            stand.expect(code == 0, f"the server ended with {code}")
+            harness.expect(code == 0, f"the server ended with {code}")
             server.start()
             for fit_id in fits:
                 fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
-                stand.expect(fit["status"] == "succeeded", f"a fit did not resume: {fit}")
+                harness.expect(fit["status"] == "succeeded", f"a fit did not resume: {fit}")
                 server.http.delete(f"/v1/fits/{fit_id}")
-            _end(stand, server)
-    stand.expect(worst <= _LONGEST_END, f"the server took {worst:.1f} s to end")
-    return f"{times} times, out within {worst:.1f} s: {len(stand.faults)} faults"
+            _end(harness, server)
+    harness.expect(worst <= _LONGEST_END, f"the server took {worst:.1f} s to end")
+    return f"{times} times, out within {worst:.1f} s: {len(harness.faults)} faults"
 
 
 @contextmanager

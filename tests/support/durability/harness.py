@@ -28,7 +28,7 @@ _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
 
 
 @dataclass
-class Stand:
+class Harness:
     """A place for one series: a folder, a measurement, a seeded generator, and the faults found so far.
 
     Attributes
@@ -88,7 +88,7 @@ def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:
     return all(np.array_equal(getattr(exported, name), getattr(model, name)) for name in _ARRAYS)
 
 
-def rows(server: Server, query: str) -> list[tuple[Any, ...]]:
+def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
     """Ask a server's database behind its back."""
     connection = sqlite3.connect(f"file:{server.data_dir / 'dsbrdf.sqlite'}?mode=ro", uri=True, timeout=30)
     try:
@@ -113,7 +113,7 @@ def processes(server: Server) -> set[int]:
 
 def leftovers(server: Server) -> list[str]:
     """Temporary files that are not those of the running process, and files of measurements that no row knows."""
-    known = {f"{sha256}.binary" for (sha256,) in rows(server, "SELECT DISTINCT sha256 FROM measurements")}
+    known = {f"{sha256}.binary" for (sha256,) in query_database(server, "SELECT DISTINCT sha256 FROM measurements")}
     stray = [path for path in (server.data_dir / "blobs").rglob("*") if path.is_file() and path.name not in known]
     stray += (server.data_dir / "tmp").iterdir()
     stray += Path(server.environment["TMPDIR"]).iterdir()
@@ -122,7 +122,7 @@ def leftovers(server: Server) -> list[str]:
     return [str(path) for path in stray]
 
 
-def happens(condition: Callable[[], bool], seconds: float) -> bool:
+def becomes_true(condition: Callable[[], bool], seconds: float) -> bool:
     """Whether a condition comes to hold in time."""
     end = time.monotonic() + seconds
     while not condition():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.support.durability import concurrency, crashes
-from tests.support.durability.harness import Stand
+from tests.support.durability.harness import Harness
 
 
 class Series(NamedTuple):
@@ -16,7 +16,7 @@ class Series(NamedTuple):
 
     times: int
     asked: str
-    run: Callable[[Stand, int], str]
+    run: Callable[[Harness, int], str]
 
 
 SERIES = {
@@ -37,10 +37,10 @@ def run(name: str, times: int, seed: int, measurement: Path) -> tuple[str, list[
     """Run one series; return what was measured, and its faults."""
     # A short path: the names of sockets have to fit into a hundred characters.
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
-        stand = Stand(Path(folder), measurement, random.Random(seed))
+        harness = Harness(Path(folder), measurement, random.Random(seed))
         try:
-            measured = SERIES[name].run(stand, times)
+            measured = SERIES[name].run(harness, times)
         except Exception:
-            stand.faults.append(traceback.format_exc())
+            harness.faults.append(traceback.format_exc())
             measured = "broken off"
-    return measured, stand.faults
+    return measured, harness.faults

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import httpx
 
 import dsbrdf
-from tests.support.durability.harness import Stand, same_bits
+from tests.support.durability.harness import Harness, same_bits
 from tests.support.server import QUICK
 
 LONG: dict[str, Any] = {"method": "paper", "n_lobes": 2}
@@ -20,7 +20,7 @@ OPTIONS: tuple[dict[str, Any], ...] = (
     LONG,
     {},
 )
-"""Fits that customers ask for; the last two take about a second, the others a fraction of it."""
+"""Fits that clients ask for; the last two take about a second, the others a fraction of it."""
 
 _ACCEPTED = (200, 201, 202)
 _PATIENCE = 10  # times half a minute
@@ -30,7 +30,7 @@ Promise = Literal["none", "kept", "cancelled", "gone", "unknown"]
 
 @dataclass
 class _Order:
-    """A fit that a customer has asked for, and what the server has last promised of it."""
+    """A fit that a client has asked for, and what the server has last promised of it."""
 
     options: dict[str, Any]
     model: dsbrdf.DSBRDF
@@ -42,17 +42,17 @@ class _Order:
 _Action = Callable[[httpx.Client, _Order], object]
 
 
-class Customer:
+class StatefulClient:
     """One client with a measurement of its own, so that nobody else touches its fits.
 
     Before a request goes out that takes something back, what it takes back is not counted on any more; after an
     answer has come in, what it says is.
     """
 
-    def __init__(self, number: int, stand: Stand, models: Sequence[dsbrdf.DSBRDF]) -> None:
-        self._stand = stand
-        self._random = random.Random(stand.random.random())
-        self._body = stand.variant(number)
+    def __init__(self, number: int, harness: Harness, models: Sequence[dsbrdf.DSBRDF]) -> None:
+        self._harness = harness
+        self._random = random.Random(harness.random.random())
+        self._body = harness.variant(number)
         self._sha256 = ""
         self._stored: Promise = "none"
         self._orders = [_Order(options, model) for options, model in zip(OPTIONS, models, strict=True)]
@@ -69,7 +69,7 @@ class Customer:
                 try:
                     action(http, self._random.choice(self._orders))
                 except httpx.TransportError as error:
-                    self._stand.expect(over.is_set(), f"{error!r} at {action} while the server was up")
+                    self._harness.expect(over.is_set(), f"{error!r} at {action} while the server was up")
                     return
                 self.answers += 1
 
@@ -80,11 +80,11 @@ class Customer:
         for order in self._orders:
             if order.promise == "kept":
                 ended = any(self._look(http, order, wait=30.0) not in ("accepted", "running") for _ in range(_PATIENCE))
-                self._stand.expect(ended, f"the fit {order.options} has not come to its end")
+                self._harness.expect(ended, f"the fit {order.options} has not come to its end")
                 exported = http.get(f"/v1/fits/{order.id}/export", params={"format": "json"})
                 self._want(exported, 200)
                 same = exported.status_code == 200 and same_bits(exported.text, order.model)
-                self._stand.expect(same, f"the model of {order.options} is not the library's, bit for bit")
+                self._harness.expect(same, f"the model of {order.options} is not the library's, bit for bit")
             else:
                 self._look(http, order)
         return sum(order.promise == "kept" for order in self._orders)
@@ -138,12 +138,12 @@ class Customer:
             "cancelled": ("cancelled",),
             "gone": ("gone",),
         }.get(order.promise)
-        self._stand.expect(
+        self._harness.expect(
             right is None or state in right, f"a fit that was {order.promise} is {state}: {answer.text[:300]}"
         )
         if state == "succeeded" and order.promise == "kept":
             finished = answer.json()["finished"]
-            self._stand.expect(order.finished in (None, finished), "a finished fit was computed again")
+            self._harness.expect(order.finished in (None, finished), "a finished fit was computed again")
             order.finished = finished
         return state
 
@@ -162,15 +162,15 @@ class Customer:
 
     def _want(self, answer: httpx.Response, *statuses: int) -> None:
         request = f"{answer.request.method} {answer.request.url.path}"
-        self._stand.expect(answer.status_code in statuses, f"{request}: {answer.status_code} {answer.text[:300]}")
+        self._harness.expect(answer.status_code in statuses, f"{request}: {answer.status_code} {answer.text[:300]}")
 
 
 @contextmanager
-def busy(customers: Sequence[Customer], address: str) -> Iterator[threading.Event]:
-    """Let customers use a server; the event that they get is set when it is over, or before the server is ended."""
+def running_clients(clients: Sequence[StatefulClient], address: str) -> Iterator[threading.Event]:
+    """Let clients use a server; the event that they get is set when it is over, or before the server is ended."""
     over = threading.Event()
-    with ThreadPoolExecutor(len(customers)) as pool:
-        futures = [pool.submit(customer.run, address, over) for customer in customers]
+    with ThreadPoolExecutor(len(clients)) as pool:
+        futures = [pool.submit(client.run, address, over) for client in clients]
         try:
             yield over
         finally:
