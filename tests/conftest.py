@@ -13,14 +13,15 @@ from tests.support.dask_cluster import DaskCluster
 from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal
 from tests.support.server import Server
+from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 
 # A busy machine is no fault of the code under test, and a change is judged by the same examples each time;
-# `pytest --hypothesis-profile=soak` looks for others, and for longer.
+# `make soak` looks for others, and for longer.
 settings.register_profile("here", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 settings.register_profile("soak", settings.get_profile("here"), max_examples=10_000, derandomize=False)
-settings.load_profile("here")
+settings.load_profile("soak" if SOAK else "here")
 
 
 @pytest.fixture(scope="session")

@@ -2,14 +2,13 @@
 
 import json
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from service.__main__ import main
 from service.settings import Settings, unknown_settings
+from tests.support.commands import start_in_vain
 from tests.support.server import Server
 
 
@@ -22,9 +21,8 @@ def test_what_cannot_be_started_is_told_in_one_sentence(tmp_path: Path) -> None:
             (["--data-dir", str(file)], 2, f"{file} cannot be the data folder: File exists."),
             (["--port", str(port)], 1, f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."),
         ):
-            command = [sys.executable, "-m", "service", "--data-dir", str(tmp_path / "data"), *words]
-            refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-            assert (refused.returncode, refused.stdout, refused.stderr) == (code, "", f"dsbrdf: {sentence}\n")
+            arguments = ["--data-dir", str(tmp_path / "data"), *words]
+            assert start_in_vain(tmp_path, *arguments) == (code, f"dsbrdf: {sentence}\n")
 
 
 @pytest.mark.parametrize(

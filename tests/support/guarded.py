@@ -1,14 +1,13 @@
 """A service that wants keys, and keys made beside it."""
 
-import io
-import subprocess
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from subprocess import CompletedProcess
 from typing import Any
 
 from service.access.keys import Limits, add_key
 from service.commands import keys
 from service.storage.database import Database
+from tests.support.commands import run_main
 from tests.support.processes import wait_until
 from tests.support.server import Server
 
@@ -36,12 +35,6 @@ def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, st
     return row.id, header
 
 
-def keys_command(*words: str) -> "subprocess.CompletedProcess[str]":
-    """Run the command as ``dsbrdf keys`` runs it, without a process of its own."""
-    output, errors = io.StringIO(), io.StringIO()
-    with redirect_stdout(output), redirect_stderr(errors):
-        try:
-            code = keys.main(words)
-        except SystemExit as stop:
-            code = int(str(stop.code))
-    return subprocess.CompletedProcess(words, code, output.getvalue(), errors.getvalue())
+def keys_command(*words: str) -> "CompletedProcess[str]":
+    """Run ``dsbrdf keys`` without a process of its own."""
+    return run_main(keys.main, *words)

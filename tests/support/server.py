@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 
 from service.client import Client
+from tests.support.launcher import ForkedServer, launcher
 from tests.support.processes import children, command, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
@@ -23,17 +24,22 @@ ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2, "k
 
 
 class Server:
-    """One service process; `stop` and `start` keep its data folder."""
+    """One service process; `stop` and `start` keep its data folder.
 
-    def __init__(self, data_dir: Path, **environment: str) -> None:
+    It is a fork of a process that has imported the service already, or, if it has to have an interpreter of its own,
+    what ``python -m service`` starts.
+    """
+
+    def __init__(self, data_dir: Path, *, own_interpreter: bool = False, **environment: str) -> None:
         self.data_dir = data_dir
+        self._own_interpreter = own_interpreter
         self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
         self.log = data_dir.parent / f"{data_dir.name}.log"
         self.http = httpx.Client()  # of no use until there is an address
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: subprocess.Popen[bytes] | ForkedServer | None = None
 
     @property
-    def process(self) -> "subprocess.Popen[bytes]":
+    def process(self) -> "subprocess.Popen[bytes] | ForkedServer":
         assert self._process is not None
         return self._process
 
@@ -53,14 +59,15 @@ class Server:
 
     def launch(self) -> int:
         """Start the process, without waiting for anything; return where its log begins."""
+        arguments = ["--port", "0", "--data-dir", str(self.data_dir)]
+        environment = {**os.environ, **self.environment}
         with self.log.open("ab") as log:
             begin = log.tell()
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(self.data_dir)],
-                env={**os.environ, **self.environment},
-                stdout=log,
-                stderr=log,
-            )
+            if self._own_interpreter:
+                command = [sys.executable, "-m", "service", *arguments]
+                self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+            else:
+                self._process = launcher().launch(arguments, environment, self.log)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -3,13 +3,12 @@
 import os
 import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from tests.support.commands import start_in_vain
 from tests.support.processes import alive, wait_until
 from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
 
@@ -163,48 +162,37 @@ def test_files_and_rows_that_lost_each_other_are_dropped(own_server: Callable[..
     assert server.http.post("/v1/measurements", content=data).status_code == 201
 
 
-def run(*arguments: str, **environment: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-m", "service", *arguments],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-
-
-def test_a_data_folder_has_one_server(server: Server) -> None:
-    second = run("--port", "0", "--data-dir", str(server.data_dir))
-    assert second.returncode == 2
-    assert "in use" in second.stderr
-    assert "Traceback" not in second.stderr
+def test_second_server_on_the_same_folder_is_refused(server: Server, tmp_path: Path) -> None:
+    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(server.data_dir))
+    assert code == 2
+    assert "in use" in said
+    assert "Traceback" not in said
     assert server.http.get("/health/ready").status_code == 200
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "example.org", "10.0.0.1"])
-def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, host: str) -> None:
-    refused = run("--host", host, "--port", "0", "--data-dir", str(tmp_path / "data"))
-    assert refused.returncode == 2
-    assert "--insecure" in refused.stderr
+def test_host_that_others_can_reach_is_refused_without_keys(tmp_path: Path, host: str) -> None:
+    code, said = start_in_vain(tmp_path, "--host", host, "--port", "0", "--data-dir", str(tmp_path / "data"))
+    assert code == 2
+    assert "--insecure" in said
     assert not (tmp_path / "data").exists()
 
 
-def test_bad_settings_are_one_sentence(tmp_path: Path) -> None:
-    bad = run("--port", "99999", "--data-dir", str(tmp_path / "data"))
-    assert bad.returncode == 2
-    assert bad.stderr.startswith("dsbrdf: --port:")
-    assert bad.stderr.count("\n") == 1
-    assert run(DSBRDF_WORKERS="none").returncode == 2
+def test_wrong_settings_are_refused_in_one_sentence(tmp_path: Path) -> None:
+    code, said = start_in_vain(tmp_path, "--port", "99999", "--data-dir", str(tmp_path / "data"))
+    assert code == 2
+    assert said.startswith("dsbrdf: --port:")
+    assert said.count("\n") == 1
+    assert start_in_vain(tmp_path, DSBRDF_WORKERS="none")[0] == 2
 
 
-def test_a_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
+def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     folder.mkdir()
     connection = sqlite3.connect(folder / "dsbrdf.sqlite")
     connection.execute("PRAGMA user_version = 999")
     connection.close()
-    refused = run("--port", "0", "--data-dir", str(folder))
-    assert refused.returncode == 2
-    assert "999" in refused.stderr
-    assert "Traceback" not in refused.stderr
+    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(folder))
+    assert code == 2
+    assert "999" in said
+    assert "Traceback" not in said

@@ -19,8 +19,21 @@ from dsbrdf.engines import worker_process as child
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Limits
 from dsbrdf.output.serialize import to_json
 from tests.support.dask_cluster import forked
-from tests.support.engines import ENDLESS, MIDDLE, PATIENCE, QUICK, SLOW, Stage, content, run, started, until_fitting
+from tests.support.engines import (
+    ENDLESS,
+    MIDDLE,
+    PATIENCE,
+    QUICK,
+    SLOW,
+    Stage,
+    content,
+    run,
+    started,
+    until,
+    until_fitting,
+)
 from tests.support.processes import alive, wait_until
+from tests.support.soak import SOAK
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
@@ -39,9 +52,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     ],
     ids=["plain", "log and robust", "global"],
 )
-def test_the_document_is_that_of_the_library_to_the_last_bit(
-    stage: Stage, plastic_file: Path, options: FitOptions
-) -> None:
+def test_document_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path, options: FitOptions) -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", dsbrdf.ConvergenceWarning)
         expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), options)
@@ -58,11 +69,24 @@ def test_the_document_is_that_of_the_library_to_the_last_bit(
     assert outcome.warnings == tuple(str(warning.message) for warning in said)
 
 
-def test_progress_never_falls(stage: Stage, plastic_file: Path) -> None:
-    _, shares = run(stage, FitTask("one", plastic_file, MIDDLE))
+def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
+    shares: list[float] = []
+
+    async def body() -> None:
+        async with started(stage.engine()) as engine:
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), shares.append))
+            await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
+            fit.cancel()
+            await asyncio.wait([fit])
+
+    asyncio.run(body())
     assert shares == sorted(set(shares))
-    assert len(shares) > 3
     assert 0.0 < shares[0] < 0.5
+
+
+def test_progress_ends_with_one(stage: Stage, plastic_file: Path) -> None:
+    _, shares = run(stage, FitTask("one", plastic_file, QUICK))
+    assert shares == sorted(set(shares))
     assert shares[-1] == 1.0
 
 
@@ -74,7 +98,7 @@ def test_progress_never_falls(stage: Stage, plastic_file: Path) -> None:
     ],
     ids=["no measurement", "no data left"],
 )
-def test_a_fault_of_the_input_is_told(
+def test_unusable_input_is_an_input_fault(
     stage: Stage, plastic_file: Path, tmp_path: Path, content: bytes | None, options: FitOptions, type_: str
 ) -> None:
     path = plastic_file
@@ -87,24 +111,24 @@ def test_a_fault_of_the_input_is_told(
     assert outcome.message
 
 
-def test_a_file_that_is_gone_is_a_fault_of_the_system(stage: Stage, tmp_path: Path) -> None:
+def test_missing_file_is_a_system_fault(stage: Stage, tmp_path: Path) -> None:
     outcome, _ = run(stage, FitTask("one", tmp_path / "gone.binary", QUICK))
     message = "The stored measurement could not be read: No such file or directory."
     assert outcome == Fault("system", "MeasurementUnreadable", message)
 
 
-def test_a_fit_has_a_memory_limit(stage: Stage, plastic_file: Path) -> None:
+def test_fit_over_its_memory_limit_is_a_compute_fault(stage: Stage, plastic_file: Path) -> None:
     outcome, _ = run(stage, FitTask("one", plastic_file, SLOW), Limits(60.0, 200))
     assert outcome == Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 
-def test_a_fit_has_a_time_limit(stage: Stage, plastic_file: Path) -> None:
+def test_fit_over_its_time_limit_is_a_compute_fault(stage: Stage, plastic_file: Path) -> None:
     outcome, _ = run(stage, FitTask("one", plastic_file, ENDLESS), Limits(0.5, 4096))
     assert outcome == Fault("compute", "TimeLimit", "The fit took longer than the 0.5 s that a fit may take.")
     wait_until(lambda: not stage.fitting())
 
 
-def test_a_killed_process_takes_its_own_fit_only(stage: Stage, plastic_file: Path) -> None:
+def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path) -> None:
     async def body() -> None:
         async with started(stage.engine()) as engine:
             fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
@@ -119,27 +143,24 @@ def test_a_killed_process_takes_its_own_fit_only(stage: Stage, plastic_file: Pat
     asyncio.run(body())
 
 
-def test_cancelling_frees_the_processor_within_a_second(stage: Stage, plastic_file: Path) -> None:
+def test_cancelling_ends_the_process_of_the_fit(stage: Stage, plastic_file: Path) -> None:
     async def body() -> None:
         async with started(stage.engine()) as engine:
-            took = []
-            for _ in range(3):
-                fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-                victims = await until_fitting(stage)
-                begin = asyncio.get_running_loop().time()
-                fit.cancel()
-                with pytest.raises(asyncio.CancelledError):
-                    await fit
-                while any(alive(pid) for pid in victims):
-                    await asyncio.sleep(0.01)
-                took.append(asyncio.get_running_loop().time() - begin)
-            assert min(took) < 1.0  # the others may have met a busy machine
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+            victims = await until_fitting(stage)
+            begin = asyncio.get_running_loop().time()
+            fit.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await fit
+            await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
+            if SOAK:
+                assert asyncio.get_running_loop().time() - begin < 1.0
             assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
 
     asyncio.run(body())
 
 
-def test_no_process_outlives_the_engine(stage: Stage, plastic_file: Path) -> None:
+def test_closed_engine_leaves_no_process(stage: Stage, plastic_file: Path) -> None:
     async def body() -> list[int]:
         async with started(stage.engine()) as engine:
             fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
@@ -154,7 +175,7 @@ def test_no_process_outlives_the_engine(stage: Stage, plastic_file: Path) -> Non
 
 
 @pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "elsewhere"])
-def test_so_many_are_in_flight_as_there_is_room_for(
+def test_fits_in_flight_are_as_many_as_there_are_slots(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, *, elsewhere: bool
 ) -> None:
     if elsewhere:
@@ -172,7 +193,9 @@ def test_so_many_are_in_flight_as_there_is_room_for(
         async with started(stage.engine()) as engine:
             go = asyncio.Event()
             tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
-            await asyncio.sleep(0.1)
+            await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
+            for _ in range(20):  # turns of the event loop, in which one too many would begin
+                await asyncio.sleep(0)
             assert begun == list(range(room))
             go.set()
             await asyncio.gather(*tasks)
@@ -215,7 +238,7 @@ def script(stage: Stage, folder: Path, options: str) -> Path:
     return path
 
 
-def test_the_main_module_is_not_run_once_more(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
+def test_main_module_is_not_imported_by_fit_processes(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
     program = script(stage, tmp_path, "method='paper', n_lobes=1, em_iterations=3")
     answer = subprocess.run(
         [sys.executable, str(program), str(plastic_file)], capture_output=True, text=True, timeout=PATIENCE
@@ -223,7 +246,7 @@ def test_the_main_module_is_not_run_once_more(stage: Stage, plastic_file: Path, 
     assert (answer.stdout, answer.stderr) == ("ready\nFitted\n", "")
 
 
-def test_nothing_goes_on_after_a_kill(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
+def test_killed_program_leaves_no_fit_process(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
     program = script(stage, tmp_path, repr(ENDLESS).removeprefix("FitOptions(").removesuffix(")"))
     process = subprocess.Popen([sys.executable, str(program), str(plastic_file)], stdout=subprocess.PIPE)
     with process:
@@ -234,7 +257,7 @@ def test_nothing_goes_on_after_a_kill(stage: Stage, plastic_file: Path, tmp_path
     wait_until(lambda: not any(alive(pid) for pid in victims))
 
 
-def test_without_fork_servers_processes_are_started_afresh(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
     assert child._context().get_start_method() == "spawn"
     outcome, shares = run(Stage(None), FitTask("one", plastic_file, QUICK))

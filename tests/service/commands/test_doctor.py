@@ -1,10 +1,7 @@
 """``dsbrdf doctor`` finds what is wrong, and says nothing is where nothing is."""
 
 import json
-import os
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -12,22 +9,17 @@ from typing import Any
 
 import pytest
 
+from service.commands import doctor
 from service.commands.doctor import WrongError, checks
 from service.settings import Settings
 from service.storage.database import FILE_NAME
+from tests.support.commands import run_main
 from tests.support.server import QUICK, Server
 
 
 def examine(folder: Path, **environment: str) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit code and findings by name."""
-    done = subprocess.run(
-        [sys.executable, "-m", "dsbrdf.cli.main", "doctor", "--data-dir", str(folder), "--json"],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = run_main(doctor.main, "--data-dir", str(folder), "--json", **environment)
     assert done.stdout, done.stderr
     return done.returncode, {item["check"]: item for item in json.loads(done.stdout)["items"]}
 
@@ -71,14 +63,7 @@ def test_beside_a_running_server_all_is_fine(own_server: Callable[..., Server], 
 
 
 def test_the_text_is_a_line_for_each_check_and_nothing_is_made(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "dsbrdf.cli.main", "doctor", "--data-dir", str(tmp_path / "none")],
-        env={**os.environ, "DSBRDF_MIN_FREE_MB": "1000000000"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = run_main(doctor.main, "--data-dir", str(tmp_path / "none"), DSBRDF_MIN_FREE_MB="1000000000")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "WRONG", "ok"]

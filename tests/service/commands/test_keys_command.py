@@ -11,6 +11,7 @@ import pytest
 
 from service.access.keys import Limits, add_key, revoke_key
 from service.storage.database import Database
+from tests.support.commands import start_in_vain
 from tests.support.guarded import Guarded, keys_command
 from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem
@@ -92,14 +93,13 @@ def test_bad_words_are_one_sentence(tmp_path: Path, words: list[str], part: str)
 
 def test_the_start_needs_a_key_where_others_can_come(tmp_path: Path) -> None:
     folder = tmp_path / "data"
-    start = [sys.executable, "-m", "service", "--host", "0.0.0.0", "--port", "0", "--data-dir", str(folder)]
     row_id = keys_command("add", "x", "--data-dir", str(folder)).stdout.split("_")[1]
     database = Database(folder)
     revoke_key(database, row_id)
     database.close()
-    refused = subprocess.run(start, capture_output=True, text=True, timeout=60, check=False)
-    assert refused.returncode == 2
-    assert "dsbrdf keys add" in refused.stderr
+    code, said = start_in_vain(tmp_path, "--host", "0.0.0.0", "--port", "0", "--data-dir", str(folder))
+    assert code == 2
+    assert "dsbrdf keys add" in said
     database = Database(folder)
     _, key = add_key(database, "y", Limits())
     database.close()

@@ -3,8 +3,6 @@
 import json
 import sqlite3
 import struct
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,20 +14,17 @@ import httpx
 import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
+from service.commands import purge
 from service.storage.database import FILE_NAME
+from tests.support.commands import run_main
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 
 DAY = 86400.0
 
 
-def command(*words: str) -> "subprocess.CompletedProcess[str]":
-    arguments = [sys.executable, "-m", "dsbrdf.cli.main", *words]
-    return subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
-
-
 def purged(folder: Path, *words: str) -> dict[str, Any]:
-    done = command("purge", "--data-dir", str(folder), "--json", *words)
+    done = run_main(purge.main, "--data-dir", str(folder), "--json", *words)
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout)
     return document
@@ -136,7 +131,7 @@ def test_uploads_of_the_same_bytes_meanwhile_are_whole_or_gone(own_server: Calla
 
 @pytest.mark.parametrize("age", ["30", "d", "-1d", "1.5d", "30 d", "1y", "\u0663d", ""])
 def test_no_age_is_one_sentence(tmp_path: Path, age: str) -> None:
-    refused = command("purge", "--data-dir", str(tmp_path), f"--older-than={age}")
+    refused = run_main(purge.main, "--data-dir", str(tmp_path), f"--older-than={age}")
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert "30d" in refused.stderr
@@ -144,7 +139,7 @@ def test_no_age_is_one_sentence(tmp_path: Path, age: str) -> None:
 
 
 def test_another_folder_is_left_alone(tmp_path: Path) -> None:
-    refused = command("purge", "--data-dir", str(tmp_path / "none"), "--older-than", "1d")
+    refused = run_main(purge.main, "--data-dir", str(tmp_path / "none"), "--older-than", "1d")
     assert refused.returncode == 2
     assert "--data-dir" in refused.stderr
     assert not (tmp_path / "none").exists()

@@ -4,8 +4,6 @@ import asyncio
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -21,6 +19,7 @@ from service.operations.readiness import Readiness
 from service.settings import Settings
 from service.storage.database import FILE_NAME
 from service.storage.store import Store
+from tests.support.commands import start_in_vain
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -77,16 +76,10 @@ def test_a_database_that_is_damaged_meanwhile_is_not_ready(own_server: Callable[
     assert_problem(server.http.get("/v1/fits"), 503, "not-ready")
     assert "dsbrdf_requests_total" in server.http.get("/metrics").text
     server.stop(signal.SIGKILL)
-    again = subprocess.run(
-        [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(server.data_dir)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert again.returncode == 2
-    assert again.stderr.startswith("dsbrdf: the database ")
-    assert again.stderr.count("\n") == 1
+    code, said = start_in_vain(server.data_dir.parent, "--port", "0", "--data-dir", str(server.data_dir))
+    assert code == 2
+    assert said.startswith("dsbrdf: the database ")
+    assert said.count("\n") == 1
 
 
 def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path) -> None:

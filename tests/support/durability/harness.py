@@ -58,7 +58,7 @@ class Harness:
         """A server that is not started yet, with a folder of its own for what programs put in the system's."""
         temporary = self.folder / "temporary"
         temporary.mkdir(exist_ok=True)
-        server = Server((folder or self.folder) / "data", **settings)
+        server = Server((folder or self.folder) / "data", own_interpreter=True, **settings)
         server.environment["TMPDIR"] = str(temporary)
         try:
             yield server
