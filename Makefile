@@ -28,8 +28,8 @@ demo: $(READY)  ## start the service, POST a measurement, print lobes and values
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve
 
-test: $(READY)  ## run every test
-	$(BIN)/python -m pytest
+test: $(READY)  ## run every test, on up to four cores
+	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 check: $(READY)  ## format, lint, types, security
 	$(BIN)/ruff format --check .
@@ -47,9 +47,9 @@ fix: $(READY)  ## format and mend what can be mended
 bench: $(READY)  ## run the benchmarks but the two long ones
 	$(BIN)/python -m benchmarks
 
-soak: $(READY)  ## load the service for DURATION minutes (30), then look for odd inputs for longer than the tests do
+soak: $(READY)  ## load the service for DURATION minutes (30), then run every test with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	$(BIN)/python -m pytest --hypothesis-profile=soak -k fuzz
+	DSBRDF_SOAK=1 $(BIN)/python -m pytest
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh

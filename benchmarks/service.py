@@ -254,7 +254,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if measurement is None:
                 measurement = Path(folder) / "plastic.binary"
                 write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-            harness = Harness(Path(folder), measurement, random.Random(0))
+            harness = Harness(Path(folder), measurement, random.Random(0), own_interpreter=True)
             with harness.server() as server:
                 server.start()
                 for row in PARTS[name](Place(harness, server, arguments.runs)):

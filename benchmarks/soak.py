@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
         measurement = Path(folder) / "plastic.binary"
         write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-        harness = Harness(Path(folder), measurement, random.Random(arguments.seed))
+        harness = Harness(Path(folder), measurement, random.Random(arguments.seed), own_interpreter=True)
         samples, idle, tally = soak(harness, 60.0 * arguments.minutes)
         log = (Path(folder) / "data.log").read_text()
     _OUT.mkdir(exist_ok=True)

@@ -105,8 +105,9 @@ def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
     """Start services that one test has for itself, with settings of its own."""
     started: list[Server] = []
 
-    def start(**environment: str) -> Server:
-        started.append(Server(tmp_path / f"data{len(started)}", **environment))
+    def start(*, own_interpreter: bool = False, **environment: str) -> Server:
+        folder = tmp_path / f"data{len(started)}"
+        started.append(Server(folder, own_interpreter=own_interpreter, **environment))
         return started[-1].start()
 
     try:

@@ -209,7 +209,7 @@ def test_idle_connections_leave_room_for_others(own_server: Callable[..., Server
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
     try:
-        server = own_server(head_seconds="600")
+        server = own_server(own_interpreter=True, head_seconds="600")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     address = (server.http.base_url.host, server.http.base_url.port)

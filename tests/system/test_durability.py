@@ -1,16 +1,17 @@
-"""Small versions of the durability series; ``python -m benchmarks durability`` does what is promised, in full."""
+"""Short durability series; ``make soak`` and ``python -m benchmarks durability`` run what is promised, in full."""
 
 from pathlib import Path
 
 import pytest
 
 from tests.support.durability.series import SERIES, run
+from tests.support.soak import repeats
 
 TIMES = {
     "queue": 8,
-    "server-kill": 3,
-    "child-kill": 3,
-    "memory": 2,
+    "server-kill": 2,
+    "child-kill": 2,
+    "memory": 1,
     "terminate": 1,
     "uploads": 6,
     "same-file": 6,
@@ -19,6 +20,6 @@ TIMES = {
 
 
 @pytest.mark.parametrize("name", SERIES)
-def test_nothing_is_lost_and_nothing_stays(name: str, plastic_file: Path) -> None:
-    measured, faults = run(name, TIMES[name], 1, plastic_file)
+def test_series_loses_nothing_and_leaves_nothing_behind(name: str, plastic_file: Path) -> None:
+    measured, faults = run(name, repeats(TIMES[name], SERIES[name].times), 1, plastic_file)
     assert not faults, f"{measured}: {faults}"

@@ -15,7 +15,7 @@ from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
 
 def submit_some(server: Server, data: bytes, count: int) -> list[str]:
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    answers = [server.submit(sha256, prefer="respond-async", n_lobes=8, mask=0.1 * i) for i in range(count)]
+    answers = [server.submit(sha256, prefer="respond-async", **QUICK, mask=0.1 * i) for i in range(count)]
     assert [answer.status_code for answer in answers] == [202] * count
     return [answer.json()["id"] for answer in answers]
 
@@ -26,9 +26,12 @@ def test_accepted_fits_finish_after_a_restart(
 ) -> None:
     server = own_server(workers="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    endless = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-    fits = submit_some(server, data, 4)
+    endless, in_the_way = (
+        server.submit(sha256, prefer="respond-async", **ENDLESS, mask=mask).json()["id"] for mask in (0.1, 0.2)
+    )
+    fits = submit_some(server, data, 3)
     server.until_running(endless)
+    server.until_running(in_the_way)
     workers = server.workers()
     helpers = server.helpers()
     leftover = server.data_dir / "tmp" / "upload-of-a-client"
@@ -39,11 +42,12 @@ def test_accepted_fits_finish_after_a_restart(
     server.start()
     assert not leftover.exists()
     server.until_running(endless)
+    server.http.delete(f"/v1/fits/{in_the_way}")
     for fit_id in fits:
         fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
         assert fit["status"] == "succeeded"
         assert fit["lobes"] is not None
-    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, *fits}
+    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, in_the_way, *fits}
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])

@@ -20,6 +20,7 @@ from hypothesis.stateful import (
 )
 
 from tests.support.server import QUICK, SLOW, Server, assert_problem
+from tests.support.soak import repeats
 
 N_CONTENTS = 2
 OPTIONS: tuple[dict[str, Any], ...] = (QUICK, {**QUICK, "n_lobes": 2}, {**QUICK, "mask": 0.9}, SLOW)
@@ -235,7 +236,7 @@ def life(own_server: Callable[..., Server], data: bytes) -> type[Life]:
 
 
 def test_a_life_of_the_service(life: type[Life]) -> None:
-    lives = max(1, settings().max_examples // 16)
+    lives = repeats(2, 600)
     # Lives are not shortened when one fails: with a real server it would take longer than reading the whole.
     run_state_machine_as_test(
         life, settings=settings(max_examples=lives, stateful_step_count=12, phases=(Phase.reuse, Phase.generate))

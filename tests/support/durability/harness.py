@@ -41,12 +41,15 @@ class Harness:
         Gives the random moments.
     faults : list of str
         What was not as it ought to be, one sentence each.
+    own_interpreter : bool
+        Whether servers are started as users start them, and not as forks, which start sooner.
     """
 
     folder: Path
     measurement: Path
     random: random.Random
     faults: list[str] = field(default_factory=list)
+    own_interpreter: bool = False
 
     def expect(self, holds: bool, fault: str) -> None:
         """Note a fault unless something holds."""
@@ -58,7 +61,7 @@ class Harness:
         """A server that is not started yet, with a folder of its own for what programs put in the system's."""
         temporary = self.folder / "temporary"
         temporary.mkdir(exist_ok=True)
-        server = Server((folder or self.folder) / "data", own_interpreter=True, **settings)
+        server = Server((folder or self.folder) / "data", own_interpreter=self.own_interpreter, **settings)
         server.environment["TMPDIR"] = str(temporary)
         try:
             yield server
@@ -100,7 +103,7 @@ def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
 def processes(server: Server) -> set[int]:
     """Process ids of whatever was started by or for a server, children of children included, alive or orphaned."""
     mark = f"TMPDIR={server.environment['TMPDIR']}\0".encode()
-    found = set()
+    found = {server.process.pid} if alive(server.process.pid) else set()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             ours = mark in (folder / "environ").read_bytes()
