@@ -38,7 +38,7 @@ def audit() -> ModuleType:
         ([], "no network", 0, "0 dependencies audited", "NOT AUDITED: any dependency: no network\n"),
     ],
 )
-def test_only_vulnerabilities_fail_and_nothing_is_passed_over_in_silence(
+def test_only_vulnerabilities_fail_and_all_gaps_are_reported(
     audit: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -64,7 +64,7 @@ def test_only_vulnerabilities_fail_and_nothing_is_passed_over_in_silence(
         ("", "", [], "pip-audit said nothing."),
     ],
 )
-def test_what_pip_audit_says_is_understood(
+def test_output_of_pip_audit_is_parsed(
     audit: ModuleType, monkeypatch: pytest.MonkeyPatch, stdout: str, stderr: str, packages: list[object], reason: str
 ) -> None:
     done = subprocess.CompletedProcess([], 0, stdout, stderr)

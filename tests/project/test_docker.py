@@ -82,12 +82,12 @@ def test_the_configuration_of_nginx_is_valid(tmp_path: Path) -> None:
     run(tool("nginx"), "-t", "-e", "stderr", "-c", tmp_path / "nginx.conf")
 
 
-def test_the_shell_of_the_proof_is_sound() -> None:
+def test_prove_script_is_valid_shell() -> None:
     run("bash", "-n", "docker/prove.sh")
     assert (DOCKER / "prove.sh").stat().st_mode & 0o111
 
 
-def test_the_image_is_careful() -> None:
+def test_image_runs_as_unprivileged_user() -> None:
     final = DOCKERFILE.rpartition("\nFROM ")[2]
     assert final.startswith("python AS service")
     assert re.search(r"^USER [1-9]\d+:[1-9]\d+$", final, re.MULTILINE)
@@ -99,7 +99,7 @@ def test_the_image_is_careful() -> None:
         assert "--require-hashes" in line or "--no-index" in line
 
 
-def test_what_the_dockerfile_copies_exists_and_is_let_in() -> None:
+def test_files_copied_by_the_dockerfile_exist() -> None:
     sources = [
         word for line in re.findall(r"^COPY (?!--from)(.*)", DOCKERFILE, re.MULTILINE) for word in line.split()[:-1]
     ]
@@ -111,7 +111,7 @@ def test_what_the_dockerfile_copies_exists_and_is_let_in() -> None:
     assert all((ROOT / source).exists() for source in sources)
 
 
-def test_the_image_holds_what_the_service_needs_of_the_lock_and_nothing_else() -> None:
+def test_image_holds_exactly_the_locked_requirements_of_the_service() -> None:
     purposes = re.search(r"needs\.py (dependencies .*) > run.lock", DOCKERFILE)
     assert purposes
     extras = set(purposes[1].split()) - {"dependencies"}
@@ -151,7 +151,7 @@ def test_every_setting_in_the_compose_files_exists(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.name)
-def test_every_container_is_bounded_and_cannot_change_itself(path: Path) -> None:
+def test_containers_are_limited_and_read_only(path: Path) -> None:
     for service in services(path).values():
         assert service["read_only"] is True
         assert service["init"] is True
@@ -170,7 +170,7 @@ def test_every_container_is_bounded_and_cannot_change_itself(path: Path) -> None
             assert f" AS {build['target']}\n" in DOCKERFILE
 
 
-def test_only_nginx_is_reached_from_outside_and_only_the_service_reaches_the_cluster() -> None:
+def test_networks_isolate_service_and_cluster() -> None:
     document = yaml.safe_load((DOCKER / "compose.cluster.yaml").read_text())
     found = document["services"]
     assert {name for name, service in found.items() if "ports" in service} == {"proxy"}
@@ -188,7 +188,7 @@ def test_only_nginx_is_reached_from_outside_and_only_the_service_reaches_the_clu
         assert words[words.index("--dashboard-address") + 1].startswith("127.0.0.1:")
 
 
-def test_the_fits_of_a_container_fit_into_its_memory() -> None:
+def test_memory_of_fits_is_within_the_container_limit() -> None:
     for path in COMPOSE:
         service = services(path)["service"]
         settings = service["environment"]
@@ -204,7 +204,7 @@ def test_tls_adds_a_port_and_the_folder_of_its_files_to_nginx() -> None:
     assert "*.pem" in (DOCKER / "tls" / ".gitignore").read_text().splitlines()
 
 
-def test_the_commands_of_the_readme_name_what_exists() -> None:
+def test_commands_of_the_docker_readme_name_existing_files() -> None:
     text = (DOCKER / "README.md").read_text()
     named = set(re.findall(r"--file (\S+)", text))
     assert named == {path.relative_to(ROOT).as_posix() for path in (*COMPOSE, TLS)}

@@ -71,7 +71,7 @@ def service(folder: Path) -> Iterator[str]:
         yield url
 
 
-def test_every_block_is_of_a_kind_that_is_run_here() -> None:
+def test_every_readme_block_is_run() -> None:
     assert {language for language, _ in BLOCKS} == {"python", "sh", "text", "bibtex"}
     shell = [command.split()[0] for text in blocks("sh", http=False) for command in commands(text)]
     assert set(shell) == {"dsbrdf"}

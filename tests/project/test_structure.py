@@ -44,7 +44,7 @@ def imported_roots(nodes: list[ast.AST]) -> set[str]:
     return {module.partition(".")[0] for module in modules}
 
 
-def test_importing_every_module_of_the_library_loads_nothing_but_numpy_and_scipy() -> None:
+def test_library_imports_load_only_numpy_and_scipy() -> None:
     modules = [module.name for module in pkgutil.walk_packages(dsbrdf.__path__, "dsbrdf.")]
     assert "dsbrdf.output.figures" in modules
     assert "dsbrdf.cli.main" in modules
@@ -55,7 +55,7 @@ def test_importing_every_module_of_the_library_loads_nothing_but_numpy_and_scipy
 
 
 @pytest.mark.parametrize("path", LIBRARY, ids=name_of)
-def test_a_library_module_imports_only_what_it_may(path: Path) -> None:
+def test_library_module_imports_only_allowed_packages(path: Path) -> None:
     tree = ast.parse(path.read_text())
     assert "service" not in imported_roots(list(ast.walk(tree)))
     allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy"}
@@ -76,7 +76,7 @@ def test_test_files_have_at_most_350_lines() -> None:
     assert [name_of(path) for path in (ROOT / "tests").rglob("*.py") if path.read_text().count("\n") > 350] == []
 
 
-def test_all_is_the_public_interface() -> None:
+def test_all_lists_the_public_interface() -> None:
     mine = {
         name
         for name, value in vars(dsbrdf).items()
@@ -126,7 +126,7 @@ def test_the_lock_pins_with_hashes_and_names_no_registry() -> None:
     assert wanted - pinned == set()
 
 
-def test_no_file_names_a_place_on_someones_machine() -> None:
+def test_no_file_names_a_machine_path() -> None:
     suffixes = {".py", ".md", ".toml", ".lock", ".yml", ".yaml", ".sh", ".conf", ".html", ".js", ".css"}
     hidden = {".git", ".venv", ".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis", "out", "build", "dist"}
     texts = [ROOT / "Makefile", *ROOT.glob(".ci/*"), *ROOT.glob("docker/*")]

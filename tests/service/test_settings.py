@@ -12,7 +12,7 @@ from tests.support.commands import start_in_vain
 from tests.support.server import Server
 
 
-def test_what_cannot_be_started_is_told_in_one_sentence(tmp_path: Path) -> None:
+def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -35,7 +35,7 @@ def test_what_cannot_be_started_is_told_in_one_sentence(tmp_path: Path) -> None:
         ("DSBRDF_ACCESS_LOG", "perhaps"),
     ],
 )
-def test_a_wrong_setting_is_one_sentence_that_names_it(
+def test_invalid_setting_is_named_in_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
 ) -> None:
     monkeypatch.setenv(name, value)
@@ -47,7 +47,7 @@ def test_a_wrong_setting_is_one_sentence_that_names_it(
     assert not (tmp_path / "data").exists()
 
 
-def test_a_variable_that_is_no_setting_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_environment_variable_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DSBRDF_WORKER", "2")
     monkeypatch.setenv("DSBRDF_KEY", "of-the-client")
     assert unknown_settings() == [
@@ -62,7 +62,7 @@ def test_a_variable_that_is_no_setting_is_told_of(tmp_path: Path, monkeypatch: p
         server.close()
 
 
-def test_an_empty_variable_is_no_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in Settings.model_fields:
         monkeypatch.setenv(f"DSBRDF_{name.upper()}", "")
     assert Settings() == Settings(_env_prefix="NOTHING_")  # type: ignore[call-arg]

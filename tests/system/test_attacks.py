@@ -103,7 +103,7 @@ def in_pieces(content: bytes) -> Iterator[bytes]:
         yield content[start : start + (1 << 18)]
 
 
-def test_malformed_files(target: Target, data: bytes) -> None:
+def test_malformed_files_are_refused_cheaply(target: Target, data: bytes) -> None:
     assert len(MALFORMED) >= 60
     for number, (name, make) in enumerate(MALFORMED.items()):
         content = make(data)
@@ -116,7 +116,7 @@ def test_malformed_files(target: Target, data: bytes) -> None:
     target.close(len(MALFORMED), "malformed files")
 
 
-def test_compression_bombs(target: Target) -> None:
+def test_decompression_bombs_are_refused_cheaply(target: Target) -> None:
     assert len([kind for kind, encoding, _ in BOMBS.values() if encoding != "identity"]) >= 12
     paths = {
         MEASUREMENT: ["/v1/measurements"],
@@ -133,7 +133,7 @@ def test_compression_bombs(target: Target) -> None:
     target.close(count, "bombs")
 
 
-def test_hostile_requests(target: Target) -> None:
+def test_malformed_requests_are_refused_cheaply(target: Target) -> None:
     count = 0
     for request in hostile.requests(target.fit, target.measurement):
         reply = hostile.ask(target.address, request)
@@ -145,7 +145,7 @@ def test_hostile_requests(target: Target) -> None:
     target.close(count, "hostile requests")
 
 
-def test_a_length_that_is_not_kept_stores_nothing(target: Target, data: bytes) -> None:
+def test_truncated_uploads_store_nothing(target: Target, data: bytes) -> None:
     head = (
         f"POST /v1/measurements HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\nContent-Length: {len(data)}\r\n\r\n"
     )
@@ -165,7 +165,7 @@ def keep_busy(server: Server, seconds: float) -> None:
         server.http.get("/openapi.json")
 
 
-def test_a_client_that_goes_is_no_fault_of_the_service(target: Target) -> None:
+def test_aborted_requests_are_logged_as_client_errors(target: Target) -> None:
     paths = ("/v1/fits", f"/v1/fits/{target.fit}/brdf", f"/v1/fits/{target.fit}/lobes/diffuse/brdf", "/v1/measurements")
     types = (JSON, JSON, NPY, MEASUREMENT)
     for path, media_type in zip(paths, types, strict=True):
@@ -185,7 +185,7 @@ def test_a_client_that_goes_is_no_fault_of_the_service(target: Target) -> None:
     target.close(len(paths), "clients that went")
 
 
-def test_a_body_has_one_end(target: Target) -> None:
+def test_request_with_two_lengths_is_refused(target: Target) -> None:
     body = b'{"theta_half_deg":[1],"theta_diff_deg":[1]}'
     chunked = b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body)
     smuggled = b"DELETE /v1/fits/%s HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" % target.fit.encode()
@@ -205,7 +205,7 @@ def test_a_body_has_one_end(target: Target) -> None:
     target.close(8, "bodies with two ends")
 
 
-def test_idle_connections_leave_room_for_others(own_server: Callable[..., Server]) -> None:
+def test_idle_connections_leave_descriptors_for_others(own_server: Callable[..., Server]) -> None:
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
     try:
@@ -222,14 +222,12 @@ def test_idle_connections_leave_room_for_others(own_server: Callable[..., Server
 
 
 @pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 1024), (-1, 1024)])
-def test_there_are_half_as_many_connections_as_files_at_most(
-    monkeypatch: pytest.MonkeyPatch, files: int, most: int
-) -> None:
+def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPatch, files: int, most: int) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
     assert connection_class(Settings()).most == most
 
 
-def test_the_checks_can_fail(target: Target) -> None:
+def test_checks_of_this_file_can_fail(target: Target) -> None:
     document = {"type": "t", "title": "t", "status": 404, "detail": "d", "instance": "/"}
     problem = json.dumps(document).encode()
     target.check("fine", 404, "application/problem+json", problem, 0.1)

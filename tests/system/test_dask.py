@@ -26,7 +26,7 @@ def memory_mb(server: Server) -> float:
     return int(status.partition("VmRSS:")[2].split()[0]) / 1024
 
 
-def test_the_answer_is_that_of_a_local_fit(
+def test_dask_fit_equals_the_local_fit(
     serve: Callable[[DaskCluster], Server], server: Server, cluster: DaskCluster, data: bytes
 ) -> None:
     remote = serve(cluster)
@@ -42,7 +42,7 @@ def test_the_answer_is_that_of_a_local_fit(
     assert memory_mb(remote) - before < 24  # neither the file (35 MB) nor what is made of it
 
 
-def test_a_fit_that_is_cancelled_frees_the_worker(
+def test_cancelled_fit_frees_its_worker(
     serve: Callable[[DaskCluster], Server], cluster: DaskCluster, data: bytes
 ) -> None:
     server = serve(cluster)
@@ -57,7 +57,7 @@ def test_a_fit_that_is_cancelled_frees_the_worker(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_server_that_ends_leaves_no_fit_behind_and_runs_it_again(
+def test_stopped_server_leaves_no_fit_and_resumes_it(
     serve: Callable[[DaskCluster], Server], cluster: DaskCluster, data: bytes, number: signal.Signals
 ) -> None:
     server = serve(cluster)
@@ -74,7 +74,7 @@ def test_a_server_that_ends_leaves_no_fit_behind_and_runs_it_again(
         assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
 
 
-def test_fits_wait_for_a_cluster_and_outlive_its_scheduler(
+def test_fits_wait_for_a_cluster_and_survive_its_scheduler(
     own_cluster: DaskCluster, tmp_path: Path, data: bytes
 ) -> None:
     server = Server(tmp_path / "data", engine="dask", scheduler=own_cluster.address, workers="1")
@@ -100,7 +100,7 @@ def test_fits_wait_for_a_cluster_and_outlive_its_scheduler(
         server.close()
 
 
-def test_a_fit_outlives_its_worker(
+def test_fit_survives_the_loss_of_its_worker(
     serve: Callable[[DaskCluster], Server], own_cluster: DaskCluster, data: bytes
 ) -> None:
     own_cluster.start_scheduler()

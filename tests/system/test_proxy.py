@@ -116,14 +116,14 @@ def assert_problem(answer: httpx.Response, kind: str) -> None:
     assert document["detail"].endswith(".")
 
 
-def test_a_measurement_goes_through_and_is_fitted(proxy: Proxy, data: bytes) -> None:
+def test_measurement_is_fitted_through_the_proxy(proxy: Proxy, data: bytes) -> None:
     answer = proxy.http.post("/v1/fits?method=paper&n_lobes=1", content=data, headers=BINARY)
     assert answer.status_code in (200, 201)
     assert answer.json()["status"] == "succeeded"
     assert "server" not in answer.headers or "/" not in answer.headers["server"]
 
 
-def test_an_upload_reaches_the_service_while_it_arrives(proxy: Proxy, server: Server, data: bytes) -> None:
+def test_upload_is_passed_on_unbuffered(proxy: Proxy, server: Server, data: bytes) -> None:
     """The service refuses a wrong header before the rest of the file has been sent."""
     head = (
         f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(data)}\r\nConnection: close\r\n\r\n"
@@ -136,7 +136,7 @@ def test_an_upload_reaches_the_service_while_it_arrives(proxy: Proxy, server: Se
 
 
 @pytest.mark.parametrize(("path", "length"), [("/v1/measurements", 40_000_000), ("/v1/fits/0/brdf", 300_000_000)])
-def test_a_body_that_is_too_long_is_refused_by_nginx(proxy: Proxy, path: str, length: int) -> None:
+def test_too_long_body_is_refused_by_nginx(proxy: Proxy, path: str, length: int) -> None:
     head = f"POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n"
     answer = proxy.send(head.encode())
     assert b" 413 " in answer.splitlines()[0]
@@ -151,21 +151,21 @@ def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str) -> 
     assert_problem(answer, "invalid-argument")
 
 
-def test_a_head_that_is_too_long_is_refused(proxy: Proxy) -> None:
+def test_too_long_head_is_refused(proxy: Proxy) -> None:
     assert_problem(proxy.http.get("/v1/fits", headers={"X-Long": "x" * 10_000}), "bad-request")
     assert_problem(proxy.http.get("/v1/fits?cursor=" + "x" * 10_000), "bad-request")
 
 
-def test_what_is_not_http_is_refused(proxy: Proxy) -> None:
+def test_malformed_http_is_refused_by_nginx(proxy: Proxy) -> None:
     assert b"urn:dsbrdf:problem:bad-request" in proxy.send(b"GET / HTTP/1.1\r\nHost: a b\r\nbad header\r\n\r\n")
 
 
-def test_a_slow_head_is_given_up(server: Server, own_proxy: Callable[..., Proxy]) -> None:
+def test_slow_head_times_out(server: Server, own_proxy: Callable[..., Proxy]) -> None:
     proxy = own_proxy(address_of(server), **{"client_header_timeout 10s": "client_header_timeout 1s"})
     assert proxy.send(b"GET /health/live HTTP/1.1\r\nHost") == b""
 
 
-def test_a_body_that_stops_is_given_up_by_the_service_which_says_why(
+def test_stalled_body_times_out_in_the_service(
     own_server: Callable[..., Server], own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
     proxy = own_proxy(address_of(own_server(silence_seconds="1")))
@@ -173,13 +173,13 @@ def test_a_body_that_stops_is_given_up_by_the_service_which_says_why(
     assert b"urn:dsbrdf:problem:request-timeout" in proxy.send(head.encode() + data[:1000])
 
 
-def test_nginx_waits_longer_for_a_body_than_the_service() -> None:
+def test_nginx_body_timeout_exceeds_that_of_the_service() -> None:
     seconds = re.search(r"client_body_timeout (\d+)s;", CONFIGURATION.read_text())
     assert seconds
     assert int(seconds[1]) > Settings().silence_seconds
 
 
-def test_an_address_that_asks_too_often_is_told_to_wait(server: Server, own_proxy: Callable[..., Proxy]) -> None:
+def test_request_rate_of_an_address_is_limited(server: Server, own_proxy: Callable[..., Proxy]) -> None:
     proxy = own_proxy(address_of(server), **{"rate=100r/s": "rate=1r/s", "burst=200": "burst=5"})
     answers = [proxy.http.get("/health/live") for _ in range(30)]
     refused = [answer for answer in answers if answer.status_code != 200]
@@ -190,7 +190,7 @@ def test_an_address_that_asks_too_often_is_told_to_wait(server: Server, own_prox
         assert int(answer.headers["retry-after"]) >= 1
 
 
-def test_an_address_has_a_bounded_number_of_open_requests(server: Server, own_proxy: Callable[..., Proxy]) -> None:
+def test_open_requests_of_an_address_are_limited(server: Server, own_proxy: Callable[..., Proxy]) -> None:
     proxy = own_proxy(address_of(server), **{"limit_conn connections 64": "limit_conn connections 2"})
     head = b"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: 34992012\r\n\r\n"
     held = [socket.create_connection(("127.0.0.1", proxy.port)) for _ in range(2)]
@@ -205,7 +205,7 @@ def test_an_address_has_a_bounded_number_of_open_requests(server: Server, own_pr
     wait_until(lambda: proxy.http.get("/health/live").status_code == 200)
 
 
-def test_events_pass_as_they_come(
+def test_event_stream_is_passed_on_unbuffered(
     own_server: Callable[..., Server], own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
     server = own_server()
@@ -220,7 +220,7 @@ def test_events_pass_as_they_come(
     server.http.delete(f"/v1/fits/{fit_id}")
 
 
-def test_a_long_answer_to_a_slow_client_is_not_written_to_the_memory_of_the_container(
+def test_response_to_a_slow_client_is_not_buffered_on_disk(
     server: Server, own_proxy: Callable[..., Proxy], fitted: str
 ) -> None:
     """Its /tmp is 64 MB of memory; two tables of 35 MB there would break off both answers."""
@@ -234,7 +234,7 @@ def test_a_long_answer_to_a_slow_client_is_not_written_to_the_memory_of_the_cont
     assert "temporary file" not in proxy.errors.read_text()
 
 
-def test_nginx_speaks_tls_when_it_is_given_a_certificate(
+def test_nginx_serves_tls_with_a_certificate(
     server: Server, own_proxy: Callable[..., Proxy], tmp_path: Path, data: bytes
 ) -> None:
     if shutil.which("openssl") is None:
@@ -267,7 +267,7 @@ def test_nginx_speaks_tls_when_it_is_given_a_certificate(
     assert_problem(httpx.get(f"http://127.0.0.1:{port}/health/live", timeout=60), "bad-request")
 
 
-def test_the_service_being_away_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
+def test_unreachable_service_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
     proxy = own_proxy(f"127.0.0.1:{free_port()}")
     answer = proxy.http.get("/health/ready")
     assert answer.status_code == 502
@@ -276,7 +276,7 @@ def test_the_service_being_away_is_a_problem_document(own_proxy: Callable[..., P
     assert "retry-after" in answer.headers
 
 
-def test_an_answer_that_does_not_come_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
+def test_missing_response_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         proxy = own_proxy(
             f"127.0.0.1:{silent.getsockname()[1]}", **{"proxy_read_timeout 330s": "proxy_read_timeout 1s"}
@@ -286,7 +286,7 @@ def test_an_answer_that_does_not_come_is_a_problem_document(own_proxy: Callable[
     assert answer.json()["status"] == 504
 
 
-def test_the_service_hears_only_what_nginx_says_of_the_client(own_proxy: Callable[..., Proxy]) -> None:
+def test_forwarded_headers_are_those_of_nginx(own_proxy: Callable[..., Proxy]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
         heard = pool.submit(heard_and_answered, listener)
         proxy = own_proxy(f"127.0.0.1:{listener.getsockname()[1]}")
@@ -309,6 +309,6 @@ def heard_and_answered(listener: socket.socket) -> bytes:
     return head
 
 
-def test_the_log_has_the_id_that_the_service_knows(proxy: Proxy) -> None:
+def test_proxy_log_has_the_request_id_of_the_service(proxy: Proxy) -> None:
     answer = proxy.http.get("/health/live")
     wait_until(lambda: answer.headers["x-request-id"] in proxy.log.read_text())

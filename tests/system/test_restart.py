@@ -51,7 +51,7 @@ def test_accepted_fits_finish_after_a_restart(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
+def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
@@ -73,7 +73,7 @@ def test_nothing_stays_in_temporary_folders(tmp_path: Path, data: bytes, number:
         server.close()
 
 
-def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[..., Server], data: bytes) -> None:
+def test_finished_fits_survive_a_restart(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     first = server.http.post("/v1/fits?method=paper&n_lobes=1", content=data)
     assert first.status_code == 201
@@ -84,7 +84,7 @@ def test_finished_fits_survive_and_are_not_computed_again(own_server: Callable[.
     assert again.json() == first.json()
 
 
-def test_a_killed_child_takes_its_own_fit_only(own_server: Callable[..., Server], data: bytes) -> None:
+def test_killed_fit_process_fails_only_its_own_fit(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", fit_attempts="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     victim = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
@@ -101,7 +101,7 @@ def test_a_killed_child_takes_its_own_fit_only(own_server: Callable[..., Server]
     server.until_running(victim)
 
 
-def test_a_lost_process_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
+def test_lost_fit_process_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", fit_attempts="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     fit_id = server.submit(sha256, prefer="respond-async", **SLOW).json()["id"]
@@ -111,7 +111,7 @@ def test_a_lost_process_is_replaced(own_server: Callable[..., Server], data: byt
     assert server.http.get(f"/v1/fits/{fit_id}?wait=30").json()["status"] == "succeeded"
 
 
-def test_a_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
+def test_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     for pid in server.helpers():
@@ -139,7 +139,7 @@ def test_a_fit_has_a_time_limit(own_server: Callable[..., Server], data: bytes) 
     wait_until(lambda: not server.workers())
 
 
-def test_open_event_streams_do_not_hold_the_server_up(own_server: Callable[..., Server], data: bytes) -> None:
+def test_open_event_streams_do_not_delay_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     endless = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
@@ -152,7 +152,7 @@ def test_open_event_streams_do_not_hold_the_server_up(own_server: Callable[..., 
     assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
 
 
-def test_files_and_rows_that_lost_each_other_are_dropped(own_server: Callable[..., Server], data: bytes) -> None:
+def test_files_without_rows_and_rows_without_files_are_removed(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     server.stop()

@@ -60,7 +60,7 @@ def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
         return told + list(events)
 
 
-def test_a_signal_ends_it_soon_and_who_waits_gets_an_answer(own_server: Callable[..., Server], data: bytes) -> None:
+def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", shutdown_seconds="40")
     url = address(server)
     fits = start_fits(server, data, 3)
@@ -98,7 +98,7 @@ def test_a_signal_ends_it_soon_and_who_waits_gets_an_answer(own_server: Callable
     assert {row["status"] for row in rows} <= {"running", "accepted"}
 
 
-def test_more_signals_are_harmless(own_server: Callable[..., Server], data: bytes) -> None:
+def test_repeated_sigterm_is_harmless(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1")
     (fit,) = start_fits(server, data, 1)
     begin = time.monotonic()
@@ -111,7 +111,7 @@ def test_more_signals_are_harmless(own_server: Callable[..., Server], data: byte
     assert server.status(fit) in ("accepted", "running")
 
 
-def test_fits_whose_processes_get_the_signal_too_are_not_failed(own_server: Callable[..., Server], data: bytes) -> None:
+def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server], data: bytes) -> None:
     """As a service manager does it that signals every process; an upload keeps the service from ending at once."""
     server = own_server(workers="2", fit_attempts="1", shutdown_seconds="3")
     fits = start_fits(server, data, 2)
@@ -126,7 +126,7 @@ def test_fits_whose_processes_get_the_signal_too_are_not_failed(own_server: Call
         assert server.status(fit) in ("accepted", "running", "succeeded")
 
 
-def test_a_request_that_cannot_be_finished_is_told_so(own_server: Callable[..., Server], data: bytes) -> None:
+def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(shutdown_seconds="1")
     with upload_in_progress(server, data) as connection:
         server.process.send_signal(signal.SIGTERM)
@@ -139,7 +139,7 @@ def test_a_request_that_cannot_be_finished_is_told_so(own_server: Callable[..., 
     assert all(json.loads(line) for line in server.log.read_text().splitlines())
 
 
-def test_what_hangs_does_not_keep_the_service(own_server: Callable[..., Server], data: bytes) -> None:
+def test_hanging_fork_server_does_not_block_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", shutdown_seconds="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     (fork_server,) = (pid for pid in server.helpers() if b"forkserver" in command(pid))

@@ -235,7 +235,7 @@ def life(own_server: Callable[..., Server], data: bytes) -> type[Life]:
     return Here
 
 
-def test_a_life_of_the_service(life: type[Life]) -> None:
+def test_random_sequences_of_requests_match_the_model(life: type[Life]) -> None:
     lives = repeats(2, 600)
     # Lives are not shortened when one fails: with a real server it would take longer than reading the whole.
     run_state_machine_as_test(

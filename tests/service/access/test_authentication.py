@@ -68,7 +68,7 @@ def bad_headers(key: str) -> dict[str, list[tuple[bytes, bytes]]]:
 
 
 @pytest.mark.parametrize("case", bad_headers("dsbrdf_0_secret"))
-def test_nothing_but_a_key_lets_anyone_in(guarded: Guarded, case: str) -> None:
+def test_request_without_valid_key_is_unauthorized(guarded: Guarded, case: str) -> None:
     key = guarded.alice["Authorization"].removeprefix("Bearer ")
     headers = bad_headers(key)[case]
     answer = guarded.server.http.get("/v1/fits", headers=headers)
@@ -82,13 +82,13 @@ def test_nothing_but_a_key_lets_anyone_in(guarded: Guarded, case: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER"])
-def test_a_key_lets_its_owner_in(guarded: Guarded, scheme: str) -> None:
+def test_valid_key_is_authorized(guarded: Guarded, scheme: str) -> None:
     key = guarded.alice["Authorization"].removeprefix("Bearer ")
     answer = guarded.server.http.get("/v1/fits", headers={"authorization": f"{scheme}  {key}"})
     assert answer.status_code == 200
 
 
-def test_every_route_wants_a_key(guarded: Guarded) -> None:
+def test_every_route_requires_a_key(guarded: Guarded) -> None:
     paths: dict[str, dict[str, Any]] = guarded.server.http.get("/openapi.json").json()["paths"]
     tried = 0
     for path, methods in paths.items():
@@ -137,7 +137,7 @@ def test_every_route_wants_a_key(guarded: Guarded) -> None:
         "*",
     ],
 )
-def test_no_path_goes_around_the_gate(guarded: Guarded, path: str) -> None:
+def test_unusual_paths_do_not_bypass_authentication(guarded: Guarded, path: str) -> None:
     url = guarded.server.http.base_url
     for method in ("GET", "DELETE"):
         connection = http.client.HTTPConnection(url.host, url.port, timeout=30)
@@ -148,7 +148,7 @@ def test_no_path_goes_around_the_gate(guarded: Guarded, path: str) -> None:
         connection.close()
 
 
-def test_an_upload_without_a_key_is_refused_before_it_is_read(guarded: Guarded, data: bytes) -> None:
+def test_upload_without_key_is_refused_before_its_body_is_read(guarded: Guarded, data: bytes) -> None:
     before = guarded.server.files()
     for headers in ({}, {"Authorization": "Bearer x"}):
         for path in ("/v1/measurements", "/v1/fits"):
@@ -164,7 +164,7 @@ def is_refused(server: Server, header: dict[str, str]) -> bool:
     return server.http.get("/v1/fits", headers=header).status_code == 401
 
 
-def test_a_revoked_key_is_refused_within_about_a_second(guarded: Guarded) -> None:
+def test_revoked_key_is_refused(guarded: Guarded) -> None:
     database = Database(guarded.server.data_dir, beside=True)
     took = []
     for _ in range(3):
@@ -179,7 +179,7 @@ def test_a_revoked_key_is_refused_within_about_a_second(guarded: Guarded) -> Non
     database.close()
 
 
-def test_what_waits_ends_with_its_key(own_server: Callable[..., Server], data: bytes) -> None:
+def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true", workers="1")
     (key_id, header), (_, other) = (new_key(server, name) for name in ("brief", "lasting"))
     address = (server.http.base_url.host, server.http.base_url.port)
@@ -230,7 +230,7 @@ def test_what_waits_ends_with_its_key(own_server: Callable[..., Server], data: b
 @pytest.mark.parametrize(
     "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "10.0.0.1", "evil."]
 )
-def test_a_name_that_was_made_to_lead_here_is_not_answered(server: Server, host: str) -> None:
+def test_foreign_host_header_is_refused_on_loopback(server: Server, host: str) -> None:
     for value in (host, f"{host}:{server.http.base_url.port}"):
         answer = server.http.get("/v1/fits", headers={"Host": value})
         assert "127.0.0.1" in assert_problem(answer, 401, "unauthorized")
@@ -239,20 +239,20 @@ def test_a_name_that_was_made_to_lead_here_is_not_answered(server: Server, host:
 @pytest.mark.parametrize(
     "host", ["localhost", "LOCALHOST:80", "workstation", "127.0.0.1", "127.1.2.3:8000", "[::1]:8000"]
 )
-def test_names_of_the_machine_itself_are_answered(server: Server, host: str) -> None:
+def test_local_host_headers_are_accepted(server: Server, host: str) -> None:
     assert server.http.get("/v1/fits", headers={"Host": host}).status_code == 200
     assert server.http.get("/v1/fits", headers={"Host": host, "Origin": f"http://{host}"}).status_code == 200
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://localhost:1", "", "127.0.0.1"])
-def test_pages_of_other_sites_are_not_answered(server: Server, data: bytes, origin: str) -> None:
+def test_cross_origin_requests_are_refused(server: Server, data: bytes, origin: str) -> None:
     before = server.files()
     answer = server.http.post("/v1/measurements", content=data[:100], headers={"Origin": origin})
     assert "other sites" in assert_problem(answer, 401, "unauthorized")
     assert server.files() == before
 
 
-def test_a_key_that_is_sent_counts_on_loopback_too(server: Server) -> None:
+def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
     _, header = new_key(server, "x")
     assert server.http.get("/v1/fits").status_code == 200
     assert server.http.get("/v1/fits", headers=header | {"Host": "any.example"}).status_code == 200

@@ -18,7 +18,7 @@ def variants(data: bytes, count: int) -> list[bytes]:
     return [data[:-8] + bytes([100 + number, *data[-7:]]) for number in range(count)]
 
 
-def test_a_bucket_gives_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_token_bucket_refills_at_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
     monkeypatch.setattr(rate_limit, "monotonic", lambda: now)
     bucket = Bucket(4.0)
@@ -37,7 +37,7 @@ def test_a_bucket_gives_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> Non
     assert slow.take() == pytest.approx(100.0)
 
 
-def test_the_rate_of_one_key_does_not_bound_another(guarded: Guarded) -> None:
+def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
     header = guarded.new_key("slow", requests_per_second=0.02)  # and its one request is made
     answer = guarded.server.http.get("/v1/fits", headers=header)
     assert "0.02 requests per second" in assert_problem(answer, 429, "rate-limited")
@@ -48,7 +48,7 @@ def test_the_rate_of_one_key_does_not_bound_another(guarded: Guarded) -> None:
     assert guarded.server.http.get("/v1/fits", headers=header).status_code == 429
 
 
-def test_after_the_time_that_is_told_a_request_is_answered(guarded: Guarded) -> None:
+def test_request_after_retry_after_is_answered(guarded: Guarded) -> None:
     header = guarded.new_key("patient", requests_per_second=0.5)
     statuses = []
     for _ in range(10):
@@ -61,7 +61,7 @@ def test_after_the_time_that_is_told_a_request_is_answered(guarded: Guarded) -> 
     assert guarded.server.http.get("/v1/fits", headers=header).status_code == 200
 
 
-def test_nothing_above_the_quota_is_stored(guarded: Guarded, data: bytes) -> None:
+def test_upload_over_quota_is_refused_and_not_stored(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     header = guarded.new_key("full", stored_mb=70)  # room for two files of 33.4 MB
     before = set(server.files())
@@ -91,7 +91,7 @@ def test_nothing_above_the_quota_is_stored(guarded: Guarded, data: bytes) -> Non
     assert upload(refused).status_code == 201
 
 
-def test_unfinished_fits_are_bounded_for_each_key(guarded: Guarded, data: bytes) -> None:
+def test_unfinished_fits_of_a_key_are_limited(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     header = guarded.new_key("busy", queued_fits=2)
     sha256 = server.http.post("/v1/measurements", content=data, headers=header).json()["sha256"]

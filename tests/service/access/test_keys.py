@@ -10,7 +10,7 @@ from service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command
 
 
-def test_no_secret_is_kept_or_told(guarded: Guarded, data: bytes) -> None:
+def test_secrets_are_neither_stored_nor_printed(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     header = guarded.new_key("for a search")
     key = header["Authorization"].removeprefix("Bearer ")
@@ -31,7 +31,7 @@ def test_no_secret_is_kept_or_told(guarded: Guarded, data: bytes) -> None:
         assert secret.encode() not in text, name
 
 
-def test_comparisons_take_the_same_way_for_unknown_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compared: list[tuple[bytes, bytes]] = []
 
     def compare(one: bytes, other: bytes) -> bool:
@@ -58,7 +58,9 @@ def test_comparisons_take_the_same_way_for_unknown_ids(tmp_path: Path, monkeypat
     database.close()
 
 
-def test_a_damaged_or_busy_database_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_or_locked_database_is_reported_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "dsbrdf.sqlite").write_bytes(b"no database" * 1000)
     refused = keys_command("list", "--data-dir", str(tmp_path))
     assert refused.returncode == 2
@@ -76,6 +78,6 @@ def test_a_damaged_or_busy_database_is_one_sentence(tmp_path: Path, monkeypatch:
     database.close()
 
 
-def test_a_new_folder_is_for_its_user_alone(tmp_path: Path) -> None:
+def test_new_data_folder_is_private(tmp_path: Path) -> None:
     Database(tmp_path / "data").close()
     assert (tmp_path / "data").stat().st_mode & 0o777 == 0o700

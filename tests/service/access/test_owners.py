@@ -61,7 +61,7 @@ def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str
     yield "DELETE", f"/v1/fits/{fit}?wait=0.1", {}
 
 
-def test_what_is_another_s_is_as_if_it_did_not_exist(guarded: Guarded, data: bytes) -> None:
+def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     alice, bob = guarded.new_key("owner"), guarded.new_key("prober", requests_per_second=100_000)
     fitted = server.http.post("/v1/fits", params=QUICK, content=data, headers=alice)
@@ -96,7 +96,7 @@ def test_what_is_another_s_is_as_if_it_did_not_exist(guarded: Guarded, data: byt
     assert server.http.get(f"/v1/measurements/{sha256}", headers=alice).content == data
 
 
-def test_an_upload_does_not_tell_what_others_have(guarded: Guarded, data: bytes) -> None:
+def test_upload_of_a_file_that_another_owner_has_is_created(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     alice, bob = guarded.new_key("first"), guarded.new_key("second")
     content = data[:-8] + b"\1" + data[-7:]
@@ -127,7 +127,7 @@ def test_an_upload_does_not_tell_what_others_have(guarded: Guarded, data: bytes)
     assert len(server.files()) == before
 
 
-def test_the_number_of_rows_of_others_does_not_show(guarded: Guarded, data: bytes) -> None:
+def test_page_cursors_do_not_reveal_other_owners_rows(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     links = []
     for name in ("one", "two"):
@@ -142,7 +142,7 @@ def test_the_number_of_rows_of_others_does_not_show(guarded: Guarded, data: byte
     assert links[0] == links[1]
 
 
-def test_crowds_of_two_owners_make_two_fits_of_one_file(guarded: Guarded, data: bytes) -> None:
+def test_concurrent_requests_of_two_owners_make_two_fits(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     content = data[:-8] + b"\2" + data[-7:]
     before = len(server.files())
@@ -161,7 +161,7 @@ def test_crowds_of_two_owners_make_two_fits_of_one_file(guarded: Guarded, data: 
     assert len(server.files()) == before + 1
 
 
-def test_who_has_no_key_sees_nothing_of_a_key_and_the_other_way_round(server: Server, data: bytes) -> None:
+def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) -> None:
     _, key = new_key(server, "x")
     nobody: dict[str, str] = {}
     content = data[:-8] + b"\3" + data[-7:]
@@ -175,7 +175,7 @@ def test_who_has_no_key_sees_nothing_of_a_key_and_the_other_way_round(server: Se
     assert server.http.get(fit, headers=key).json()["status"] == "succeeded"
 
 
-def test_fits_of_several_owners_are_taken_up_again_after_a_kill(own_server: Callable[..., Server], data: bytes) -> None:
+def test_unfinished_fits_of_several_owners_resume_after_a_kill(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1")
     users: list[dict[str, str]] = [{}, new_key(server, "x")[1]]
     ids = set()

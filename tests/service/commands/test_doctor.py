@@ -52,7 +52,7 @@ def wrong(findings: dict[str, dict[str, Any]]) -> dict[str, str]:
     return {name: item["detail"] for name, item in findings.items() if not item["fine"]}
 
 
-def test_beside_a_running_server_all_is_fine(own_server: Callable[..., Server], data: bytes) -> None:
+def test_healthy_installation_passes_beside_a_running_server(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     server.http.post("/v1/measurements", content=data)
     code, findings = examine(server.data_dir)
@@ -62,7 +62,7 @@ def test_beside_a_running_server_all_is_fine(own_server: Callable[..., Server], 
     assert server.http.get("/health/ready").status_code == 200
 
 
-def test_the_text_is_a_line_for_each_check_and_nothing_is_made(tmp_path: Path) -> None:
+def test_text_output_has_one_line_per_check_and_creates_nothing(tmp_path: Path) -> None:
     done = run_main(doctor.main, "--data-dir", str(tmp_path / "none"), DSBRDF_MIN_FREE_MB="1000000000")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
@@ -91,7 +91,7 @@ def test_damaged_missing_and_stray_files_are_found(folder: Path) -> None:
     assert found(folder, "measurements").startswith("1 ")
 
 
-def test_a_newer_or_broken_database_is_found(folder: Path, tmp_path: Path) -> None:
+def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> None:
     assert "intact" in found(folder, "database")
     name = tmp_path / FILE_NAME
     name.write_bytes((folder / FILE_NAME).read_bytes())
@@ -109,14 +109,14 @@ def test_a_newer_or_broken_database_is_found(folder: Path, tmp_path: Path) -> No
     assert "fits_by_status" in fault(tmp_path, "database")
 
 
-def test_a_folder_that_cannot_be_written_to_is_found(tmp_path: Path) -> None:
+def test_unwritable_folder_is_found(tmp_path: Path) -> None:
     (tmp_path / "blobs").mkdir()
     (tmp_path / "tmp").write_text("not a folder")
     with pytest.raises(OSError, match="tmp"):
         found(tmp_path, "data folder")
 
 
-def test_an_engine_that_cannot_work_is_found(tmp_path: Path) -> None:
+def test_unusable_engine_is_found(tmp_path: Path) -> None:
     environment = {"engine": "dask", "scheduler": "tcp://127.0.0.1:1", "fit_memory_mb": "128"}
     code, findings = examine(tmp_path, **{f"DSBRDF_{name.upper()}": value for name, value in environment.items()})
     assert code == 1

@@ -17,7 +17,7 @@ from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem
 
 
-def test_the_command_adds_lists_and_revokes_beside_a_running_server(guarded: Guarded) -> None:
+def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guarded) -> None:
     server = guarded.server
     there = ("--data-dir", str(server.data_dir))
     words = ["add", "carol's laptop", *there, "--requests-per-second", "7", "--stored-mb", "80"]
@@ -80,7 +80,7 @@ def listed(server: Server) -> list[dict[str, Any]]:
         (["revoke", "0"], "data folder"),
     ],
 )
-def test_bad_words_are_one_sentence(tmp_path: Path, words: list[str], part: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, words: list[str], part: str) -> None:
     folder = tmp_path / "none"
     there = ["--data-dir", str(folder)] if words else []
     refused = keys_command(*words, *there)
@@ -91,7 +91,7 @@ def test_bad_words_are_one_sentence(tmp_path: Path, words: list[str], part: str)
     assert not folder.exists()
 
 
-def test_the_start_needs_a_key_where_others_can_come(tmp_path: Path) -> None:
+def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     row_id = keys_command("add", "x", "--data-dir", str(folder)).stdout.split("_")[1]
     database = Database(folder)

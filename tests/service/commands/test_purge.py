@@ -53,7 +53,9 @@ def file_of(server: Server, sha256: str) -> Path:
     return server.data_dir / "blobs" / sha256[:2] / f"{sha256}.binary"
 
 
-def test_what_is_old_goes_and_a_running_server_notices(own_server: Callable[..., Server], data: bytes) -> None:
+def test_old_fits_and_measurements_are_removed_beside_a_running_server(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
     server = own_server(workers="1")
     folder = server.data_dir
     old, fresh, unused, busy, kept = (
@@ -84,7 +86,7 @@ def test_what_is_old_goes_and_a_running_server_notices(own_server: Callable[...,
     assert purged(folder, "--older-than", "30d") == {"fits": 0, "measurements": 0, "bytes": 0, "dry_run": False}
 
 
-def test_a_file_goes_with_its_last_row(own_server: Callable[..., Server], data: bytes) -> None:
+def test_file_is_removed_with_its_last_row(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, timeout=30)) as db, db:
@@ -100,7 +102,7 @@ def test_a_file_goes_with_its_last_row(own_server: Callable[..., Server], data: 
     assert not file_of(server, sha256).exists()
 
 
-def test_uploads_of_the_same_bytes_meanwhile_are_whole_or_gone(own_server: Callable[..., Server], data: bytes) -> None:
+def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     done = threading.Event()
     statuses: list[int] = []
@@ -130,7 +132,7 @@ def test_uploads_of_the_same_bytes_meanwhile_are_whole_or_gone(own_server: Calla
 
 
 @pytest.mark.parametrize("age", ["30", "d", "-1d", "1.5d", "30 d", "1y", "\u0663d", ""])
-def test_no_age_is_one_sentence(tmp_path: Path, age: str) -> None:
+def test_invalid_age_is_refused_in_one_sentence(tmp_path: Path, age: str) -> None:
     refused = run_main(purge.main, "--data-dir", str(tmp_path), f"--older-than={age}")
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
@@ -138,7 +140,7 @@ def test_no_age_is_one_sentence(tmp_path: Path, age: str) -> None:
     assert "--older-than" in refused.stderr
 
 
-def test_another_folder_is_left_alone(tmp_path: Path) -> None:
+def test_folder_that_is_not_a_data_folder_is_refused(tmp_path: Path) -> None:
     refused = run_main(purge.main, "--data-dir", str(tmp_path / "none"), "--older-than", "1d")
     assert refused.returncode == 2
     assert "--data-dir" in refused.stderr

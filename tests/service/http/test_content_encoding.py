@@ -24,7 +24,7 @@ def decode(encoding: str | None, body: bytes, step: int) -> bytes:
 
 
 @given(st.lists(st.binary(max_size=200).map(lambda b: b * 50), max_size=4), st.integers(1, 5000), st.sampled_from("gz"))
-def test_members_on_end_decode_whatever_the_pieces(contents: list[bytes], step: int, kind: str) -> None:
+def test_concatenated_members_decode_in_any_chunks(contents: list[bytes], step: int, kind: str) -> None:
     if kind == "g":
         body = b"".join(gzip.compress(content) for content in contents)
         assert decode("gzip", body, step) == b"".join(contents)
@@ -34,7 +34,7 @@ def test_members_on_end_decode_whatever_the_pieces(contents: list[bytes], step: 
 
 
 @pytest.mark.parametrize("size", [PIECE - 1, PIECE, PIECE + 1, 3 * PIECE, 10 * PIECE])
-def test_large_members_come_out_whole(size: int) -> None:
+def test_large_member_decodes_completely(size: int) -> None:
     content = np.random.default_rng(0).integers(0, 4, size, dtype=np.uint8).tobytes()
     for flat in (bytes(size), content):
         assert decode("gzip", gzip.compress(flat), 1 << 20) == flat
@@ -42,7 +42,7 @@ def test_large_members_come_out_whole(size: int) -> None:
 
 
 @given(st.binary(max_size=300), st.integers(1, 400))
-def test_noise_is_refused_or_decodes_as_zlib_does(noise: bytes, step: int) -> None:
+def test_random_bytes_are_refused_or_decode_as_zlib_does(noise: bytes, step: int) -> None:
     try:
         expected = gzip.decompress(noise) if noise else b""
     except (OSError, EOFError, zlib.error):
@@ -52,7 +52,7 @@ def test_noise_is_refused_or_decodes_as_zlib_does(noise: bytes, step: int) -> No
         assert decode("gzip", noise, step) == expected
 
 
-def test_a_large_window_is_refused() -> None:
+def test_zstd_frame_with_large_window_is_refused() -> None:
     parameters = zstandard.ZstdCompressionParameters(window_log=27, enable_ldm=True)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
     body = compressor.compress(bytes(1000)) + compressor.flush()
@@ -60,7 +60,7 @@ def test_a_large_window_is_refused() -> None:
         decode("zstd", body, 100)
 
 
-def test_a_missing_dictionary_is_named() -> None:
+def test_zstd_frame_with_dictionary_is_refused() -> None:
     words: list[bytes | bytearray | memoryview] = [b"theta_half %d of %d" % (i, i * i) for i in range(5000)]
     dictionary = zstandard.train_dictionary(4096, words)
     body = zstandard.ZstdCompressor(dict_data=dictionary).compress(words[7])
@@ -72,6 +72,6 @@ def test_a_missing_dictionary_is_named() -> None:
     ("header", "of_zstd"),
     [("gzip, identity", False), ("identity,GZIP", False), ("", None), (",", None), ("zstd,", True)],
 )
-def test_identity_in_a_list_of_encodings_is_nothing(header: str, of_zstd: bool | None) -> None:
+def test_identity_encoding_is_ignored(header: str, of_zstd: bool | None) -> None:
     body = b"body" if of_zstd is None else zstandard.compress(b"body") if of_zstd else gzip.compress(b"body")
     assert decode(header, body, 3) == b"body"

@@ -73,7 +73,7 @@ def trickle(connection: socket.socket, data: bytes) -> bytes:
     return answer + rest(connection)
 
 
-def test_a_body_that_stops_is_given_up(impatient: Server, data: bytes) -> None:
+def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
     with connect(impatient, head_of_upload(len(data)) + data[:1_000_000]) as connection:
         wait_until(lambda: bool(impatient.files()))
         assert problem(rest(connection)) == (408, "request-timeout")
@@ -84,7 +84,7 @@ def test_a_body_that_stops_is_given_up(impatient: Server, data: bytes) -> None:
     ("path", "media_type", "length"),
     [("/v1/measurements", "application/octet-stream", FILE_SIZE), ("/v1/fits", "application/json", 1000)],
 )
-def test_a_body_that_trickles_is_given_up(
+def test_body_below_the_minimum_rate_times_out(
     impatient: Server, data: bytes, path: str, media_type: str, length: int
 ) -> None:
     head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
@@ -93,9 +93,7 @@ def test_a_body_that_trickles_is_given_up(
     wait_until(lambda: not impatient.files())
 
 
-def test_a_body_that_is_fast_enough_may_take_longer_than_the_patience(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
+def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
     patience = 3 * PATIENCE  # for a client that is held up by a busy machine
     server = own_server(silence_seconds=str(patience), least_upload_rate="100000")
     step = len(data) // 8
@@ -113,12 +111,12 @@ def test_a_body_that_is_fast_enough_may_take_longer_than_the_patience(
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET /health/live HT", b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Slow: "])
-def test_a_head_that_does_not_end_is_given_up(impatient: Server, sent: bytes) -> None:
+def test_incomplete_head_times_out(impatient: Server, sent: bytes) -> None:
     with connect(impatient, sent) as connection:
         assert problem(rest(connection)) == (408, "request-timeout")
 
 
-def test_a_head_that_trickles_is_given_up(impatient: Server) -> None:
+def test_trickling_head_times_out(impatient: Server) -> None:
     first = b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
     with connect(impatient, first) as connection:
         connection.settimeout(0.05)
@@ -132,7 +130,7 @@ def test_a_head_that_trickles_is_given_up(impatient: Server) -> None:
         assert problem(trickle(connection, first[:10] * 40)) == (408, "request-timeout")
 
 
-def test_an_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) -> None:
+def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     with connect(impatient, f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: x\r\n\r\n".encode()) as connection:
         assert connection.recv(1000)
@@ -150,12 +148,12 @@ def test_an_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes)
     "sent",
     [b"nonsense\r\n\r\n", b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"\0" * 99],
 )
-def test_what_is_not_http_gets_a_problem_document(impatient: Server, sent: bytes) -> None:
+def test_malformed_http_gets_a_problem_document(impatient: Server, sent: bytes) -> None:
     with connect(impatient, sent) as connection:
         assert problem(rest(connection)) == (400, "bad-request")
 
 
-def test_requests_beyond_the_limit_are_refused(impatient: Server, data: bytes) -> None:
+def test_requests_over_the_concurrency_limit_are_refused(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     fit = impatient.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 9_999}).json()["id"]
@@ -176,7 +174,7 @@ def test_requests_beyond_the_limit_are_refused(impatient: Server, data: bytes) -
     wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
 
 
-def test_connections_beyond_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
+def test_connections_over_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
     server = own_server(limit_concurrency="4")
     server.http.close()
     idle = [connect(server) for _ in range(8)]
@@ -189,7 +187,7 @@ def test_connections_beyond_twice_the_limit_are_refused(own_server: Callable[...
     wait_until(lambda: httpx.get(f"{server.http.base_url}/health/live", timeout=20).status_code == 200)
 
 
-def test_a_service_without_free_descriptors_recovers_and_does_not_fill_the_log(
+def test_service_recovers_from_running_out_of_descriptors(
     own_server: Callable[..., Server],
 ) -> None:
     server = own_server(workers="1")

@@ -36,7 +36,7 @@ def media(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]
                 yield f"{name} {part}", media_type, entry
 
 
-def test_the_calls_are_those_of_the_interface(document: dict[str, Any]) -> None:
+def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None:
     assert document["openapi"].startswith("3.1")
     assert {name for name, _ in operations(document)} >= {
         "POST /v1/fits",
@@ -59,13 +59,13 @@ def test_the_calls_are_those_of_the_interface(document: dict[str, Any]) -> None:
     }
 
 
-def test_every_reference_leads_somewhere(document: dict[str, Any]) -> None:
+def test_every_reference_resolves(document: dict[str, Any]) -> None:
     names = re.findall(r'"#/components/schemas/([^"]+)"', str(document).replace("'", '"'))
     assert names
     assert set(names) <= set(document["components"]["schemas"])
 
 
-def test_every_call_says_what_it_does_and_shows_an_example(document: dict[str, Any]) -> None:
+def test_every_operation_has_a_description_and_examples(document: dict[str, Any]) -> None:
     for name, operation in operations(document):
         assert operation["summary"], name
         assert operation["description"], name
@@ -108,7 +108,7 @@ def is_valid(model: type[BaseModel], example: object) -> bool:
     return True
 
 
-def test_problems_are_documented_where_they_occur(document: dict[str, Any]) -> None:
+def test_operations_document_their_problems(document: dict[str, Any]) -> None:
     paths = document["paths"]
     assert {"400", "404", "413", "415", "422", "500", "503", "507"} <= set(paths["/v1/fits"]["post"]["responses"])
     assert {"404", "409", "500"} <= set(paths["/v1/fits/{fit_id}/lobes"]["get"]["responses"])
@@ -121,7 +121,7 @@ def test_problems_are_documented_where_they_occur(document: dict[str, Any]) -> N
                 assert example["value"]["status"] == KINDS[kind][0]
 
 
-def test_links_lead_to_operations_with_their_parameters(document: dict[str, Any]) -> None:
+def test_links_name_operations_and_their_parameters(document: dict[str, Any]) -> None:
     parameters = {
         operation["operationId"]: {parameter["name"] for parameter in operation.get("parameters", ())}
         for _, operation in operations(document)

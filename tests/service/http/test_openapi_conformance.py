@@ -85,7 +85,7 @@ checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "422"]
 
 
 @pytest.mark.parametrize("who", EXAMPLES)
-def test_the_service_does_what_its_document_says(
+def test_service_conforms_to_its_openapi_document(
     own_server: Callable[..., Server], data: bytes, tmp_path: Path, who: str
 ) -> None:
     server = own_server(require_keys=str(who == "a key"), key_requests_per_second="100000")

@@ -62,7 +62,7 @@ def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("fault", MALFORMED)
-def test_malformed_files_get_the_library_s_sentence_and_leave_nothing(
+def test_malformed_upload_gets_the_library_error_and_stores_nothing(
     server: Server, data: bytes, stored: str, fault: str
 ) -> None:
     content = MALFORMED[fault](data)
@@ -81,7 +81,7 @@ def test_malformed_files_get_the_library_s_sentence_and_leave_nothing(
     assert [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")] == rows
 
 
-def test_negative_values_are_no_fault(server: Server, data: bytes) -> None:
+def test_negative_values_are_accepted(server: Server, data: bytes) -> None:
     answer = server.http.post("/v1/measurements", content=with_value(data, -1.0))
     assert answer.status_code == 201
     assert answer.json()["valid_nodes"] == dsbrdf.parse_merl(with_value(data, -1.0)).valid.sum()
@@ -96,7 +96,7 @@ def gzip_quickly(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
-def test_compressed_uploads_are_the_same_measurement(
+def test_compressed_upload_equals_the_plain_one(
     server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
 ) -> None:
     for content in (compress(data), compress(data[:1000]) + compress(b"") + compress(data[1000:])):
@@ -106,7 +106,7 @@ def test_compressed_uploads_are_the_same_measurement(
 
 
 @pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
-def test_compressed_faults_leave_nothing(
+def test_damaged_compressed_upload_stores_nothing(
     server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
 ) -> None:
     files = sorted(server.files())
@@ -145,7 +145,9 @@ def bomb_frames() -> bytes:
 @pytest.mark.parametrize(
     ("name", "make"), [("gzip", bomb_gzip), ("zstd", bomb_zstd), ("gzip", bomb_members), ("zstd", bomb_frames)]
 )
-def test_bombs_fizzle(own_server: Callable[..., Server], name: str, make: Callable[[], bytes]) -> None:
+def test_decompression_bomb_is_refused_in_little_memory(
+    own_server: Callable[..., Server], name: str, make: Callable[[], bytes]
+) -> None:
     server = own_server()
     bomb = make()
     before = peak_memory(server)
@@ -159,7 +161,7 @@ def test_bombs_fizzle(own_server: Callable[..., Server], name: str, make: Callab
 
 
 @pytest.mark.parametrize("encodings", [["br"], ["deflate"], ["gzip, zstd"], ["gzip;q=1"], ["x"], ["gzip", "gzip"]])
-def test_other_encodings_are_refused(server: Server, data: bytes, encodings: list[str]) -> None:
+def test_unsupported_encodings_are_refused(server: Server, data: bytes, encodings: list[str]) -> None:
     headers = [("Content-Encoding", encoding) for encoding in encodings]
     answer = server.http.post("/v1/measurements", content=gzip_quickly(data), headers=headers)
     assert_problem(answer, 415, "unsupported-media-type")
@@ -174,7 +176,7 @@ def peak_memory(server: Server) -> float:
     return int(found[1]) / 1024
 
 
-def test_an_upload_takes_less_than_8_mb(own_server: Callable[..., Server], plastic_file: Path) -> None:
+def test_upload_takes_less_than_8_mb_of_memory(own_server: Callable[..., Server], plastic_file: Path) -> None:
     server = own_server()
     before = peak_memory(server)
     with plastic_file.open("rb") as file:
@@ -183,7 +185,7 @@ def test_an_upload_takes_less_than_8_mb(own_server: Callable[..., Server], plast
     assert peak_memory(server) - before < 8
 
 
-def test_many_uploads_at_once_stay_small(own_server: Callable[..., Server], data: bytes) -> None:
+def test_concurrent_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     contents = [with_value(data, 0.25 + i) for i in range(8)]
     before = peak_memory(server)
@@ -195,7 +197,7 @@ def test_many_uploads_at_once_stay_small(own_server: Callable[..., Server], data
     assert peak_memory(server) - before < 48
 
 
-def test_a_client_that_goes_away_leaves_nothing(own_server: Callable[..., Server], data: bytes) -> None:
+def test_interrupted_upload_stores_nothing(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     address = (str(server.http.base_url.host), server.http.base_url.port)
     lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
@@ -217,9 +219,7 @@ def test_a_client_that_goes_away_leaves_nothing(own_server: Callable[..., Server
         ("/v1/fits/{}/brdf", "application/x-npy"),
     ],
 )
-def test_a_client_that_goes_away_early_is_no_fault_of_the_service(
-    server: Server, fitted: str, path: str, media_type: str
-) -> None:
+def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: str, path: str, media_type: str) -> None:
     request_id = secrets.token_hex(8)
     head = f"POST {path.format(fitted)} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
     head += f"Content-Type: {media_type}\r\nX-Request-ID: {request_id}\r\n\r\n{{"
@@ -233,7 +233,7 @@ def test_a_client_that_goes_away_early_is_no_fault_of_the_service(
     assert [json.loads(line)["status"] for line in lines()] == [400]
 
 
-def test_a_wrong_length_is_refused_before_the_body_has_come(server: Server) -> None:
+def test_wrong_content_length_is_refused_before_the_body(server: Server) -> None:
     address = (str(server.http.base_url.host), server.http.base_url.port)
     lines = b"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
     with socket.create_connection(address, timeout=60) as connection:
@@ -242,7 +242,7 @@ def test_a_wrong_length_is_refused_before_the_body_has_come(server: Server) -> N
     assert reply.startswith(b"HTTP/1.1 413")
 
 
-def test_bodies_of_other_requests_are_bounded(server: Server, fitted: str) -> None:
+def test_json_bodies_are_limited_in_size(server: Server, fitted: str) -> None:
     big = io.BytesIO(b"[" + b"1," * 500_000 + b"1]")
     answer = server.http.post("/v1/fits", content=big, headers={"Content-Type": "application/json"})
     assert_problem(answer, 413, "too-large")

@@ -71,7 +71,7 @@ steps = st.one_of(st.integers(1, 40), st.integers(1, 1 << 21))
 
 @examples(1)
 @given(encoding=encodings, parts=contents, step=steps, skipped=st.booleans())
-def test_members_decode_to_the_whole_or_are_too_long(
+def test_concatenated_members_decode_or_exceed_the_limit(
     encoding: str, parts: list[tuple[bytes, int]], step: int, skipped: bool
 ) -> None:
     whole = b"".join(repeated for repeated, _ in members(encoding, parts))
@@ -86,7 +86,7 @@ def test_members_decode_to_the_whole_or_are_too_long(
 @given(
     encoding=encodings, content=st.binary(max_size=400), cut=st.floats(0, 1, exclude_max=True), step=st.integers(1, 500)
 )
-def test_what_is_cut_off_is_refused(encoding: str, content: bytes, cut: float, step: int) -> None:
+def test_truncated_body_is_refused(encoding: str, content: bytes, cut: float, step: int) -> None:
     body = COMPRESS[encoding](content)
     first = COMPRESS[encoding](b"first")
     for start, whole in ((b"", b""), (first, b"first")):
@@ -95,7 +95,7 @@ def test_what_is_cut_off_is_refused(encoding: str, content: bytes, cut: float, s
         assert answer == whole if not part else "is not valid" in str(answer)
 
 
-def test_a_frame_that_belies_its_length_gets_one_verdict_whatever_the_pieces() -> None:
+def test_zstd_frame_with_wrong_length_gets_one_result_in_any_chunks() -> None:
     body = bytearray(zstd(b""))
     body[5] = 1  # the length of the content, which zstd compares only for a frame that it has whole
     whole = decoded("zstd", bytes(body), len(body))
@@ -109,7 +109,7 @@ def test_a_frame_that_belies_its_length_gets_one_verdict_whatever_the_pieces() -
     garbage=st.binary(min_size=1, max_size=40),
     step=st.integers(1, 500),
 )
-def test_garbage_behind_a_member_is_refused(encoding: str, content: bytes, garbage: bytes, step: int) -> None:
+def test_garbage_after_a_member_is_refused(encoding: str, content: bytes, garbage: bytes, step: int) -> None:
     body = COMPRESS[encoding](content) + b"\0" + garbage
     assert "is not valid" in str(decoded(encoding, body, step))
 
@@ -121,7 +121,7 @@ def test_garbage_behind_a_member_is_refused(encoding: str, content: bytes, garba
     changes=st.lists(st.tuples(st.floats(0, 1), st.binary(max_size=6)), min_size=1, max_size=4),
     step=steps,
 )
-def test_a_damaged_body_gets_one_verdict_whatever_the_pieces(
+def test_damaged_body_gets_one_result_in_any_chunks(
     encoding: str, parts: list[tuple[bytes, int]], changes: list[tuple[float, bytes]], step: int
 ) -> None:
     body = bytearray(b"".join(packed for _, packed in members(encoding, parts)))
@@ -136,12 +136,12 @@ def test_a_damaged_body_gets_one_verdict_whatever_the_pieces(
 
 @examples(2)
 @given(noise=st.binary(max_size=300), step=st.integers(1, 300))
-def test_noise_gets_one_verdict_whatever_the_pieces(noise: bytes, step: int) -> None:
+def test_random_bytes_get_one_result_in_any_chunks(noise: bytes, step: int) -> None:
     for encoding, magic in (("gzip", b"\x1f\x8b\x08\0\0\0\0\0\0\0"), ("zstd", b"\x28\xb5\x2f\xfd")):
         for body in (noise, magic + noise):
             assert decoded(encoding, body, step) == decoded(encoding, body, len(body) + 1)
 
 
-def test_the_oracle_of_gzip_is_zlib() -> None:
+def test_reference_decoder_refuses_truncated_gzip() -> None:
     with pytest.raises((OSError, EOFError, zlib.error)):
         gzip.decompress(COMPRESS["gzip"](b"content")[:-1])

@@ -19,7 +19,7 @@ def head_of_answer_to_noise(server: Server) -> list[tuple[str, str]]:
     return [(name, value) for name, _, value in (line.partition(": ") for line in head)]
 
 
-def test_every_answer_is_protected(guarded: Guarded) -> None:
+def test_every_response_has_security_headers(guarded: Guarded) -> None:
     http_client = guarded.server.http
     answers = {
         "open": http_client.get("/health/live"),
@@ -45,7 +45,7 @@ def test_every_answer_is_protected(guarded: Guarded) -> None:
         assert ("script-src" in policy) is (name == "documentation")
 
 
-def test_the_page_of_the_documentation_needs_nothing_from_elsewhere(guarded: Guarded) -> None:
+def test_documentation_page_loads_nothing_from_other_hosts(guarded: Guarded) -> None:
     http_client = guarded.server.http
     page = http_client.get("/docs")
     policy = dict(part.split(" ", 1) for part in page.headers["content-security-policy"].split("; "))

@@ -146,9 +146,7 @@ async def until(event: threading.Event) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_a_fit_that_is_asked_for_while_it_is_being_cancelled_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fit_requested_during_its_cancellation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(place: Race) -> None:
         key = await place.submit()
         await place.until_run(1)
@@ -168,7 +166,7 @@ def test_a_fit_that_is_asked_for_while_it_is_being_cancelled_runs(
 
 
 @pytest.mark.parametrize("late", ["complete_fit", "start_fit"])
-def test_a_cancelled_attempt_cannot_write_into_the_next_one(
+def test_cancelled_attempt_cannot_overwrite_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
     async def story(place: Race) -> None:
@@ -189,7 +187,7 @@ def test_a_cancelled_attempt_cannot_write_into_the_next_one(
 
 
 @pytest.mark.parametrize("after", [False, True])
-def test_who_asks_while_a_fit_is_being_completed_gets_that_result(
+def test_request_during_completion_gets_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
     async def story(place: Race) -> None:
@@ -206,7 +204,7 @@ def test_who_asks_while_a_fit_is_being_completed_gets_that_result(
     race(tmp_path, story)
 
 
-def test_a_cancelled_fit_is_asked_for_twice_at_once(tmp_path: Path) -> None:
+def test_two_requests_for_a_cancelled_fit_start_it_once(tmp_path: Path) -> None:
     async def story(place: Race) -> None:
         key = await place.submit()
         await place.until_run(1)
@@ -224,7 +222,7 @@ def test_a_cancelled_fit_is_asked_for_twice_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
-def test_a_result_waits_for_a_disk_that_does_not_work(
+def test_result_is_written_when_the_disk_works_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
@@ -245,7 +243,7 @@ def test_a_result_waits_for_a_disk_that_does_not_work(
     race(tmp_path, story)
 
 
-def test_an_engine_that_breaks_is_a_fault_of_the_system(tmp_path: Path) -> None:
+def test_engine_exception_is_a_system_fault(tmp_path: Path) -> None:
     async def story(place: Race) -> None:
         place.engine.outcomes += [RuntimeError("can't start new thread"), Fitted("document", {})]
         row = await place.end(await place.submit())
@@ -259,7 +257,7 @@ def test_an_engine_that_breaks_is_a_fault_of_the_system(tmp_path: Path) -> None:
     race(tmp_path, story)
 
 
-def test_a_machine_that_cannot_start_processes_fails_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_is_retried_when_processes_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
 
     async def story(place: Race) -> None:
@@ -273,7 +271,7 @@ def test_a_machine_that_cannot_start_processes_fails_no_fit(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"other bytes")])
-def test_a_file_that_has_been_damaged_gives_no_result(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
+def test_fit_of_a_damaged_file_is_a_system_fault(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
     async def story(place: Race) -> None:
         harm(place.store.blobs.path(place.measurement))
         row = await place.end(await place.submit())
@@ -285,7 +283,7 @@ def test_a_file_that_has_been_damaged_gives_no_result(tmp_path: Path, harm: Call
     race(tmp_path, story)
 
 
-def test_owners_take_turns(tmp_path: Path) -> None:
+def test_queued_fits_alternate_between_owners(tmp_path: Path) -> None:
     async def story(place: Race) -> None:
         callers = [Caller("many"), Caller("one"), Caller("two")]
         for caller in callers:
@@ -302,7 +300,7 @@ def test_owners_take_turns(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("broken_off", [True, False])
-def test_an_end_of_the_service_is_no_attempt(tmp_path: Path, broken_off: bool) -> None:
+def test_shutdown_does_not_count_as_an_attempt(tmp_path: Path, broken_off: bool) -> None:
     async def story(place: Race) -> None:
         key = await place.submit()
         await place.until_run(1)
@@ -315,9 +313,7 @@ def test_an_end_of_the_service_is_no_attempt(tmp_path: Path, broken_off: bool) -
     race(tmp_path, story)
 
 
-def test_a_fit_that_always_ends_the_service_is_given_up_at_last(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fit_that_always_crashes_the_service_fails_at_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
     monkeypatch.setattr(jobs_module, "_REST", 0.1)

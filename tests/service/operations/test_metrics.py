@@ -61,7 +61,7 @@ def test_requests_are_counted_by_route(watched: Server, sha256: str) -> None:
     assert not [sample for sample in after if any(fit in part or sha256 in part for part in sample)]
 
 
-def test_strange_requests_do_not_make_labels(watched: Server) -> None:
+def test_unknown_paths_add_no_metric_labels(watched: Server) -> None:
     watched.http.get("/strange/0")
     watched.http.request("BREW", "/strange/0")
     before = metrics(watched)
@@ -74,7 +74,7 @@ def test_strange_requests_do_not_make_labels(watched: Server) -> None:
     assert after[unknown] - before[unknown] == 20
 
 
-def test_work_is_counted_and_timed(own_server: Callable[..., Server], data: bytes) -> None:
+def test_fits_and_uploads_are_counted_and_timed(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", fit_attempts="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     running = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
@@ -106,7 +106,7 @@ def test_work_is_counted_and_timed(own_server: Callable[..., Server], data: byte
     assert after["dsbrdf_requests_in_progress",] == 1
 
 
-def test_metrics_belong_to_one_application(tmp_path: Path) -> None:
+def test_applications_do_not_share_metrics(tmp_path: Path) -> None:
     from service.app import create_app
     from service.settings import Settings
 

@@ -24,7 +24,7 @@ from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 
-def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., Server], data: bytes) -> None:
+def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
@@ -41,9 +41,7 @@ def test_a_database_that_hangs_is_not_ready_but_alive(own_server: Callable[..., 
     wait_until(lambda: server.http.get("/health/ready").status_code == 200)
 
 
-def test_a_data_folder_that_vanishes_takes_nothing_until_it_is_back(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
+def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     elsewhere = server.data_dir.with_name("elsewhere")
@@ -65,7 +63,7 @@ def test_a_data_folder_that_vanishes_takes_nothing_until_it_is_back(
     assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
 
 
-def test_a_database_that_is_damaged_meanwhile_is_not_ready(own_server: Callable[..., Server]) -> None:
+def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Server]) -> None:
     server = own_server()
     server.stop()  # what it has written is in the file, and no longer in its memory
     server.start()
@@ -82,7 +80,7 @@ def test_a_database_that_is_damaged_meanwhile_is_not_ready(own_server: Callable[
     assert said.count("\n") == 1
 
 
-def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path) -> None:
+def test_nearly_full_disk_is_not_ready(tmp_path: Path) -> None:
     server = Server(tmp_path / "data", min_free_mb="1000000000")
     try:
         begin = server.launch()
@@ -117,7 +115,7 @@ def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
         yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
 
 
-def test_asking_often_asks_the_parts_once_a_second(tmp_path: Path) -> None:
+def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
     async def ask() -> None:
         engine = Asked()
         with with_engine(tmp_path, engine) as ready:
@@ -133,7 +131,7 @@ def test_asking_often_asks_the_parts_once_a_second(tmp_path: Path) -> None:
     asyncio.run(ask())
 
 
-def test_a_part_that_hangs_is_not_asked_again_beside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "LIMIT", 0.5)
 
     async def ask() -> None:

@@ -52,13 +52,13 @@ def lines_of(server: Server, request_id: str, requests: int = 1) -> list[dict[st
 
 
 @pytest.mark.parametrize("given", ["abc", "A-b_c.9", "x" * 64])
-def test_a_sane_request_id_is_kept(watched: Server, given: str) -> None:
+def test_valid_request_id_is_kept(watched: Server, given: str) -> None:
     answer = watched.http.get("/health/live", headers={"X-Request-ID": given})
     assert answer.headers.get_list("x-request-id") == [given]
 
 
 @pytest.mark.parametrize("given", ["", "x" * 65, "a b", "a;b", 'a"b', "\u00e9"])
-def test_another_request_id_is_replaced(watched: Server, given: str) -> None:
+def test_invalid_request_id_is_replaced(watched: Server, given: str) -> None:
     answer = watched.http.get("/health/live", headers=[(b"X-Request-ID", given.encode("latin-1"))])
     assert re.fullmatch("[0-9a-f]{16}", answer.headers["x-request-id"])
 
@@ -73,13 +73,13 @@ def test_another_request_id_is_replaced(watched: Server, given: str) -> None:
         ("HEAD", f"/v1/measurements/{'0' * 64}", 404),
     ],
 )
-def test_every_answer_has_an_id_of_its_own(watched: Server, method: str, path: str, status: int) -> None:
+def test_every_response_has_a_unique_request_id(watched: Server, method: str, path: str, status: int) -> None:
     answers = [watched.http.request(method, path) for _ in range(2)]
     assert [answer.status_code for answer in answers] == [status, status]
     assert len({answer.headers["x-request-id"] for answer in answers}) == 2
 
 
-def test_a_request_is_one_line(watched: Server) -> None:
+def test_request_is_logged_in_one_line(watched: Server) -> None:
     watched.http.get("/nowhere?secret=1", headers={"X-Request-ID": "one-line"})
     (line,) = lines_of(watched, "one-line")
     assert line["event"] == "request"
@@ -89,9 +89,7 @@ def test_a_request_is_one_line(watched: Server) -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", line["time"])
 
 
-def test_what_went_well_and_changed_nothing_is_not_told_unless_asked_for(
-    watched: Server, own_server: Callable[..., Server]
-) -> None:
+def test_successful_reads_are_logged_only_on_request(watched: Server, own_server: Callable[..., Server]) -> None:
     talkative = own_server(access_log="true")
     for server, expected in ((watched, 0), (talkative, 1)):
         server.http.get("/v1/fits", headers={"X-Request-ID": "quiet"})
@@ -100,7 +98,7 @@ def test_what_went_well_and_changed_nothing_is_not_told_unless_asked_for(
         assert len(lines_of(server, "quiet", expected)) == expected
 
 
-def test_no_client_can_write_a_line(watched: Server, own_server: Callable[..., Server]) -> None:
+def test_request_cannot_inject_log_lines(watched: Server, own_server: Callable[..., Server]) -> None:
     forged = '/v1/x%0A{"event":"forged"}%0D%0A%1B[2J%E2%80%A8end'
     readable = own_server(log_format="text")
     for server in (watched, readable):
@@ -114,7 +112,7 @@ def test_no_client_can_write_a_line(watched: Server, own_server: Callable[..., S
         assert not re.search("[\x00-\x1f\x7f-\x9f]", added[0])
 
 
-def test_a_key_never_reaches_the_log(watched: Server) -> None:
+def test_api_key_is_never_logged(watched: Server) -> None:
     headers = {"X-Request-ID": "with-key"}
     watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
     watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
@@ -126,7 +124,7 @@ def test_a_key_never_reaches_the_log(watched: Server) -> None:
     assert SECRET[-8:] not in text
 
 
-def test_the_lines_of_a_fit_carry_the_request_that_wanted_it(watched: Server, sha256: str) -> None:
+def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, sha256: str) -> None:
     document = {"measurement": sha256, "options": {"method": "paper", "n_lobes": 1, "em_iterations": 4}}
     fit = watched.http.post("/v1/fits", json=document, headers={"X-Request-ID": "wants-fit"}).json()
     assert fit["status"] == "succeeded"
@@ -135,7 +133,7 @@ def test_the_lines_of_a_fit_carry_the_request_that_wanted_it(watched: Server, sh
     assert told["request"]["status"] == 201
 
 
-def test_a_folder_that_is_gone_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
+def test_missing_folder_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     (server.data_dir / "tmp").rmdir()
     answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "gone"})
@@ -146,7 +144,7 @@ def test_a_folder_that_is_gone_is_told_once(own_server: Callable[..., Server], d
     assert "Traceback" not in server.log.read_text()
 
 
-def test_a_fault_of_the_service_is_told_once(own_server: Callable[..., Server], data: bytes) -> None:
+def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     fit = server.http.post(
         "/v1/fits", params=QUICK, content=data, headers={"Content-Type": "application/octet-stream"}
@@ -163,7 +161,7 @@ def test_a_fault_of_the_service_is_told_once(own_server: Callable[..., Server], 
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
 
-def test_what_a_process_that_fits_has_to_say_is_in_the_same_log(own_server: Callable[..., Server], data: bytes) -> None:
+def test_output_of_fit_processes_is_in_the_log(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(fit_attempts="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     for path in server.files():

@@ -43,13 +43,13 @@ def close(answer: httpx.Response, expected: Any) -> None:
     np.testing.assert_allclose(answer.json()["values"], expected, rtol=1e-12, atol=1e-15)
 
 
-def test_one_point(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_single_point_equals_the_library(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     answer = server.http.get(f"/v1/fits/{fitted}/brdf", params={"theta_half_deg": 10, "theta_diff_deg": 30})
     close(answer, [model.evaluate(np.radians(10), np.radians(30))])
 
 
 @pytest.mark.parametrize("count", [1, 3, 200])
-def test_several_points(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
+def test_several_points_equal_the_library(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
     theta_half, theta_diff = np.random.default_rng(count).uniform(0, 90, size=(2, count))
     query = {"theta_half_deg": theta_half.tolist(), "theta_diff_deg": theta_diff.tolist()}
     close(
@@ -59,7 +59,7 @@ def test_several_points(server: Server, fitted: str, model: dsbrdf.DSBRDF, count
 
 
 @pytest.mark.parametrize("count", [1, 3, 100])
-def test_pairs_of_directions(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
+def test_direction_pairs_equal_the_library(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
     omega_in, omega_out = directions(count, 1), directions(count, 2)
     query = {"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}
     expected = model.evaluate_directions(omega_in, omega_out)
@@ -68,7 +68,7 @@ def test_pairs_of_directions(server: Server, fitted: str, model: dsbrdf.DSBRDF, 
     close(server.http.post(f"/v1/fits/{fitted}/brdf", json=document), expected)
 
 
-def test_edges_of_the_hemisphere(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_points_at_the_edges_of_the_hemisphere_are_accepted(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     query = {"theta_half_deg": [0, 90, 0, 90], "theta_diff_deg": [0, 0, 90, 90]}
     expected = model.evaluate(np.radians([0, 90, 0, 90]), np.radians([0, 0, 90, 90]))
     close(server.http.get(f"/v1/fits/{fitted}/brdf", params=query), expected)
@@ -81,7 +81,9 @@ def test_edges_of_the_hemisphere(server: Server, fitted: str, model: dsbrdf.DSBR
 
 @pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f4"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_batches_of_npy(server: Server, fitted: str, model: dsbrdf.DSBRDF, dtype: str, order: str) -> None:
+def test_npy_batch_of_angles_equals_the_library(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, dtype: str, order: str
+) -> None:
     angles = np.random.default_rng(3).uniform(0, 90, size=(20_000, 2)).astype(dtype, order=order)  # type: ignore[call-overload]
     headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(angles), headers=headers)
@@ -92,7 +94,7 @@ def test_batches_of_npy(server: Server, fitted: str, model: dsbrdf.DSBRDF, dtype
 
 
 @pytest.mark.parametrize("shape", [(-1, 6), (-1, 2, 3)])
-def test_batches_of_directions_as_npy(
+def test_npy_batch_of_directions_equals_the_library(
     server: Server, fitted: str, model: dsbrdf.DSBRDF, shape: tuple[int, ...]
 ) -> None:
     omega = np.stack([directions(10_000, 4), directions(10_000, 5)], axis=1)
@@ -102,7 +104,7 @@ def test_batches_of_directions_as_npy(
 
 
 @pytest.mark.parametrize("count", [4096, 4097, 131_072, 131_073, 300_000])
-def test_a_large_batch_comes_in_blocks_and_whole(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
+def test_large_batch_is_streamed_completely(server: Server, fitted: str, model: dsbrdf.DSBRDF, count: int) -> None:
     angles = np.random.default_rng(count).uniform(0, 90, size=(count, 2))
     expected = model.evaluate(np.radians(angles[:, 0]), np.radians(angles[:, 1]))
     headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
@@ -116,7 +118,7 @@ def test_a_large_batch_comes_in_blocks_and_whole(server: Server, fitted: str, mo
         np.testing.assert_array_equal(text.json()["values"], expected)
 
 
-def test_a_fault_at_the_end_of_a_large_batch_is_refused(server: Server, fitted: str) -> None:
+def test_invalid_point_at_the_end_of_a_large_batch_is_refused(server: Server, fitted: str) -> None:
     angles = np.full((150_000, 2), 45.0)
     angles[-1, 1] = 90.5
     headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
@@ -129,13 +131,13 @@ def test_a_fault_at_the_end_of_a_large_batch_is_refused(server: Server, fitted: 
 
 
 @pytest.mark.parametrize("shape", [(0, 2), (0, 6), (0, 2, 3)])
-def test_an_empty_npy_batch_has_no_values(server: Server, fitted: str, shape: tuple[int, ...]) -> None:
+def test_empty_npy_batch_has_no_values(server: Server, fitted: str, shape: tuple[int, ...]) -> None:
     headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(np.zeros(shape)), headers=headers)
     assert np.load(io.BytesIO(answer.content)).shape == (0, 3)
 
 
-def test_json_in_and_npy_out(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_json_points_can_be_answered_as_npy(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     document = {"theta_half_deg": [1, 2], "theta_diff_deg": [3, 4]}
     for accept in (
         "application/x-npy",
@@ -160,13 +162,13 @@ def test_json_in_and_npy_out(server: Server, fitted: str, model: dsbrdf.DSBRDF) 
     assert_problem(refused, 406, "not-acceptable")
 
 
-def test_white_space_before_a_batch_is_nothing(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_leading_white_space_of_a_batch_is_ignored(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     body = b" " * 200 + b'\n{ "omega_out": [[0, 0, 1]],\n "omega_in": [[0, 0, 1]] }'
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
     assert answer.json()["values"] == [model.evaluate(0.0, 0.0).tolist()]
 
 
-def test_an_empty_batch_has_no_values(server: Server, fitted: str) -> None:
+def test_empty_batch_has_no_values(server: Server, fitted: str) -> None:
     document: dict[str, list[float]] = {"theta_half_deg": [], "theta_diff_deg": []}
     assert server.http.post(f"/v1/fits/{fitted}/brdf", json=document).json() == {"values": []}
 
@@ -197,7 +199,7 @@ def test_an_empty_batch_has_no_values(server: Server, fitted: str) -> None:
         ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "NaN"]),
     ],
 )
-def test_bad_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
+def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
     for path in ("brdf", "lobes/diffuse/brdf"):
         answer = server.http.get(f"/v1/fits/{fitted}/{path}?{query}")
         detail = assert_problem(answer, 422, "invalid-argument")
@@ -235,7 +237,7 @@ def bad_npy() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("fault", bad_npy())
-def test_bad_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
+def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
     headers = {"Content-Type": "application/x-npy"}
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=bad_npy()[fault], headers=headers)
     assert_problem(answer, 422, "invalid-argument")
@@ -268,17 +270,17 @@ def test_bad_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
         b'{"theta_half_deg": ' + b"[" * 30_000,
     ],
 )
-def test_bad_json_is_refused(server: Server, fitted: str, body: bytes) -> None:
+def test_invalid_json_is_refused(server: Server, fitted: str, body: bytes) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
     assert_problem(answer, 422, "invalid-argument")
 
 
-def test_other_types_are_refused(server: Server, fitted: str) -> None:
+def test_unsupported_media_types_are_refused(server: Server, fitted: str) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=b"1 2", headers={"Content-Type": "text/csv"})
     assert "application/x-npy" in assert_problem(answer, 415, "unsupported-media-type")
 
 
-def test_components_are_the_library_s_and_add_up(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_components_equal_the_library_and_sum_to_the_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     items = server.http.get(f"/v1/fits/{fitted}/lobes").json()["items"]
     assert [item["label"] for item in items] == list(LABELS)
     for item, component in zip(items, dsbrdf.decompose(model), strict=True):

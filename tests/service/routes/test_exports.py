@@ -36,7 +36,7 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     np.testing.assert_array_equal(part.kappa, expected.kappa)
 
 
-def test_exports_name_what_is_wrong(server: Server, fitted: str) -> None:
+def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> None:
     url = f"/v1/fits/{fitted}/export"
     assert "'json'" in assert_problem(server.http.get(url, params={"format": "obj"}), 422, "invalid-argument")
     assert "format" in assert_problem(server.http.get(url), 422, "invalid-argument")

@@ -30,7 +30,7 @@ from tests.support.server import Server, assert_problem
         ({"em_iterations": 10**30}, ["em_iterations"]),
     ],
 )
-def test_bad_options_are_named(
+def test_invalid_options_are_named(
     server: Server, stored: str, data: bytes, options: dict[str, Any], words: list[str]
 ) -> None:
     before = server.http.get("/v1/fits").json()
@@ -60,12 +60,12 @@ def test_bad_options_are_named(
         b"[" * 20_000,
     ],
 )
-def test_bad_documents_are_named(server: Server, body: bytes) -> None:
+def test_invalid_documents_are_named(server: Server, body: bytes) -> None:
     answer = server.http.post("/v1/fits", content=body, headers={"Content-Type": "application/json"})
     assert_problem(answer, 422, "invalid-argument")
 
 
-def test_what_is_not_there_is_404(server: Server) -> None:
+def test_unknown_resources_are_not_found(server: Server) -> None:
     assert_problem(server.submit("0" * 64), 404, "not-found")
     for path in (
         f"/v1/fits/{'0' * 32}",
@@ -82,7 +82,7 @@ def test_what_is_not_there_is_404(server: Server) -> None:
         assert_problem(server.http.get(path), 404, "not-found")
 
 
-def test_a_method_that_is_not_supported_names_those_that_are(server: Server) -> None:
+def test_unsupported_method_lists_the_allowed_ones(server: Server) -> None:
     for path, allowed in (
         ("/v1/fits", "GET, POST"),
         (f"/v1/fits/{'0' * 32}", "GET, DELETE"),
@@ -101,7 +101,7 @@ def test_content_types_are_checked(server: Server, data: bytes) -> None:
         assert "application/octet-stream" in answer.headers["accept-post"]
 
 
-def test_options_of_a_stored_measurement_belong_into_the_document(server: Server, stored: str) -> None:
+def test_query_options_for_a_stored_measurement_are_refused(server: Server, stored: str) -> None:
     answer = server.http.post("/v1/fits?n_lobes=2", json={"measurement": stored})
     assert "'options'" in assert_problem(answer, 422, "invalid-argument")
 
@@ -129,7 +129,7 @@ def test_options_of_a_stored_measurement_belong_into_the_document(server: Server
         ("=;,,", 30.0),
     ],
 )
-def test_the_preferred_wait(header: str | None, seconds: float) -> None:
+def test_prefer_header_sets_the_wait(header: str | None, seconds: float) -> None:
     headers = [] if header is None else [(b"prefer", header.encode())]
     request = Request({"type": "http", "headers": headers})
     assert preferred_wait(request, 30.0, 60.0) == seconds

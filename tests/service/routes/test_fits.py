@@ -20,7 +20,7 @@ from tests.support.soak import SOAK
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
-def test_a_raw_file_is_fitted_in_one_call(server: Server, data: bytes, plastic_file: Path) -> None:
+def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_file: Path) -> None:
     answer = server.http.post(
         "/v1/fits",
         params={"method": "paper", "n_lobes": 2, "em_iterations": 7},
@@ -46,7 +46,7 @@ def test_a_raw_file_is_fitted_in_one_call(server: Server, data: bytes, plastic_f
     np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
 
 
-def test_the_defaults_are_the_library_s(server: Server, stored: str) -> None:
+def test_default_options_are_those_of_the_library(server: Server, stored: str) -> None:
     fit = server.http.post("/v1/fits", json={"measurement": stored}).json()
     assert fit["status"] == "succeeded"
     options = fit["options"]
@@ -57,7 +57,7 @@ def test_the_defaults_are_the_library_s(server: Server, stored: str) -> None:
     assert options["horizon_cutoff_deg"] == pytest.approx(np.degrees(defaults.horizon_cutoff), abs=1e-9)
 
 
-def test_the_same_request_finds_the_same_fit_and_computes_nothing(server: Server, data: bytes, stored: str) -> None:
+def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, stored: str) -> None:
     first = server.submit(stored, n_lobes=1, em_iterations=4)
     assert first.status_code == 201
     numbers = {"n_lobes": "1", "em_iterations": "4", "horizon_cutoff_deg": "80.0"}
@@ -72,7 +72,7 @@ def test_the_same_request_finds_the_same_fit_and_computes_nothing(server: Server
     assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
 
 
-def test_clients_with_one_file_cause_one_measurement_and_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
+def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
     content = encode_merl(metal)
 
     def post(_: int) -> httpx.Response:
@@ -87,7 +87,7 @@ def test_clients_with_one_file_cause_one_measurement_and_one_fit(server: Server,
     assert not [path for path in server.files() if path.parent.name == "tmp"]
 
 
-def test_a_client_that_does_not_wait_gets_202_and_a_place_to_ask(server: Server, stored: str) -> None:
+def test_request_without_wait_gets_202_and_a_location(server: Server, stored: str) -> None:
     answer = server.submit(stored, prefer="respond-async", mask=0.11, **ENDLESS)
     assert answer.status_code == 202
     fit = answer.json()
@@ -103,7 +103,7 @@ def test_a_client_that_does_not_wait_gets_202_and_a_place_to_ask(server: Server,
     assert server.http.delete(answer.headers["location"]).json()["status"] == "cancelled"
 
 
-def test_who_asks_later_gets_the_end(server: Server, stored: str) -> None:
+def test_long_poll_returns_the_finished_fit(server: Server, stored: str) -> None:
     place = server.submit(stored, prefer="respond-async", mask=0.11, **SLOW).headers["location"]
     ended = server.http.get(place, params={"wait": 60})
     assert ended.status_code == 200
@@ -111,7 +111,7 @@ def test_who_asks_later_gets_the_end(server: Server, stored: str) -> None:
     assert "retry-after" not in ended.headers
 
 
-def test_the_wait_is_bounded(server: Server, stored: str) -> None:
+def test_wait_is_bounded(server: Server, stored: str) -> None:
     start = time.monotonic()
     answer = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.12, **ENDLESS)
     assert answer.status_code == 202  # and so it did not wait for the end of the fit
@@ -123,7 +123,7 @@ def test_the_wait_is_bounded(server: Server, stored: str) -> None:
     server.http.delete(f"/v1/fits/{answer.json()['id']}")
 
 
-def test_a_fit_that_cannot_be_is_data(server: Server, stored: str) -> None:
+def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> None:
     options: dict[str, Any] = {"n_lobes": 8, "mask": 10, "horizon_cutoff_deg": 2}
     answer = server.submit(stored, **options)
     assert answer.status_code == 201
@@ -155,7 +155,7 @@ def test_cancelling_ends_the_process_of_the_fit(server: Server, stored: str) -> 
     assert_problem(points, 409, "fit-without-result")
 
 
-def test_a_cancelled_fit_can_be_made_again(server: Server, stored: str) -> None:
+def test_cancelled_fit_can_be_requested_again(server: Server, stored: str) -> None:
     places = [server.submit(stored, prefer="respond-async", mask=0.1 * i, **ENDLESS).json()["id"] for i in range(2, 10)]
     waiting = server.submit(stored, prefer="respond-async", mask=0.13, **SLOW).json()
     url = f"/v1/fits/{waiting['id']}"
@@ -167,7 +167,7 @@ def test_a_cancelled_fit_can_be_made_again(server: Server, stored: str) -> None:
     assert server.http.get(url, params={"wait": 60}).json()["status"] == "succeeded"
 
 
-def test_cancelling_and_asking_again_many_times(server: Server, stored: str) -> None:
+def test_fit_survives_repeated_cancelling_and_requesting(server: Server, stored: str) -> None:
     for turn in range(6):
         fit_id = server.submit(stored, prefer="respond-async", mask=0.14, **ENDLESS).json()["id"]
         time.sleep(0.05 * turn)
@@ -178,7 +178,7 @@ def test_cancelling_and_asking_again_many_times(server: Server, stored: str) -> 
     wait_until(lambda: not server.workers())
 
 
-def test_a_deleted_fit_is_gone_and_can_be_made_again(server: Server, stored: str) -> None:
+def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, stored: str) -> None:
     fit_id = server.submit(stored, n_lobes=1, em_iterations=6).json()["id"]
     url = f"/v1/fits/{fit_id}"
     points = {"theta_half_deg": 1, "theta_diff_deg": 1}
@@ -190,7 +190,7 @@ def test_a_deleted_fit_is_gone_and_can_be_made_again(server: Server, stored: str
     assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
 
 
-def test_events_tell_of_progress_and_of_the_end(server: Server, stored: str) -> None:
+def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:
     fit_id = server.submit(stored, prefer="respond-async", n_lobes=8, mask=0.15).json()["id"]
     with server.http.stream("GET", f"/v1/fits/{fit_id}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
@@ -206,13 +206,13 @@ def test_events_tell_of_progress_and_of_the_end(server: Server, stored: str) -> 
     assert_problem(server.http.get(f"/v1/fits/{'0' * 32}/events"), 404, "not-found")
 
 
-def test_events_of_a_fit_that_ended_are_its_end(server: Server, fitted: str) -> None:
+def test_event_stream_of_a_finished_fit_has_one_event(server: Server, fitted: str) -> None:
     text = server.http.get(f"/v1/fits/{fitted}/events").text
     assert text.count("event:") == 1
     assert "event: succeeded" in text
 
 
-def test_a_fit_has_a_tag_until_it_changes(server: Server, fitted: str) -> None:
+def test_etag_of_a_fit_changes_with_its_status(server: Server, fitted: str) -> None:
     first = server.http.get(f"/v1/fits/{fitted}")
     tag = first.headers["etag"]
     assert tag.startswith('"')
@@ -221,7 +221,7 @@ def test_a_fit_has_a_tag_until_it_changes(server: Server, fitted: str) -> None:
     assert server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": '"other"'}).status_code == 200
 
 
-def test_a_full_queue_says_so_and_loses_nothing(own_server: Callable[..., Server], data: bytes) -> None:
+def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", queue_limit="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     first = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]

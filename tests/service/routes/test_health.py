@@ -3,7 +3,7 @@
 from tests.support.server import Server
 
 
-def test_health(server: Server) -> None:
+def test_health_endpoints_answer(server: Server) -> None:
     for name in ("live", "ready"):
         answer = server.http.get(f"/health/{name}")
         assert answer.status_code == 200

@@ -37,7 +37,7 @@ def test_fits_are_listed_newest_first_page_by_page(filled: Server) -> None:
     assert pages == 3
 
 
-def test_a_page_does_not_move_when_fits_come_and_go(filled: Server) -> None:
+def test_page_cursor_stays_valid_when_fits_come_and_go(filled: Server) -> None:
     first = filled.http.get("/v1/fits?limit=2")
     items = first.json()["items"]
     sha256 = items[0]["measurement"]
@@ -71,10 +71,10 @@ def test_measurements_are_listed(filled: Server, data: bytes) -> None:
         ("page=2", "'page'"),
     ],
 )
-def test_bad_pages_are_named(server: Server, path: str, query: str, word: str) -> None:
+def test_invalid_page_parameters_are_named(server: Server, path: str, query: str, word: str) -> None:
     assert word in assert_problem(server.http.get(f"{path}?{query}"), 422, "invalid-argument")
 
 
 @pytest.mark.parametrize("query", ["wait=-1", "wait=x", "wait=nan", "wait=inf", "waiting=1"])
-def test_bad_waits_are_named(server: Server, fitted: str, query: str) -> None:
+def test_invalid_waits_are_named(server: Server, fitted: str, query: str) -> None:
     assert "wait" in assert_problem(server.http.get(f"/v1/fits/{fitted}?{query}"), 422, "invalid-argument")

@@ -9,7 +9,7 @@ from dsbrdf.data.merl import FILE_SIZE, encode_merl
 from tests.support.server import Server, assert_problem
 
 
-def test_a_measurement_comes_back_byte_for_byte(server: Server, data: bytes, stored: str) -> None:
+def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, stored: str) -> None:
     assert stored == hashlib.sha256(data).hexdigest()
     url = f"/v1/measurements/{stored}"
     got = server.http.get(url)
@@ -46,7 +46,7 @@ def test_a_measurement_comes_back_byte_for_byte(server: Server, data: bytes, sto
         ("bytes=" + "9" * 100 + "-", slice(None)),
     ],
 )
-def test_a_part_of_a_measurement_can_be_had(
+def test_range_request_returns_partial_content(
     server: Server, data: bytes, stored: str, asked: str, expected: slice
 ) -> None:
     answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
@@ -55,13 +55,13 @@ def test_a_part_of_a_measurement_can_be_had(
 
 
 @pytest.mark.parametrize("asked", ["bytes=34992012-", "bytes=99999999999-99999999999", "bytes=-0"])
-def test_a_part_beyond_the_end_is_refused(server: Server, stored: str, asked: str) -> None:
+def test_range_beyond_the_end_is_refused(server: Server, stored: str, asked: str) -> None:
     answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
     assert_problem(answer, 416, "range-not-satisfiable")
     assert answer.headers["content-range"] == f"bytes */{FILE_SIZE}"
 
 
-def test_a_measurement_can_be_deleted_when_no_fit_needs_it(server: Server, matte: dsbrdf.Measurement) -> None:
+def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbrdf.Measurement) -> None:
     sha256 = server.http.post("/v1/measurements", content=encode_merl(matte)).json()["sha256"]
     url = f"/v1/measurements/{sha256}"
     fit_id = server.submit(sha256, prefer="respond-async", n_lobes=8).json()["id"]

@@ -18,7 +18,7 @@ from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 
-def test_a_discarded_file_is_gone_and_a_placed_one_stays(tmp_path: Path) -> None:
+def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> None:
     blobs = Blobs(tmp_path)
     dropped, kept = blobs.incoming(), blobs.incoming()
     dropped.write(b"a")
@@ -33,7 +33,7 @@ def test_a_discarded_file_is_gone_and_a_placed_one_stays(tmp_path: Path) -> None
     assert not list((tmp_path / "tmp").iterdir())
 
 
-def test_a_file_that_is_deleted_before_its_first_byte_is_sent_whole(tmp_path: Path) -> None:
+def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"content")
     sent: list[Message] = []
@@ -55,7 +55,7 @@ def test_a_file_that_is_deleted_before_its_first_byte_is_sent_whole(tmp_path: Pa
         OpenFileResponse(path, {}, "text/plain")
 
 
-def test_a_folder_that_has_gone_is_a_fault_of_the_service(own_server: Callable[..., Server], data: bytes) -> None:
+def test_missing_folder_is_an_internal_error(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     folder = server.data_dir / "tmp"
     folder.rmdir()
@@ -70,7 +70,7 @@ def test_a_folder_that_has_gone_is_a_fault_of_the_service(own_server: Callable[.
     assert server.http.post("/v1/measurements", content=data).status_code == 201
 
 
-def test_a_full_disk_is_507_and_recovers(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_507_until_there_is_room(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     full = {"at": 20_000_000}
     write = Incoming.write
 

@@ -44,7 +44,7 @@ def write_version_1(folder: Path) -> None:
     database.close()
 
 
-def test_a_database_without_owners_becomes_the_local_user_s(tmp_path: Path) -> None:
+def test_database_without_owners_is_migrated_to_the_local_user(tmp_path: Path) -> None:
     write_version_1(tmp_path)
     before = sqlite3.connect(tmp_path / "dsbrdf.sqlite")
     old = {
@@ -87,7 +87,7 @@ def place(store: Store, owner: str, content: bytes) -> str:
     return sha256
 
 
-def test_owners_share_the_file_and_nothing_else(tmp_path: Path) -> None:
+def test_owners_share_only_the_file_of_a_measurement(tmp_path: Path) -> None:
     store = Store(tmp_path)
     sha256 = place(store, "a", b"x")
     place(store, "a", b"y")
@@ -114,7 +114,7 @@ def test_owners_share_the_file_and_nothing_else(tmp_path: Path) -> None:
     store.close()
 
 
-def test_results_count_as_stored(tmp_path: Path) -> None:
+def test_stored_bytes_include_results(tmp_path: Path) -> None:
     store = Store(tmp_path)
     sha256 = place(store, "a", b"12345")
 

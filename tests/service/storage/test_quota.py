@@ -27,7 +27,7 @@ def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.
     return connection
 
 
-def test_uploads_in_progress_take_room(own_server: Callable[..., Server], data: bytes) -> None:
+def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true")
     (_, header), (_, other) = new_key(server, "two files", stored_mb=70), new_key(server, "another")
 
@@ -46,7 +46,7 @@ def test_uploads_in_progress_take_room(own_server: Callable[..., Server], data: 
     assert upload(header).status_code == 200
 
 
-def test_a_crowd_of_uploads_takes_no_more_than_the_key_may_have_and_one(
+def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
     own_server: Callable[..., Server], data: bytes
 ) -> None:
     server = own_server(require_keys="true")
@@ -67,7 +67,7 @@ def test_a_crowd_of_uploads_takes_no_more_than_the_key_may_have_and_one(
     assert len(server.files()) == 3
 
 
-def test_one_upload_at_a_time_may_be_of_what_is_stored_already(tmp_path: Path) -> None:
+def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
     store = Store(tmp_path)
     uploads = Uploads(store.database)
     for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
@@ -85,7 +85,7 @@ def test_one_upload_at_a_time_may_be_of_what_is_stored_already(tmp_path: Path) -
     store.close()
 
 
-def test_an_upload_that_cannot_begin_takes_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
     caller = Caller("a", stored_bytes=FILE_SIZE)
     with monkeypatch.context() as broken:

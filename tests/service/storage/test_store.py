@@ -16,7 +16,7 @@ LOCAL = Caller()
 FIT = FitKey("", "f")
 
 
-def test_a_row_that_has_ended_cannot_change(tmp_path: Path) -> None:
+def test_finished_fit_cannot_change(tmp_path: Path) -> None:
     store = Store(tmp_path)
     incoming = store.blobs.incoming()
     incoming.write(b"content")
@@ -42,7 +42,7 @@ def test_a_row_that_has_ended_cannot_change(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("origin", "repeats"), [("input", False), ("compute", True), ("system", True)])
-def test_failures_that_are_not_the_input_s_run_again(tmp_path: Path, origin: str, repeats: bool) -> None:
+def test_failed_fit_runs_again_unless_its_input_is_at_fault(tmp_path: Path, origin: str, repeats: bool) -> None:
     store = Store(tmp_path)
     incoming = store.blobs.incoming()
     sha256 = incoming.close()
@@ -55,7 +55,7 @@ def test_failures_that_are_not_the_input_s_run_again(tmp_path: Path, origin: str
     store.close()
 
 
-def test_a_folder_is_opened_once_and_again_after_it_is_closed(tmp_path: Path) -> None:
+def test_data_folder_is_opened_by_one_store_at_a_time(tmp_path: Path) -> None:
     first = Store(tmp_path)
     with pytest.raises(DataFolderInUseError, match="in use"):
         Store(tmp_path)
@@ -64,7 +64,7 @@ def test_a_folder_is_opened_once_and_again_after_it_is_closed(tmp_path: Path) ->
     assert len(STEPS) >= 1
 
 
-def test_a_measurement_that_has_lost_its_file_takes_it_again(tmp_path: Path) -> None:
+def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:
     store = Store(tmp_path)
     for expected_new in (True, False):
         incoming = store.blobs.incoming()

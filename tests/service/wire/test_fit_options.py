@@ -57,7 +57,7 @@ CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bound
 
 
 @pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
-def test_the_ranges_are_the_library_s(name: str, value: object, inside: bool) -> None:
+def test_option_ranges_equal_those_of_the_library(name: str, value: object, inside: bool) -> None:
     text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
     assert accepted(parse_options, {name: value}) == inside
     assert accepted(parse_query, [(name, text)]) == inside
@@ -71,13 +71,13 @@ def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
     return True
 
 
-def test_every_option_has_a_range() -> None:
+def test_every_option_has_a_documented_range() -> None:
     assert len(CASES) > 35
     assert {name for name, _, inside in CASES if not inside} == set(PROPERTIES)
 
 
 @pytest.mark.parametrize("other", [{"ring_lobes": 1}, {"knots_deg": [0, 30]}])
-def test_the_rule_of_the_paper_s_method_is_told(other: dict[str, Any]) -> None:
+def test_rules_of_the_paper_method_are_enforced(other: dict[str, Any]) -> None:
     assert SCHEMA["if"]["properties"]["method"] == {"const": "paper"}
     (name,) = other
     assert SCHEMA["then"]["properties"][name] in ({"enum": ["auto", 0]}, {"type": "null"})
@@ -92,12 +92,12 @@ def test_the_rule_of_the_paper_s_method_is_told(other: dict[str, Any]) -> None:
      ("knots_deg", "0,30"), ("knots_deg", [0, "30"]), ("knots_deg", [[0, 30]]), ("em_iterations", None),
      ("method", 1), ("n_lobes", [3]), ("mask", {"a": 1}), ("mask", math.nan), ("mask", math.inf)],
 )  # fmt: skip
-def test_json_options_are_of_the_types_of_json(name: str, value: object) -> None:
+def test_json_options_of_wrong_type_are_refused(name: str, value: object) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
         parse_options({name: value})
 
 
-def test_a_whole_number_is_an_integer_however_it_is_written() -> None:
+def test_whole_number_is_accepted_as_integer() -> None:
     assert parse_options({"n_lobes": 3.0}).n_lobes == 3
     assert parse_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
         n_lobes=3, mask=0.1, robust=True
@@ -109,17 +109,17 @@ def test_a_whole_number_is_an_integer_however_it_is_written() -> None:
     [("n_lobes", "1_0"), ("n_lobes", "٣"), ("robust", "1"), ("mask", "0x1"), ("mask", "nan"), ("mask", ""),
      ("n_lobes", "9" * 5000)],
 )  # fmt: skip
-def test_query_options_are_plain_numbers_and_words(name: str, text: str) -> None:
+def test_query_options_in_other_notations_are_refused(name: str, text: str) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
         parse_query([(name, text)])
 
 
-def test_an_option_that_no_fit_could_use_once_stored_is_refused_at_the_door(server: Server, stored: str) -> None:
+def test_option_that_cannot_be_stored_is_refused(server: Server, stored: str) -> None:
     # It is above 0 until it is rounded to the digits that are kept.
     assert_problem(server.submit(stored, horizon_cutoff_deg=1e-11), 422, "invalid-argument")
 
 
-def test_options_keep_their_values_on_the_wire() -> None:
+def test_options_survive_the_wire_format() -> None:
     for options in (
         dsbrdf.FitOptions(),
         dsbrdf.FitOptions(horizon_cutoff=None, n_lobes=8, robust=True),
@@ -139,7 +139,7 @@ def test_options_keep_their_values_on_the_wire() -> None:
         parse_query([("n_lobes", "2"), ("n_lobes", "2")])
 
 
-def test_a_fit_s_identity_is_of_its_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
     base = fit_identity("a" * 64, dsbrdf.FitOptions())
     assert base == fit_identity("a" * 64, dsbrdf.FitOptions(horizon_cutoff=float(np.radians(80)) + 1e-14))
     others = {fit_identity("b" * 64, dsbrdf.FitOptions()), fit_identity("a" * 64, dsbrdf.FitOptions(n_lobes=2))}
