@@ -28,8 +28,8 @@ demo: $(READY)  ## start the service, POST a measurement, print lobes and values
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve
 
-test: $(READY)  ## run all tests
-	$(BIN)/python -m pytest
+test: $(READY)  ## run all tests, on up to four cores
+	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 check: $(READY)  ## check format, lint, types and security
 	$(BIN)/ruff format --check .
@@ -47,9 +47,9 @@ fix: $(READY)  ## format and repair what can be repaired automatically
 bench: $(READY)  ## run all benchmarks except the two long ones
 	$(BIN)/python -m benchmarks
 
-soak: $(READY)  ## load the service for DURATION minutes (30), then fuzz for longer than the tests do
+soak: $(READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	$(BIN)/python -m pytest --hypothesis-profile=soak tests/test_fuzz.py tests/service/test_fuzz_bodies.py
+	DSBRDF_SOAK=1 $(BIN)/python -m pytest
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh

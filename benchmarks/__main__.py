@@ -6,12 +6,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.support.processes import ONE_CORE
+
 MAIN = "def main("
 """A module of this package that has it is a benchmark; the others are what benchmarks share."""
 BY_NAME_ONLY = ("durability", "soak")
 """Those that take half an hour."""
-ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Times are those of one core: threads for small matrices cost more than they bring, most of all on a busy machine."""
 
 
 def known() -> list[str]:

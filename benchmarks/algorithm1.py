@@ -30,7 +30,7 @@ from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from tests.oracle import algorithm_1, plain_lobe, raw_slice
+from tests.support.algorithm_1 import algorithm_1, plain_lobe, raw_slice
 
 Array = NDArray[np.float64]
 

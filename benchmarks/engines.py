@@ -25,8 +25,9 @@ from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitTask
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.fitting.options import FitOptions
-from tests.dask_cluster import DaskCluster
-from tests.service.running import Server, wait_until
+from tests.support.dask_cluster import DaskCluster
+from tests.support.processes import wait_until
+from tests.support.server import Server
 
 ASKED = 1.8
 PATIENCE = 600.0

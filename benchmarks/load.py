@@ -18,7 +18,7 @@ import numpy as np
 import zstandard
 
 from dsbrdf.data.merl import FILE_SIZE
-from tests.service.running import QUICK
+from tests.support.server import QUICK
 
 _KEPT = 20  # fits that a program keeps for its evaluations
 _RAW = "application/octet-stream"

@@ -24,12 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.durability_harness import Harness
 from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
 from dsbrdf.data.merl import FILE_SIZE, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.serialize import from_json
-from tests.service.running import Server
+from tests.support.durability.harness import Harness
+from tests.support.server import Server
 
 CONNECTIONS = 16
 POINTS = 1_000_000
@@ -254,7 +254,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if measurement is None:
                 measurement = Path(folder) / "plastic.binary"
                 write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-            harness = Harness(Path(folder), measurement, random.Random(0))
+            harness = Harness(Path(folder), measurement, random.Random(0), own_interpreter=True)
             with harness.server() as server:
                 server.start()
                 for row in PARTS[name](Place(harness, server, arguments.runs)):

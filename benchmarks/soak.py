@@ -22,11 +22,11 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from benchmarks.durability_harness import Harness
 from benchmarks.load import STEPS, Client, Tally
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.service.running import Server
+from tests.support.durability.harness import Harness
+from tests.support.server import Server
 
 _OUT = Path("out")
 _INTERVAL = 3.0  # seconds
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
         measurement = Path(folder) / "plastic.binary"
         write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-        harness = Harness(Path(folder), measurement, random.Random(arguments.seed))
+        harness = Harness(Path(folder), measurement, random.Random(arguments.seed), own_interpreter=True)
         samples, idle, tally = soak(harness, 60.0 * arguments.minutes)
         log = (Path(folder) / "data.log").read_text()
     _OUT.mkdir(exist_ok=True)

@@ -140,6 +140,9 @@ class Cluster:
                 await client
                 await self._watch_workers(client)
                 self._disconnected("the connection was lost")
+            except asyncio.CancelledError:
+                self._disconnected("the connection was closed")
+                raise
             except Exception as error:  # whatever goes wrong with a connection, it is tried again
                 no_answer = isinstance(error, TimeoutError) and not str(error)
                 reason = f"no answer within {_HEARTBEAT_TIMEOUT:g} s" if no_answer else _first_line(error)
