@@ -107,7 +107,8 @@ def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
 
     def start(*, own_interpreter: bool = False, **environment: str) -> Server:
         folder = tmp_path / f"data{len(started)}"
-        started.append(Server(folder, own_interpreter=own_interpreter, **environment))
+        started.append(Server(folder, **environment))
+        started[-1].own_interpreter = own_interpreter
         return started[-1].start()
 
     try:

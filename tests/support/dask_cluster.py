@@ -2,13 +2,10 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
+from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import alive, children, command, free_port
-
-DASK = (str(Path(sys.executable).parent / "dask"),)
 
 
 class DaskCluster:
@@ -20,8 +17,8 @@ class DaskCluster:
         self.folder = folder
         self._port = free_port()
         self.address = f"tcp://127.0.0.1:{self._port}"
-        self.scheduler: subprocess.Popen[bytes] | None = None
-        self.workers: list[subprocess.Popen[bytes]] = []
+        self.scheduler: ForkedProcess | None = None
+        self.workers: list[ForkedProcess] = []
 
     def start_scheduler(self) -> None:
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self._port))
@@ -30,14 +27,14 @@ class DaskCluster:
         assert self.scheduler is not None
         _kill(self.scheduler)
 
-    def add_worker(self, *flags: str, nanny: bool = False) -> "subprocess.Popen[bytes]":
+    def add_worker(self, *flags: str, nanny: bool = False) -> ForkedProcess:
         """Start a worker of one thread, by default as fits need it: without a nanny."""
         flags = flags if nanny else ("--no-nanny", *flags)
         place = ("--host", "127.0.0.1", "--local-directory", str(self.folder))
         self.workers.append(self._start("worker", self.address, "--nthreads", "1", *place, *flags))
         return self.workers[-1]
 
-    def kill_worker(self, worker: "subprocess.Popen[bytes]") -> None:
+    def kill_worker(self, worker: ForkedProcess) -> None:
         _kill(worker)
         self.workers.remove(worker)
 
@@ -53,15 +50,9 @@ class DaskCluster:
     def log(self) -> str:
         return (self.folder / "log").read_text()
 
-    def _start(self, kind: str, *flags: str) -> "subprocess.Popen[bytes]":
-        with (self.folder / "log").open("ab") as log:
-            return subprocess.Popen(
-                [*DASK, kind, "--no-dashboard", *flags],
-                stdout=log,
-                stderr=log,
-                env={**os.environ, "TMPDIR": str(self.folder), **self._environment},
-                start_new_session=True,
-            )
+    def _start(self, kind: str, *flags: str) -> ForkedProcess:
+        environment = {**os.environ, "TMPDIR": str(self.folder), **self._environment}
+        return launcher("dask").launch([kind, "--no-dashboard", *flags], environment, self.folder / "log")
 
 
 def forked(pid: int) -> list[int]:
@@ -69,7 +60,7 @@ def forked(pid: int) -> list[int]:
     return [child for server in children(pid) if b"forkserver" in command(server) for child in children(server)]
 
 
-def _kill(process: "subprocess.Popen[bytes]") -> None:
+def _kill(process: ForkedProcess) -> None:
     """Kill a process and, where it is a nanny, the worker that it has started."""
     offspring = children(process.pid)
     process.kill()

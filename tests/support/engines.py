@@ -4,7 +4,6 @@ import asyncio
 import json
 import math
 import os
-import subprocess
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits, FitTask, Outcome
 from dsbrdf.engines.local import LocalEngine
 from tests.support.dask_cluster import DaskCluster, forked
+from tests.support.launcher import ForkedProcess
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
@@ -83,13 +83,13 @@ async def until_fitting(stage: Stage) -> list[int]:
     return found
 
 
-async def until_busy(cluster: DaskCluster) -> "subprocess.Popen[bytes]":
+async def until_busy(cluster: DaskCluster) -> ForkedProcess:
     """Return a worker that fits."""
 
-    async def busy() -> "subprocess.Popen[bytes] | None":
+    async def busy() -> ForkedProcess | None:
         return next((worker for worker in cluster.workers if forked(worker.pid)), None)
 
-    worker: subprocess.Popen[bytes] = await until(busy, bool)
+    worker: ForkedProcess = await until(busy, bool)
     return worker
 
 

@@ -1,7 +1,7 @@
-"""Starts of the service without the time that its imports take: they are made once, and each server is a fork.
+"""Starts of programs without the time that their imports take: they are made once, and each process is a fork.
 
-Importing the service takes more than a second of processor time, which dozens of servers would each take again.
-What runs in the fork is the ``main`` of ``python -m service``, with arguments, environment and log of its own.
+Importing the service or Dask takes more than a second of processor time, which dozens of servers and workers would
+each take again. What runs in the fork is the ``main`` of the program, with arguments, environment and log of its own.
 """
 
 import atexit
@@ -14,15 +14,18 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 ROOT = Path(__file__).parents[2]
 
+Program = Literal["service", "dask"]
 
-class ForkedServer:
+
+class ForkedProcess:
     """What tests use of `subprocess.Popen`, for a process that the launcher has forked."""
 
     def __init__(self, pid: int) -> None:
@@ -34,10 +37,10 @@ class ForkedServer:
         """Return the exit code, or None while the process runs."""
         return self._code if self._ended.is_set() else None
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout: float = 60.0) -> int:
         """Wait for the end of the process and return its exit code, negative for a signal."""
         if not self._ended.wait(timeout):
-            raise subprocess.TimeoutExpired("service", timeout)
+            raise subprocess.TimeoutExpired(str(self.pid), timeout)
         return self._code
 
     def send_signal(self, number: int) -> None:
@@ -45,24 +48,28 @@ class ForkedServer:
         if not self._ended.is_set():
             os.kill(self.pid, number)
 
+    def kill(self) -> None:
+        """End the process at once."""
+        self.send_signal(signal.SIGKILL)
+
     def _end(self, code: int) -> None:
         self._code = code
         self._ended.set()
 
 
 class Launcher:
-    """The process that has imported the service; it ends with the one that started it, and its servers with it."""
+    """The process that has imported a program; it ends with the one that started it, and its forks with it."""
 
-    def __init__(self) -> None:
+    def __init__(self, program: Program) -> None:
         self._lock = threading.Lock()
-        self._started: queue.Queue[ForkedServer] = queue.Queue()
-        command = [sys.executable, "-m", "tests.support.launcher"]
+        self._started: queue.Queue[ForkedProcess] = queue.Queue()
+        command = [sys.executable, "-m", "tests.support.launcher", program]
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         threading.Thread(target=self._listen, daemon=True).start()
         atexit.register(self._close)
 
-    def launch(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> ForkedServer:
-        """Fork a process that runs the service and appends what it prints to a log."""
+    def launch(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> ForkedProcess:
+        """Fork a process that runs the program and appends what it prints to a log."""
         request = {"arguments": arguments, "environment": dict(environment), "log": str(log), "cwd": str(Path.cwd())}
         assert self._process.stdin is not None
         with self._lock:
@@ -76,26 +83,29 @@ class Launcher:
         self._process.wait()
 
     def _listen(self) -> None:
-        servers: dict[int, ForkedServer] = {}
+        servers: dict[int, ForkedProcess] = {}
         for line in self._process.stdout or ():
             match json.loads(line):
                 case {"pid": pid, "code": code}:
                     servers.pop(pid)._end(code)
                 case {"pid": pid}:
-                    servers[pid] = ForkedServer(pid)
+                    servers[pid] = ForkedProcess(pid)
                     self._started.put(servers[pid])
 
 
 @cache
-def launcher() -> Launcher:
-    """Return the launcher of this process."""
-    return Launcher()
+def launcher(program: Program) -> Launcher:
+    """Return the one launcher of a program that this process has."""
+    return Launcher(program)
 
 
-def _serve_requests() -> None:
-    """Fork a server for each line on standard input; tell on standard output which run and how they ended."""
-    from service.__main__ import main
-
+def _serve_requests(program: str) -> None:
+    """Fork a process for each line on standard input; tell on standard output which run and how they ended."""
+    import_module(f"{program}.__main__")
+    if program == "dask":
+        for command in ("scheduler", "worker"):
+            import_module(f"distributed.cli.dask_{command}")
+        import_module("dsbrdf.engines.fit_task")  # for what workers run
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
@@ -118,7 +128,7 @@ def _serve_requests() -> None:
                 pid = os.fork()
                 if pid == 0:
                     selector.close()
-                    _become(request, main)
+                    _become(program, request)
                 running.add(pid)
                 _say(pid=pid)
     for pid in running:
@@ -137,8 +147,8 @@ def _say(**document: int) -> None:
     print(json.dumps(document), flush=True)
 
 
-def _become(request: dict[str, Any], main: Callable[[Sequence[str]], int]) -> None:
-    """Run the service in this process, as a fresh interpreter would."""
+def _become(program: str, request: dict[str, Any]) -> None:
+    """Run a program in this process, as a fresh interpreter would."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -151,8 +161,11 @@ def _become(request: dict[str, Any], main: Callable[[Sequence[str]], int]) -> No
     os.environ.update(request["environment"])
     tempfile.tempdir = None
     os.chdir(request["cwd"])
-    sys.exit(main(request["arguments"]))
+    if program == "dask":
+        import_module("dask.config").refresh()  # it takes settings from the environment
+    sys.argv = [program, *request["arguments"]]
+    sys.exit(import_module(f"{program}.__main__").main())
 
 
 if __name__ == "__main__":
-    _serve_requests()
+    _serve_requests(sys.argv[1])

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 
 from service.client import Client
-from tests.support.launcher import ForkedServer, launcher
+from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import children, command, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
@@ -26,20 +26,21 @@ ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2, "k
 class Server:
     """One service process; `stop` and `start` keep its data folder.
 
-    It is a fork of a process that has imported the service already, or, if it has to have an interpreter of its own,
-    what ``python -m service`` starts.
+    It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
+    ``python -m service`` starts.
     """
 
-    def __init__(self, data_dir: Path, *, own_interpreter: bool = False, **environment: str) -> None:
+    own_interpreter = False
+
+    def __init__(self, data_dir: Path, **environment: str) -> None:
         self.data_dir = data_dir
-        self._own_interpreter = own_interpreter
         self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
         self.log = data_dir.parent / f"{data_dir.name}.log"
         self.http = httpx.Client()  # of no use until there is an address
-        self._process: subprocess.Popen[bytes] | ForkedServer | None = None
+        self._process: subprocess.Popen[bytes] | ForkedProcess | None = None
 
     @property
-    def process(self) -> "subprocess.Popen[bytes] | ForkedServer":
+    def process(self) -> "subprocess.Popen[bytes] | ForkedProcess":
         assert self._process is not None
         return self._process
 
@@ -63,11 +64,11 @@ class Server:
         environment = {**os.environ, **self.environment}
         with self.log.open("ab") as log:
             begin = log.tell()
-            if self._own_interpreter:
+            if self.own_interpreter:
                 command = [sys.executable, "-m", "service", *arguments]
                 self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self._process = launcher().launch(arguments, environment, self.log)
+                self._process = launcher("service").launch(arguments, environment, self.log)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -10,6 +10,7 @@ import pytest
 from tests.support.dask_cluster import DaskCluster
 from tests.support.processes import alive, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
+from tests.support.soak import SOAK
 
 PATIENCE = 120.0
 MIDDLE: dict[str, Any] = {"n_lobes": 8, "em_iterations": 100}
@@ -47,13 +48,11 @@ def test_cancelled_fit_frees_its_worker(
 ) -> None:
     server = serve(cluster)
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    took = []
-    for _ in range(3):
-        fit_id = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-        wait_until(lambda: bool(cluster.fitting()), PATIENCE)
-        assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
-        took.append(wait_until(lambda: not cluster.fitting()))
-    assert min(took) < 1.0  # the others may have met a busy machine
+    fit_id = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    wait_until(lambda: bool(cluster.fitting()), PATIENCE)
+    assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
+    seconds = wait_until(lambda: not cluster.fitting())
+    assert not SOAK or seconds < 1.0
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

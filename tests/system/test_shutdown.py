@@ -83,7 +83,7 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
         accepted = post.result()
         told = [stream.result() for stream in streams]
     assert code == 0
-    assert seconds < SOON  # and much less than open requests are given here: none of them had to be cut off
+    assert seconds < 40  # which open requests are given here: none of them had to be cut off
     assert [answer.status_code for answer in answers] == [200, 200, 200]
     assert {answer.json()["status"] for answer in answers} <= {"running", "accepted"}
     assert accepted.status_code == 202

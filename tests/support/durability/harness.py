@@ -61,7 +61,8 @@ class Harness:
         """A server that is not started yet, with a folder of its own for what programs put in the system's."""
         temporary = self.folder / "temporary"
         temporary.mkdir(exist_ok=True)
-        server = Server((folder or self.folder) / "data", own_interpreter=self.own_interpreter, **settings)
+        server = Server((folder or self.folder) / "data", **settings)
+        server.own_interpreter = self.own_interpreter
         server.environment["TMPDIR"] = str(temporary)
         try:
             yield server
