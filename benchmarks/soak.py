@@ -124,7 +124,7 @@ def _status(pid: int) -> dict[str, int]:
 
 
 def _judge(samples: Sequence[Sample], idle: tuple[int, int], tally: Tally, log: str) -> int:
-    """Print the table; return 1 if a figure is missed."""
+    """Print the table; return 1 if a target is not reached."""
     fifth = len(samples) // 5
     early, late = (
         [median(column) for column in zip(*part, strict=True)]

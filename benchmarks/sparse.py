@@ -8,7 +8,7 @@ index (theta_half is spaced by squares) are both tried for each material and fac
 
 That table keeps 180 values over phi_diff for every theta_diff.  Where the kept rows are close enough it goes below the
 bivariate floor, which no model that ignores phi_diff can reach however good it is.  So the same interpolation of the
-table of means over phi_diff stands beside it: it has the floor in common with the fit, and still more than ten times
+table of means over phi_diff is shown too: it has the floor in common with the fit, and still more than ten times
 its numbers.
 """
 
