@@ -105,7 +105,7 @@ def _serve_requests(program: str) -> None:
     if program == "dask":
         for command in ("scheduler", "worker"):
             import_module(f"distributed.cli.dask_{command}")
-        import_module("dsbrdf.engines.fit_task")  # for what workers run
+        import_module("dsbrdf.engines.fit_steps")  # for what workers run
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
