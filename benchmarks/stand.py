@@ -21,7 +21,7 @@ import dsbrdf
 from benchmarks.__main__ import ONE_CORE
 from dsbrdf.data.merl import read_merl
 from dsbrdf.output.serialize import from_json
-from service.wire.option_parsing import parse_options
+from service.wire.fit_options import from_wire
 from tests.service.running import Server, alive
 
 _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
@@ -79,7 +79,7 @@ class Stand:
 def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-        return dsbrdf.fit(read_merl(measurement), parse_options(options)).model
+        return dsbrdf.fit(read_merl(measurement), from_wire(options)).model
 
 
 def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:

@@ -16,7 +16,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from service.storage.database import Database
-from service.storage.rows import Status
+from service.storage.schema import Status
 
 Stage = Literal["upload", "waiting", "fitting", "evaluating"]
 

@@ -1,12 +1,12 @@
-"""The documentation as a page. All that it loads comes from here, so it works without the internet too."""
+"""The documentation as a page. All that it loads comes from the service, so it works without the internet too."""
 
 from importlib.resources import files
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, Response
 
-from service.http.responses import tagged_reply
+from service.http.responses import IfNoneMatch, tagged_reply
 
 router = APIRouter(include_in_schema=False)
 
@@ -43,20 +43,20 @@ async def get_docs() -> Response:
 
 
 @router.get("/docs/page.js")
-async def get_script(request: Request) -> Response:
-    """Return what starts the page."""
-    return tagged_reply(request, _SCRIPT, media_type="text/javascript")
+async def get_script(if_none_match: IfNoneMatch = "") -> Response:
+    """Return the script that starts the page."""
+    return tagged_reply(_SCRIPT, if_none_match, media_type="text/javascript")
 
 
 @router.get("/docs/swagger-ui-bundle.js")
-async def get_bundle(request: Request) -> Response:
-    """Return the program that makes the page of the document."""
+async def get_bundle(if_none_match: IfNoneMatch = "") -> Response:
+    """Return the script of Swagger UI."""
     content = await run_in_threadpool((_STATIC / "swagger-ui-bundle.js").read_bytes)
-    return tagged_reply(request, content, media_type="text/javascript")
+    return tagged_reply(content, if_none_match, media_type="text/javascript")
 
 
 @router.get("/docs/swagger-ui.css")
-async def get_style(request: Request) -> Response:
-    """Return how the page looks."""
+async def get_style(if_none_match: IfNoneMatch = "") -> Response:
+    """Return the style sheet of Swagger UI."""
     content = await run_in_threadpool((_STATIC / "swagger-ui.css").read_bytes)
-    return tagged_reply(request, content, media_type="text/css")
+    return tagged_reply(content, if_none_match, media_type="text/css")

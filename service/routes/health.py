@@ -1,32 +1,32 @@
 """Liveness, readiness and metrics."""
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
-from service.context import context_of
+from service.errors import NotReadyError
 from service.http import openapi
-from service.http.problems import ProblemError
 from service.http.responses import json_reply
 from service.operations.metrics import MEDIA_TYPE
+from service.routes.dependencies import TheContext
 from service.wire.schemas import Health
 
 router = APIRouter(tags=["health"])
 
-_EXAMPLE = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
+_METRICS = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
 # TYPE dsbrdf_fits gauge
 dsbrdf_fits{state="running"} 2.0
 """
-_EXPOSITION: openapi.Responses = {
-    200: {
-        "description": "Metrics in Prometheus' text format.",
-        "content": {"text/plain": {"schema": {"type": "string"}, "example": _EXAMPLE}},
-    }
-}
 
 
-@router.get("/health/live", response_model=Health, summary="Is the process alive?", responses=openapi.health("live"))
+@router.get(
+    "/health/live",
+    response_model=Health,
+    summary="Is the process alive?",
+    responses=openapi.response("The service is live.", {"status": "live", "version": dsbrdf.__version__})
+    | openapi.problems(behind_a_key=False),
+)
 async def get_live() -> Response:
     """Answer whenever the process answers at all."""
     return json_reply(Health(status="live", version=dsbrdf.__version__))
@@ -36,20 +36,30 @@ async def get_live() -> Response:
     "/health/ready",
     response_model=Health,
     summary="Can it take work?",
-    responses=openapi.health("ready") | openapi.problems("not-ready"),
+    responses=openapi.response("The service is ready.", {"status": "ready", "version": dsbrdf.__version__})
+    | openapi.problems("not-ready", behind_a_key=False),
 )
-async def get_ready(request: Request) -> Response:
+async def get_ready(context: TheContext) -> Response:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
 
     The answer is at most a second old, and each part has 3 s to give its own.
     """
-    fault = await context_of(request).readiness.fault()
+    fault = await context.readiness.fault()
     if fault is not None:
-        raise ProblemError("not-ready", fault, {"Retry-After": "10"})
+        raise NotReadyError(fault)
     return json_reply(Health(status="ready", version=dsbrdf.__version__))
 
 
-@router.get("/metrics", response_class=PlainTextResponse, summary="Counts and times", responses=_EXPOSITION)
-async def get_metrics(request: Request) -> Response:
+@router.get(
+    "/metrics",
+    response_class=PlainTextResponse,
+    summary="Counts and times",
+    responses=openapi.response(
+        "Metrics in Prometheus' text format.",
+        content={"text/plain": {"schema": {"type": "string"}, "example": _METRICS}},
+    )
+    | openapi.problems(),
+)
+async def get_metrics(context: TheContext) -> Response:
     """Return requests, fits, times and sizes in Prometheus' text format."""
-    return Response(await run_in_threadpool(context_of(request).metrics.exposition), media_type=MEDIA_TYPE)
+    return Response(await run_in_threadpool(context.metrics.exposition), media_type=MEDIA_TYPE)

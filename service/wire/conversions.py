@@ -1,14 +1,13 @@
-"""Rows and models as wire documents."""
+"""From rows and models to JSON documents."""
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dsbrdf import DSBRDF, Component
-from service.storage.rows import FitRow, MeasurementRow
+from dsbrdf.output.report_text import component_document, lobes_document
+from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import (
-    ComponentDocument,
+    ComponentList,
     FitDocument,
     FitFault,
     FitSummary,
@@ -16,8 +15,6 @@ from service.wire.schemas import (
     MeasurementDocument,
     Progress,
 )
-
-_DECIMALS = 10  # of a degree
 
 
 def fit_summary(row: FitRow, progress: float) -> FitSummary:
@@ -41,7 +38,7 @@ def fit_summary(row: FitRow, progress: float) -> FitSummary:
 def fit_document(row: FitRow, progress: float, model: DSBRDF | None) -> FitDocument:
     """Return a fit's document; `model` is that of a fit that succeeded."""
     summary = fit_summary(row, progress)
-    return FitDocument(**dict(summary), lobes=None if model is None else lobes(model))
+    return FitDocument(**dict(summary), lobes=None if model is None else Lobes.model_validate(lobes_document(model)))
 
 
 def fit_progress(row: FitRow, progress: float) -> Progress:
@@ -56,37 +53,13 @@ def measurement_document(row: MeasurementRow) -> MeasurementDocument:
     )
 
 
-def component_document(component: Component) -> ComponentDocument:
-    """Return a component's document."""
-    width = component.half_width
-    return ComponentDocument(
-        label=component.label,  # type: ignore[arg-type]  # one of LABELS, checked by the schema
-        lobes=list(component.lobes),
-        parameters=lobes(component),
-        albedo=component.albedo.tolist(),
-        half_width_deg=None if width is None else float(np.degrees(width)),
-        margin=component.margin,
-    )
-
-
-def lobes(model: DSBRDF) -> Lobes:
-    """Return a model's parameters with angles in degrees."""
-    return Lobes(
-        theta_diff_deg=_degrees(model.theta_diff).tolist(),
-        kappa=model.kappa.tolist(),
-        gamma=model.gamma.tolist(),
-        center_deg=_degrees(model.center).tolist(),
-        delta=model.delta.tolist(),
-        interpolation=model.interpolation,
-    )
+def component_list(decomposition: Iterable[Component]) -> ComponentList:
+    """Return the components' document."""
+    return ComponentList.model_validate({"items": [component_document(component) for component in decomposition]})
 
 
 def _fault(row: FitRow) -> FitFault | None:
     return None if row.error is None else FitFault.model_validate(row.error)
-
-
-def _degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.degrees(angle).round(_DECIMALS), dtype=np.float64)
 
 
 def _time(seconds: float) -> datetime:

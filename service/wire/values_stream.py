@@ -1,4 +1,4 @@
-"""Answers with a model's values, as JSON or .npy: a few at once, many block by block, so that none is held for long."""
+"""Responses with a model's values, as JSON or .npy: a few at once, many block by block, so that memory stays small."""
 
 import asyncio
 from collections import deque
@@ -18,7 +18,7 @@ from service.wire.points import NPY, Points
 
 JSON = "application/json"
 
-_INLINE = 64  # points that are evaluated faster than another thread is reached
+_MAX_INLINE = 64  # points that are evaluated faster than another thread is reached
 _JSON_BLOCK = 4096  # points; text is made in one go, during which nothing else runs
 _NPY_BLOCK = 131_072  # points that a model evaluates at a time
 _AHEAD = 2  # blocks that are computed at the same time, while those before them are sent
@@ -26,8 +26,8 @@ _encode = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
 @dataclass(frozen=True)
-class _Text:
-    """JSON, whose blocks are lists that commas join."""
+class _JsonForm:
+    """JSON text; its blocks are joined by commas."""
 
     media_type = JSON
     block = _JSON_BLOCK
@@ -38,7 +38,7 @@ class _Text:
 
 
 @dataclass(frozen=True)
-class _Array:
+class _NpyForm:
     """A .npy file of shape (n, 3)."""
 
     n_points: int
@@ -56,23 +56,23 @@ class _Array:
         return points.values(model).tobytes()
 
 
-_Form = _Text | _Array
+_Form = _JsonForm | _NpyForm
 
 
 async def values_reply(model: DSBRDF, points: Points, media_type: str, metrics: Metrics) -> Response:
     """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
-    form: _Form = _Array(len(points)) if media_type == NPY else _Text()
+    form: _Form = _NpyForm(len(points)) if media_type == NPY else _JsonForm()
 
     def whole() -> Response:
         with metrics.timing("evaluating"):
             return Response(form.head + form.write(model, points) + form.tail, media_type=media_type)
 
-    if len(points) <= _INLINE:
+    if len(points) <= _MAX_INLINE:
         return whole()
     if len(points) <= form.block:
         return await run_in_threadpool(whole)
     # The length is known beforehand for numbers of equal size, not for their text.
-    headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if isinstance(form, _Array) else None
+    headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if isinstance(form, _NpyForm) else None
     return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
 
 

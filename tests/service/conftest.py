@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from service.access.keys import Limits, add_key
+from service.access.keys import KeyLimits, add_key
 from service.storage.database import Database
 from tests.service.running import Server, wait_until
 
@@ -77,8 +77,8 @@ class Guarded:
 
 def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
     """Make a key beside a running service, and use it once; return its id and the header that holds it."""
-    database = Database(server.data_dir, beside=True)
-    row, key = add_key(database, name, Limits(**limits))
+    database = Database(server.data_dir, exclusive=False)
+    row, key = add_key(database, name, KeyLimits(**limits))
     database.close()
     header = {"Authorization": f"Bearer {key}"}
     wait_until(lambda: server.http.get("/metrics", headers=header).status_code == 200)

@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.http.connections import connection_class
+from service.http.limits import connection_class
 from service.settings import Settings
 from tests.service import hostile
 from tests.service.bombs import BOMBS, JSON, MEASUREMENT, NPY
@@ -208,7 +208,7 @@ def test_idle_connections_leave_room_for_others(own_server: Callable[..., Server
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
     try:
-        server = own_server(head_seconds="600")
+        server = own_server(header_timeout="600")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     address = (server.http.base_url.host, server.http.base_url.port)

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from service.commands.doctor import WrongError, checks
+from service.commands.doctor import checks
+from service.errors import CheckFailedError
 from service.settings import Settings
 from service.storage.database import FILE_NAME
 from tests.service.running import QUICK, Server
@@ -51,7 +52,7 @@ def found(folder: Path, name: str) -> str:
 
 
 def fault(folder: Path, name: str) -> str:
-    with pytest.raises(WrongError) as wrong:
+    with pytest.raises(CheckFailedError) as wrong:
         found(folder, name)
     return str(wrong.value)
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.http.content_encoding import PIECE, decoder
-from service.http.problems import ProblemError
+from service.errors import ProblemError
+from service.http.request_body import PIECE, decoder
 from service.wire.points import Points, from_npy, from_query
 from tests.conftest import examples
 from tests.test_fuzz import MODEL, arrays

@@ -167,7 +167,7 @@ def test_a_slow_head_is_given_up(server: Server, own_proxy: Callable[..., Proxy]
 def test_a_body_that_stops_is_given_up_by_the_service_which_says_why(
     own_server: Callable[..., Server], own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
-    proxy = own_proxy(address_of(own_server(silence_seconds="1")))
+    proxy = own_proxy(address_of(own_server(idle_timeout="1")))
     head = f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(data)}\r\n\r\n"
     assert b"urn:dsbrdf:problem:request-timeout" in proxy.send(head.encode() + data[:1000])
 
@@ -175,7 +175,7 @@ def test_a_body_that_stops_is_given_up_by_the_service_which_says_why(
 def test_nginx_waits_longer_for_a_body_than_the_service() -> None:
     seconds = re.search(r"client_body_timeout (\d+)s;", CONFIGURATION.read_text())
     assert seconds
-    assert int(seconds[1]) > Settings().silence_seconds
+    assert int(seconds[1]) > Settings().idle_timeout
 
 
 def test_an_address_that_asks_too_often_is_told_to_wait(server: Server, own_proxy: Callable[..., Proxy]) -> None:

@@ -18,8 +18,9 @@ from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
 from service.operations.metrics import Metrics
 from service.settings import Settings
-from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
+from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
 OPTIONS = dsbrdf.FitOptions()
@@ -91,14 +92,14 @@ class Race:
 
     async def break_off(self) -> None:
         """Leave the rows as a process does that is killed; another one is to start."""
-        tasks = [live.task for live in self.jobs._live.values()]
+        tasks = [live.task for live in self.jobs._running.values()]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
 
     async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
-        row, _ = await self.jobs.submit(caller, self.measurement, options)
+        row, _ = await self.jobs.submit(caller, self.measurement, to_wire(options))
         return row.key
 
     async def until_run(self, number: int) -> None:
@@ -227,7 +228,7 @@ def test_a_cancelled_fit_is_asked_for_twice_at_once(tmp_path: Path) -> None:
 def test_a_result_waits_for_a_disk_that_does_not_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
     async def story(place: Race) -> None:
         complete = place.store.complete_fit
@@ -260,7 +261,7 @@ def test_an_engine_that_breaks_is_a_fault_of_the_system(tmp_path: Path) -> None:
 
 
 def test_a_machine_that_cannot_start_processes_fails_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
     async def story(place: Race) -> None:
         not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
@@ -320,7 +321,7 @@ def test_a_fit_that_always_ends_the_service_is_given_up_at_last(
 ) -> None:
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
-    monkeypatch.setattr(jobs_module, "_REST", 0.1)
+    monkeypatch.setattr(jobs_module, "_FIRST_DELAY", 0.1)
 
     async def story(place: Race) -> None:
         key = await place.submit()

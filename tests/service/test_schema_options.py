@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 
 from dsbrdf import FitOptions, InvalidArgumentError
-from service.wire.option_parsing import parse_options, parse_query
-from service.wire.schemas import OptionsDocument
+from service.wire.fit_options import OPTIONS_SCHEMA, from_query, from_wire
 from tests.service.running import Server, assert_problem
 
-SCHEMA = OptionsDocument.model_json_schema()
+SCHEMA = OPTIONS_SCHEMA
 PROPERTIES: dict[str, dict[str, Any]] = SCHEMA["properties"]
 
 
@@ -55,8 +54,8 @@ CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bound
 @pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
 def test_the_ranges_are_the_library_s(name: str, value: object, inside: bool) -> None:
     text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-    assert accepted(parse_options, {name: value}) == inside
-    assert accepted(parse_query, [(name, text)]) == inside
+    assert accepted(from_wire, {name: value}) == inside
+    assert accepted(from_query, [(name, text)]) == inside
 
 
 def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
@@ -78,8 +77,8 @@ def test_the_rule_of_the_paper_s_method_is_told(other: dict[str, Any]) -> None:
     (name,) = other
     assert SCHEMA["then"]["properties"][name] in ({"enum": ["auto", 0]}, {"type": "null"})
     with pytest.raises(InvalidArgumentError):
-        parse_options({"method": "paper", **other})
-    assert parse_options(other)
+        from_wire({"method": "paper", **other})
+    assert from_wire(other)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +89,12 @@ def test_the_rule_of_the_paper_s_method_is_told(other: dict[str, Any]) -> None:
 )  # fmt: skip
 def test_json_options_are_of_the_types_of_json(name: str, value: object) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
-        parse_options({name: value})
+        from_wire({name: value})
 
 
 def test_a_whole_number_is_an_integer_however_it_is_written() -> None:
-    assert parse_options({"n_lobes": 3.0}).n_lobes == 3
-    assert parse_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
+    assert from_wire({"n_lobes": 3.0}).n_lobes == 3
+    assert from_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
         n_lobes=3, mask=0.1, robust=True
     )
 
@@ -107,7 +106,7 @@ def test_a_whole_number_is_an_integer_however_it_is_written() -> None:
 )  # fmt: skip
 def test_query_options_are_plain_numbers_and_words(name: str, text: str) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
-        parse_query([(name, text)])
+        from_query([(name, text)])
 
 
 def test_an_option_that_no_fit_could_use_once_stored_is_refused_at_the_door(server: Server, stored: str) -> None:

@@ -1,4 +1,4 @@
-"""Examples of the OpenAPI document; a test holds each against its schema."""
+"""Example documents for the OpenAPI document; a test checks each against its schema."""
 
 from typing import Any
 
@@ -93,42 +93,3 @@ EVENTS = (
     f'event: running\ndata: {{"id":"{FIT_ID}","status":"running","progress":0.42,"error":null}}\n\n'
     f'event: succeeded\ndata: {{"id":"{FIT_ID}","status":"succeeded","progress":1.0,"error":null}}\n\n'
 )
-
-_DETAILS = {
-    "bad-request": "The client went away before the end of the body.",
-    "bad-encoding": "The body is not valid gzip: it is cut off.",
-    "unauthorized": "This service needs an API key; send it as 'Authorization: Bearer <key>'.",
-    "storage-quota": "The measurements of this key would take more than its 10000 MB; delete some of them.",
-    "not-found": f"There is no fit '{FIT_ID}'; GET /v1/fits lists those that there are.",
-    "not-acceptable": "The values can be had as application/json or application/x-npy; accept one of them.",
-    "request-timeout": "The body did not arrive in time; send it again.",
-    "measurement-in-use": "1 unfinished fits use the measurement; cancel them or wait until they have ended.",
-    "fit-not-finished": "The fit is running; its model exists when it has succeeded.",
-    "too-large": "2000000 points are more than the 1000000 that one request may have.",
-    "measurement-too-large": "The data is longer than 34992012 bytes; a MERL measurement has exactly 34992012 bytes.",
-    "unsupported-media-type": "The content type 'text/plain' is not supported; send a MERL file as "
-    "application/octet-stream.",
-    "range-not-satisfiable": "The range begins beyond the end of the file, which has 34992012 bytes.",
-    "measurement-format": "The data has only 17 bytes and seems cut off; "
-    "a MERL measurement has exactly 34992012 bytes.",
-    "invalid-argument": "n_lobes must be an integer from 1 to 8, not 9",
-    "rate-limited": "The key has made more requests than it may in this time; wait as long as Retry-After says.",
-    "queue-quota": "100 fits of this key are waiting already, as many as may; wait until some have ended.",
-    "internal": "The service failed at this request; its log says why.",
-    "queue-full": "1000 fits are waiting already, as many as may; the measurement is stored, ask again later.",
-    "overloaded": "512 requests are in progress, as many as may; ask again later.",
-    "shutting-down": "The service is shutting down and cannot finish this request; ask again later.",
-    "not-ready": "The disk is not ready: 100 MB are free; the service wants 256 MB.",
-    "disk-full": "The service has no disk space left for this request; try again when space has been freed.",
-}
-
-
-def problem(kind: str, status: int, title: str) -> dict[str, Any]:
-    """Return an example of a problem document."""
-    return {
-        "type": f"urn:dsbrdf:problem:{kind}",
-        "title": title,
-        "status": status,
-        "detail": _DETAILS[kind],
-        "instance": "/v1/fits",
-    }
