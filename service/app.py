@@ -100,10 +100,7 @@ async def _follow_changes(database: Database, keys: Keys, models: ModelCache) ->
 def make_engine(settings: Settings) -> Engine:
     """Return the engine that the settings ask for, not yet started.
 
-    Raises
-    ------
-    MissingExtraError
-        If it needs what is not installed.
+    Raises MissingExtraError if it needs what is not installed.
     """
     limits = Limits(settings.fit_seconds, settings.fit_memory_mb)
     if settings.engine == "dask":

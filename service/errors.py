@@ -78,49 +78,43 @@ class ProblemError(DSBRDFServiceError):
     ----------
     kind : str
         Key of the table `service.http.problems.KINDS`.
-    detail : str
-    headers : dict
-        Headers of the response.
+    retry_after : int or None
+        Time after which it is worth asking again, unless `headers` say otherwise [s].
     """
 
     kind: ClassVar[str]
-    default_headers: ClassVar[tuple[tuple[str, str], ...]] = ()
+    retry_after: ClassVar[int | None]
+
+    def __init_subclass__(cls, kind: str = "", retry_after: int | None = None) -> None:
+        if kind:  # a subclass of a kind has the same one
+            cls.kind, cls.retry_after = kind, retry_after
 
     def __init__(self, detail: str, headers: Mapping[str, str] | None = None) -> None:
         super().__init__(detail)
         self.detail = detail
-        self.headers = {**dict(self.default_headers), **(headers or {})}
+        self.headers = dict(headers or {})
+        if self.retry_after is not None:
+            self.headers.setdefault("Retry-After", str(self.retry_after))
 
 
-class BadRequestError(ProblemError):
+class BadRequestError(ProblemError, kind="bad-request"):
     """The request cannot be understood."""
 
-    kind = "bad-request"
 
-
-class BadEncodingError(ProblemError):
+class BadEncodingError(ProblemError, kind="bad-encoding"):
     """The body does not decode."""
 
-    kind = "bad-encoding"
 
-
-class UnauthorizedError(ProblemError):
+class UnauthorizedError(ProblemError, kind="unauthorized"):
     """A valid API key is needed."""
 
-    kind = "unauthorized"
-    default_headers = (("WWW-Authenticate", "Bearer"),)
 
-
-class StorageQuotaError(ProblemError):
+class StorageQuotaError(ProblemError, kind="storage-quota"):
     """The caller has stored as much as it may, or would with this measurement."""
 
-    kind = "storage-quota"
 
-
-class NotFoundError(ProblemError):
+class NotFoundError(ProblemError, kind="not-found"):
     """There is no such resource."""
-
-    kind = "not-found"
 
 
 class FitNotFoundError(NotFoundError):
@@ -139,101 +133,64 @@ class MeasurementNotFoundError(NotFoundError):
         )
 
 
-class NotAcceptableError(ProblemError):
+class NotAcceptableError(ProblemError, kind="not-acceptable"):
     """The resource has no representation that the client accepts."""
 
-    kind = "not-acceptable"
 
-
-class RequestTimeoutError(ProblemError):
+class RequestTimeoutError(ProblemError, kind="request-timeout"):
     """The request did not arrive in time."""
 
-    kind = "request-timeout"
-    default_headers = (("Connection", "close"),)
 
-
-class MeasurementInUseError(ProblemError):
+class MeasurementInUseError(ProblemError, kind="measurement-in-use"):
     """Unfinished fits use the measurement."""
 
-    kind = "measurement-in-use"
 
-
-class FitNotFinishedError(ProblemError):
+class FitNotFinishedError(ProblemError, kind="fit-not-finished", retry_after=1):
     """The fit has not finished, so it has no model yet."""
 
-    kind = "fit-not-finished"
-    default_headers = (("Retry-After", "1"),)
 
-
-class FitWithoutResultError(ProblemError):
+class FitWithoutResultError(ProblemError, kind="fit-without-result"):
     """The fit has ended without a model."""
 
-    kind = "fit-without-result"
 
-
-class TooLargeError(ProblemError):
+class TooLargeError(ProblemError, kind="too-large"):
     """The body, or what it asks for, is too large."""
 
-    kind = "too-large"
 
-
-class MeasurementTooLargeError(ProblemError):
+class MeasurementTooLargeError(ProblemError, kind="measurement-too-large"):
     """The file is longer than a MERL measurement."""
 
-    kind = "measurement-too-large"
 
-
-class UnsupportedMediaTypeError(ProblemError):
+class UnsupportedMediaTypeError(ProblemError, kind="unsupported-media-type"):
     """The body's type or encoding is not supported."""
 
-    kind = "unsupported-media-type"
 
-
-class RangeNotSatisfiableError(ProblemError):
+class RangeNotSatisfiableError(ProblemError, kind="range-not-satisfiable"):
     """The file does not have the range of bytes that was asked for."""
 
-    kind = "range-not-satisfiable"
 
-
-class RateLimitedError(ProblemError):
+class RateLimitedError(ProblemError, kind="rate-limited"):
     """The key makes more requests per second than it may."""
 
-    kind = "rate-limited"
 
-
-class QueueQuotaError(ProblemError):
+class QueueQuotaError(ProblemError, kind="queue-quota", retry_after=5):
     """The caller has as many unfinished fits as it may have."""
 
-    kind = "queue-quota"
-    default_headers = (("Retry-After", "5"),)
 
-
-class QueueFullError(ProblemError):
+class QueueFullError(ProblemError, kind="queue-full", retry_after=10):
     """As many fits are waiting as may wait."""
 
-    kind = "queue-full"
-    default_headers = (("Retry-After", "10"),)
 
-
-class OverloadedError(ProblemError):
+class OverloadedError(ProblemError, kind="overloaded", retry_after=1):
     """As many requests are in progress as may be."""
 
-    kind = "overloaded"
-    default_headers = (("Retry-After", "1"),)
 
-
-class ShuttingDownError(ProblemError):
+class ShuttingDownError(ProblemError, kind="shutting-down", retry_after=10):
     """The service ends before the request can be answered."""
 
-    kind = "shutting-down"
-    default_headers = (("Retry-After", "10"),)
 
-
-class NotReadyError(ProblemError):
+class NotReadyError(ProblemError, kind="not-ready", retry_after=10):
     """The service cannot take work at present."""
-
-    kind = "not-ready"
-    default_headers = (("Retry-After", "10"),)
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:

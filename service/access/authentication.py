@@ -33,8 +33,6 @@ class AuthenticationMiddleware:
     ----------
     app : ASGIApp
         What it protects.
-    settings : Settings
-    keys : Keys
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, keys: Keys) -> None:
@@ -83,16 +81,16 @@ class AuthenticationMiddleware:
 
     def _check_local(self, headers: _Headers) -> None:
         if self._needs_key:
-            raise UnauthorizedError("An API key is needed here; send it as 'Authorization: Bearer <key>'.")
+            raise _key_needed("An API key is needed here; send it as 'Authorization: Bearer <key>'.")
         if self._local_only:
             hosts = [value for name, value in headers if name == b"host"]
             if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
-                raise UnauthorizedError(
+                raise _key_needed(
                     "Without an API key the service goes by 127.0.0.1, localhost and names without a dot only."
                 )
             origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
             if not all(origin in hosts for origin in origins):
-                raise UnauthorizedError("Without an API key the service does not answer to pages of other sites.")
+                raise _key_needed("Without an API key the service does not answer to pages of other sites.")
 
 
 def _check_framing(headers: _Headers) -> None:
@@ -111,3 +109,7 @@ def invalid_key() -> UnauthorizedError:
     """Return the error of a key that is wrong or revoked."""
     detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
     return UnauthorizedError(detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
+
+
+def _key_needed(detail: str) -> UnauthorizedError:
+    return UnauthorizedError(detail, {"WWW-Authenticate": "Bearer"})

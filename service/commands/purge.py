@@ -44,10 +44,7 @@ class Purged:
 def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
     """Remove what is older than the time `before` [s since 1970].
 
-    Raises
-    ------
-    DataFolderError
-        If the folder cannot be opened.
+    Raises DataFolderError if the folder cannot be opened.
     """
     database, blobs = Database(folder, exclusive=False), Blobs(folder)
     try:

@@ -15,6 +15,8 @@ from service.http.problems import problem_response
 from service.http.responses import with_security_headers
 from service.settings import Settings
 
+_CLOSE = {"Connection": "close"}
+
 
 class Connection(H11Protocol):
     """One client's connection; `connection_class` gives it its limits.
@@ -46,7 +48,7 @@ class Connection(H11Protocol):
         """Take the next bytes; an excess connection gets 503."""
         if self._excess:
             detail = f"{self.max_connections} connections are open, as many as may; try again later."
-            self._refuse(OverloadedError(detail, {"Connection": "close"}))
+            self._refuse(OverloadedError(detail, _CLOSE))
             return
         super().data_received(data)
         self._update_header_timer()
@@ -73,7 +75,7 @@ class Connection(H11Protocol):
             self.transport.close()  # in the middle of another answer
             return
         detail = f"{msg.rstrip('.')}: what was sent is not HTTP/1.1, or its head is too long."
-        self._refuse(BadRequestError(detail, {"Connection": "close"}))
+        self._refuse(BadRequestError(detail, _CLOSE))
 
     def _update_header_timer(self) -> None:
         """Run the header timeout only between requests."""
@@ -91,7 +93,7 @@ class Connection(H11Protocol):
         self._header_timer = None
         if self._idle():
             detail = f"The request's head took longer than the {self.header_timeout:g} s that it may take."
-            self._refuse(RequestTimeoutError(detail))
+            self._refuse(RequestTimeoutError(detail, _CLOSE))
 
     def _refuse(self, error: ProblemError) -> None:
         """Send a problem document without the application, and close."""
@@ -172,4 +174,4 @@ class BodyTimeout:
         self._ended = True
         rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
         detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
-        return RequestTimeoutError(detail)
+        return RequestTimeoutError(detail, _CLOSE)

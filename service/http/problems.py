@@ -32,103 +32,35 @@ class Kind(NamedTuple):
     example: str
 
 
+_FULL = "The service has no disk space left for this request; try again when space has been freed."
+_BROKEN = "The service failed at this request; its log says why."
 KINDS: dict[str, Kind] = {
-    "bad-request": Kind(400, "The request cannot be understood", "The client went away before the end of the body."),
+    "bad-request": Kind(400, "The request cannot be understood", "The client went away before the body's end."),
     "bad-encoding": Kind(400, "The body does not decode", "The body is not valid gzip: it is cut off."),
-    "unauthorized": Kind(
-        401, "A valid API key is needed", "This service needs an API key; send it as 'Authorization: Bearer <key>'."
-    ),
-    "storage-quota": Kind(
-        403,
-        "The key's measurements take all the space that it has",
-        "The measurements of this key would take more than its 10000 MB; delete some of them.",
-    ),
-    "not-found": Kind(
-        404,
-        "There is no such resource",
-        "There is no fit '5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d'; GET /v1/fits lists those that there are.",
-    ),
-    "method-not-allowed": Kind(
-        405, "The resource does not support this method", "PUT is not supported at /v1/fits; supported: GET, POST."
-    ),
-    "not-acceptable": Kind(
-        406,
-        "No acceptable representation",
-        "The values can be had as application/json or application/x-npy; accept one of them.",
-    ),
-    "request-timeout": Kind(
-        408, "The request did not arrive in time", "The body did not arrive in time; send it again."
-    ),
-    "measurement-in-use": Kind(
-        409,
-        "Unfinished fits use the measurement",
-        "1 unfinished fits use the measurement; cancel them or wait until they have ended.",
-    ),
-    "fit-not-finished": Kind(
-        409, "The fit has not finished", "The fit is running; its model exists when it has succeeded."
-    ),
-    "fit-without-result": Kind(
-        409, "The fit has no result", "The fit was cancelled and has no model; its document says why."
-    ),
-    "too-large": Kind(
-        413, "The body is too large", "2000000 points are more than the 1000000 that one request may have."
-    ),
-    "measurement-too-large": Kind(
-        413,
-        "The file is longer than a MERL measurement",
-        "The data is longer than 34992012 bytes; a MERL measurement has exactly 34992012 bytes.",
-    ),
-    "unsupported-media-type": Kind(
-        415,
-        "The body's type or encoding is not supported",
-        "The content type 'text/plain' is not supported; send a MERL file as application/octet-stream.",
-    ),
-    "range-not-satisfiable": Kind(
-        416, "The file has no such part", "The range begins beyond the end of the file, which has 34992012 bytes."
-    ),
-    "measurement-format": Kind(
-        422,
-        "Not an acceptable measurement",
-        "The data has only 17 bytes and seems cut off; a MERL measurement has exactly 34992012 bytes.",
-    ),
-    "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9"),
-    "fit-impossible": Kind(
-        422,
-        "The measurement cannot be fitted with these options",
-        "The measurement has no valid sample within the horizon cutoff.",
-    ),
-    "rate-limited": Kind(
-        429,
-        "Too many requests",
-        "The key has made more requests than it may in this time; wait as long as Retry-After says.",
-    ),
-    "queue-quota": Kind(
-        429,
-        "Too many fits of the key are waiting",
-        "100 fits of this key are waiting already, as many as may; wait until some have ended.",
-    ),
-    "internal": Kind(500, "The service failed", "The service failed at this request; its log says why."),
-    "queue-full": Kind(
-        503,
-        "Too many fits are waiting",
-        "1000 fits are waiting already, as many as may; the measurement is stored, ask again later.",
-    ),
-    "overloaded": Kind(
-        503, "Too many requests are in progress", "512 requests are in progress, as many as may; ask again later."
-    ),
-    "shutting-down": Kind(
-        503,
-        "The service is shutting down",
-        "The service is shutting down and cannot finish this request; ask again later.",
-    ),
-    "not-ready": Kind(
-        503, "The service is not ready", "The disk is not ready: 100 MB are free; the service wants 256 MB."
-    ),
-    "disk-full": Kind(
-        507,
-        "The service's disk is full",
-        "The service has no disk space left for this request; try again when space has been freed.",
-    ),
+    "unauthorized": Kind(401, "A valid API key is needed", "An API key is needed here; send it as Bearer."),
+    "storage-quota": Kind(403, "The key's storage is full", "this key has stored 90.0 of 99.0 MB; delete some."),
+    "not-found": Kind(404, "There is no such resource", "There is no fit '0'; GET /v1/fits lists those there are."),
+    "method-not-allowed": Kind(405, "The resource does not support this method", "PUT is not supported here."),
+    "not-acceptable": Kind(406, "No acceptable representation", "Accept application/json or application/x-npy."),
+    "request-timeout": Kind(408, "The request did not arrive in time", "The body stopped for 30 s."),
+    "measurement-in-use": Kind(409, "Unfinished fits use the measurement", "1 unfinished fits use it; cancel them."),
+    "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet."),
+    "fit-without-result": Kind(409, "The fit has no result", "The fit failed and has no model."),
+    "too-large": Kind(413, "The body is too large", "2000000 points are more than the 1000000 allowed."),
+    "measurement-too-large": Kind(413, "The file is too long", "The data is longer than 34992012 bytes."),
+    "unsupported-media-type": Kind(415, "The body's type or encoding is not supported", "Send a MERL file or JSON."),
+    "range-not-satisfiable": Kind(416, "The file has no such part", "The range begins beyond the end of the file."),
+    "measurement-format": Kind(422, "Not an acceptable measurement", "The data has only 17 bytes."),
+    "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9."),
+    "fit-impossible": Kind(422, "The measurement cannot be fitted with these options", "No sample is left to fit."),
+    "rate-limited": Kind(429, "Too many requests", "This key may make 100 requests per second; ask again in 0.2 s."),
+    "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished."),
+    "internal": Kind(500, "The service failed", _BROKEN),
+    "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later."),
+    "overloaded": Kind(503, "Too many requests are in progress", "512 requests are in progress; ask again later."),
+    "shutting-down": Kind(503, "The service is shutting down", "The service is shutting down; ask again later."),
+    "not-ready": Kind(503, "The service is not ready", "The disk is not ready: 100 MB are free, 256 MB are needed."),
+    "disk-full": Kind(507, "The service's disk is full", _FULL),
 }
 
 # The kinds of the errors that are not the service's own.
@@ -180,13 +112,13 @@ async def _on_exception(request: Request, error: Exception) -> Response:
         if isinstance(error, expected):
             return _response(kind, str(error), path)
     if is_disk_full(error):
-        return _response("disk-full", KINDS["disk-full"].example, path, {"Retry-After": "30"})
+        return _response("disk-full", _FULL, path, {"Retry-After": "30"})
     if isinstance(error, (OSError, sqlite3.DatabaseError)):
         logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
         detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
         return problem_response(NotReadyError(detail), path)
     logger.error("%s %s failed", request.method, path, exc_info=error)
-    return _response("internal", KINDS["internal"].example, path)
+    return _response("internal", _BROKEN, path)
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:

@@ -7,9 +7,9 @@ soon as it has enough: a small body that decodes to a huge one costs no more mem
 import asyncio
 import mmap
 import zlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from functools import partial
-from typing import Any, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 from backports import zstd
@@ -29,7 +29,6 @@ from service.storage.schema import Caller, MeasurementRow
 from service.storage.store import Store
 
 P = ParamSpec("P")
-S = TypeVar("S")
 T = TypeVar("T")
 Sink = Callable[[bytes], object]
 
@@ -50,12 +49,8 @@ async def receive_measurement(request: Request, caller: Caller, store: Store) ->
 
     The body is never held whole, and nothing of it stays if anything is wrong with it.
 
-    Raises
-    ------
-    MeasurementFormatError
-        If it is not an acceptable measurement.
-    ProblemError
-        If it is too long, its encoding is unknown or damaged, or the caller may not store it.
+    Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, its
+    encoding is unknown or damaged, or the caller may not store it.
     """
     encoding = _encoding(request)
     declared = request.headers.get("content-length", "")
@@ -67,7 +62,11 @@ async def receive_measurement(request: Request, caller: Caller, store: Store) ->
         await _receive_all(request, receiver)
         await _in_thread(receiver.finish)
         # The disk and the processor have work of their own here, and neither waits for the other.
-        valid_nodes, sha256 = await _both(_in_thread(receiver.check), _in_thread(incoming.close))
+        closing = asyncio.ensure_future(_in_thread(incoming.close))
+        try:
+            valid_nodes = await _in_thread(receiver.check)
+        finally:
+            sha256 = await closing
         return await _in_thread(store.add_measurement, caller, incoming, sha256, valid_nodes)
     finally:
         await asyncio.shield(_in_thread(store.end_upload, caller, incoming))
@@ -79,10 +78,7 @@ async def receive_small(request: Request, limit: int) -> memoryview:
     Its memory is reserved at once, used as it fills and given back as one: a buffer that grows is there twice while it
     is moved, and leaves holes.
 
-    Raises
-    ------
-    ProblemError
-        If it is longer, or its encoding is unknown or damaged.
+    Raises ProblemError if it is longer, or its encoding is unknown or damaged.
     """
     too_large = TooLargeError(f"The body is longer than the {limit} bytes that it may have here.")
     body = memoryview(mmap.mmap(-1, limit))
@@ -109,25 +105,10 @@ async def receive_small(request: Request, limit: int) -> memoryview:
     return body[:size]
 
 
-class Decoder(Protocol):
-    """Decodes a body and passes the result to a sink."""
-
-    def feed(self, data: bytes) -> None:
-        """Decode the next bytes of the body."""
-        ...
-
-    def finish(self) -> None:
-        """Decode the rest; raise BadEncodingError unless the encoded stream is complete."""
-        ...
-
-
-def decoder(content_encoding: str, sink: Sink) -> Decoder:
+def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
     """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
-    Raises
-    ------
-    UnsupportedMediaTypeError
-        If it is not one that the service decodes.
+    Raises UnsupportedMediaTypeError if it is not one that the service decodes.
     """
     given = (name.strip().lower() for name in content_encoding.split(","))
     name = ", ".join(name for name in given if name not in ("", "identity"))
@@ -158,13 +139,7 @@ class _Identity:
 class _MemberDecoder:
     """One gzip member (RFC 1952) or zstd frame (RFC 8878), or several one after the other.
 
-    Parameters
-    ----------
-    name : str
-        Name of the encoding, for messages.
-    new_member : callable
-        Makes a decompressor of one member with ``decompress(data, max_length)``, ``eof`` and ``unused_data``.
-    sink : callable
+    `new_member` makes a decompressor with ``decompress(data, max_length)``, ``eof`` and ``unused_data``.
     """
 
     def __init__(self, name: str, new_member: Callable[[], Any], sink: Sink) -> None:
@@ -317,15 +292,6 @@ def _check_not_longer(n_bytes: int) -> None:
             check_length(n_bytes)
         except MeasurementFormatError as error:  # the library's sentence, with a kind of its own
             raise MeasurementTooLargeError(str(error)) from None
-
-
-async def _both(one: Awaitable[S], other: Awaitable[T]) -> tuple[S, T]:
-    """Return what both return, or raise what one raises, when both have ended."""
-    first, second = await asyncio.gather(one, other, return_exceptions=True)
-    for outcome in (first, second):
-        if isinstance(outcome, BaseException):
-            raise outcome
-    return cast("S", first), cast("T", second)
 
 
 def _encoding(request: Request) -> str:

@@ -33,8 +33,6 @@ class RequestLogMiddleware:
     ----------
     app : ASGIApp
         The rest of the application.
-    settings : Settings
-    metrics : Metrics
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, metrics: Metrics) -> None:

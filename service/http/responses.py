@@ -75,16 +75,7 @@ def is_current(etag: str, if_none_match: str) -> bool:
 class OpenFileResponse(FileResponse):
     """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
 
-    Parameters
-    ----------
-    path : Path
-    headers : mapping
-    media_type : str
-
-    Raises
-    ------
-    FileNotFoundError
-        If it has been deleted already.
+    Raises FileNotFoundError if it has been deleted already.
     """
 
     def __init__(self, path: Path, headers: Mapping[str, str], media_type: str) -> None:
@@ -109,10 +100,7 @@ def check_range(request: Request, size: int) -> None:
 
     A ``Range`` that is not one range of bytes is removed from the request, which means that it is ignored.
 
-    Raises
-    ------
-    RangeNotSatisfiableError
-        If the range begins beyond the end.
+    Raises RangeNotSatisfiableError if the range begins beyond the end.
     """
     found = _RANGE.fullmatch(request.headers.get("range", ""))
     first, last = (found[1], found[2]) if found else ("", "")

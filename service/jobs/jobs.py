@@ -65,15 +65,7 @@ class _RunningFit:
 
 
 class Jobs:
-    """Runs fits, and lets requests wait for them or follow them.
-
-    Parameters
-    ----------
-    store : Store
-    engine : Engine
-    settings : Settings
-    metrics : Metrics
-    """
+    """Runs fits, and lets requests wait for them or follow them."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store

@@ -32,7 +32,6 @@ class ModelCache:
 
     Parameters
     ----------
-    store : Store
     size : int
         How many to keep.
     """
@@ -46,10 +45,7 @@ class ModelCache:
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit.
 
-        Raises
-        ------
-        ProblemError
-            If there is no such fit, or it has no result.
+        Raises ProblemError if there is no such fit, or it has no result.
         """
         loaded = self._models.get(key)
         if loaded is not None:
@@ -67,10 +63,7 @@ class ModelCache:
     async def component(self, key: FitKey, label: str | None) -> DSBRDF:
         """Return the model of a fit, or of one of its components.
 
-        Raises
-        ------
-        ProblemError
-            As `get`, or if there is no such label.
+        Raises ProblemError: as `get`, or if there is no such label.
         """
         if label is None:
             return (await self.get(key)).model

@@ -24,14 +24,7 @@ logger = logging.getLogger(__name__)
 
 
 class Readiness:
-    """Asks the store, the folder of measurements, the disk and the engine.
-
-    Parameters
-    ----------
-    store : Store
-    engine : Engine
-    settings : Settings
-    """
+    """Asks the store, the folder of measurements, the disk and the engine."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
         self._stopping = False

@@ -77,12 +77,8 @@ class Database:
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write all or nothing; durable when it ends.
 
-        Raises
-        ------
-        DatabaseBusyError, sqlite3.OperationalError
-            If its turn has not come within `busy_timeout`.
-        DatabaseLostError
-            If the file is not where it was.
+        Raises DatabaseBusyError, sqlite3.OperationalError if its turn has not come within `busy_timeout`. Raises
+        DatabaseLostError if the file is not where it was.
         """
         deadline = time.monotonic() + self.busy_timeout
         if not self._writer_lock.acquire(timeout=self.busy_timeout):

@@ -17,12 +17,7 @@ _REMEDY = "delete what is not needed any more."
 
 
 class Uploads:
-    """The uploads in progress, counted by owner: what they write takes room before it is stored.
-
-    Parameters
-    ----------
-    database : Database
-    """
+    """The uploads in progress, counted by owner: what they write takes room before it is stored."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -34,10 +29,7 @@ class Uploads:
 
         One at a time is let in by a caller that has no room left: its file may be one that is stored already.
 
-        Raises
-        ------
-        StorageQuotaError
-            If those in progress take all the room that the caller has left.
+        Raises StorageQuotaError if those in progress take all the room that the caller has left.
         """
         with self._lock:
             in_progress = self._in_progress[caller.owner]

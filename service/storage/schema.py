@@ -15,52 +15,27 @@ VERSION = 1
 # does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
 _TABLES = """
     CREATE TABLE measurements (
-        owner TEXT NOT NULL,
-        seq INTEGER NOT NULL,
-        sha256 TEXT NOT NULL,
-        size INTEGER NOT NULL,
-        valid_nodes INTEGER NOT NULL,
-        created REAL NOT NULL,
-        UNIQUE (owner, sha256),
-        UNIQUE (owner, seq)
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
+        valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
+        UNIQUE (owner, sha256), UNIQUE (owner, seq)
     ) STRICT;
     CREATE INDEX measurements_by_sha256 ON measurements (sha256);
     CREATE TABLE fits (
-        owner TEXT NOT NULL,
-        seq INTEGER NOT NULL,
-        id TEXT NOT NULL,
-        measurement TEXT NOT NULL,
-        options TEXT NOT NULL,
-        algorithm TEXT NOT NULL,
-        library TEXT NOT NULL,
-        status TEXT NOT NULL
-            CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
-        attempts INTEGER NOT NULL DEFAULT 0,
-        interruptions INTEGER NOT NULL DEFAULT 0,
-        metrics TEXT,
-        error TEXT,
-        created REAL NOT NULL,
-        started REAL,
-        finished REAL,
-        result TEXT,
-        size INTEGER NOT NULL DEFAULT 0,
-        UNIQUE (owner, id),
-        UNIQUE (owner, seq),
-        CHECK ((status = 'succeeded') = (result IS NOT NULL)),
-        CHECK ((status = 'failed') = (error IS NOT NULL))
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, id TEXT NOT NULL, measurement TEXT NOT NULL,
+        options TEXT NOT NULL, algorithm TEXT NOT NULL, library TEXT NOT NULL,
+        status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
+        attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
+        metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
+        result TEXT, size INTEGER NOT NULL DEFAULT 0,
+        UNIQUE (owner, id), UNIQUE (owner, seq),
+        CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;
     CREATE INDEX fits_by_status ON fits (status, owner);
     CREATE INDEX fits_by_measurement ON fits (measurement, owner);
     CREATE INDEX fits_by_size ON fits (owner, size);
     CREATE TABLE keys (
-        id TEXT NOT NULL PRIMARY KEY,
-        name TEXT NOT NULL,
-        secret_sha256 TEXT NOT NULL,
-        created REAL NOT NULL,
-        revoked REAL,
-        requests_per_second REAL,
-        stored_mb INTEGER,
-        queued_fits INTEGER
+        id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
+        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER
     ) STRICT;
 """
 
@@ -78,10 +53,7 @@ def version_of(connection: sqlite3.Connection) -> int:
 def create_tables(connection: sqlite3.Connection) -> None:
     """Create the tables in an empty database.
 
-    Raises
-    ------
-    DataFolderError
-        If another release has written the database.
+    Raises DataFolderError if another release has written the database.
     """
     version = version_of(connection)
     if version not in (0, VERSION):
@@ -91,16 +63,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
         )
     if version == VERSION:
         return
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        for statement in _TABLES.split(";"):
-            connection.execute(statement)
-        connection.execute(f"PRAGMA user_version = {VERSION}")
-        connection.execute("COMMIT")
-    except BaseException:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-        raise
+    connection.executescript(f"BEGIN IMMEDIATE; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
 
 
 class FitKey(NamedTuple):
@@ -142,11 +105,6 @@ class MeasurementRow:
     size: int
     valid_nodes: int
     created: float
-
-    @classmethod
-    def from_values(cls, values: tuple[Any, ...]) -> "MeasurementRow":
-        """Make a row of the values of `COLUMNS`."""
-        return cls(*values)
 
 
 @dataclass(frozen=True)

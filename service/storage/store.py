@@ -77,10 +77,7 @@ class Store:
     def begin_upload(self, caller: Caller) -> Incoming:
         """Return a new file for an upload, which takes its room of what the caller may store.
 
-        Raises
-        ------
-        StorageQuotaError
-            If other uploads of the caller take all of that already.
+        Raises StorageQuotaError if other uploads of the caller take all of that already.
         """
         self._uploads.begin(caller)
         try:
@@ -101,10 +98,7 @@ class Store:
     ) -> tuple[MeasurementRow, bool]:
         """Keep a received file; the flag says whether it is new to the caller.
 
-        Raises
-        ------
-        StorageQuotaError
-            If the caller would have stored more than it may.
+        Raises StorageQuotaError if the caller would have stored more than it may.
         """
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
@@ -117,7 +111,7 @@ class Store:
             # Placed even if the same bytes are there: they may have been damaged or lost since, and how long it takes
             # does not tell whether another owner has them.
             self.blobs.place(incoming, sha256)
-        return MeasurementRow.from_values(row), known is None
+        return MeasurementRow(*row), known is None
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
@@ -127,17 +121,14 @@ class Store:
 
     def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`."""
-        return self._page(MeasurementRow.from_values, _SELECT_MEASUREMENT, owner, limit, before)
+        return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before)
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, its finished fits stay; return whether there was one.
 
         Its file goes with the last owner's row.
 
-        Raises
-        ------
-        MeasurementInUseError
-            If fits of it are unfinished.
+        Raises MeasurementInUseError if fits of it are unfinished.
         """
         with self.database.transaction() as db:
             query = (

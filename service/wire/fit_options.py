@@ -33,10 +33,7 @@ def to_wire(options: FitOptions) -> dict[str, Any]:
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
     """Return the options for JSON values under wire names; what is not given is the default.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If a name is unknown, or a value is of a wrong type or out of range.
+    Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
     unknown = [name for name in values if name not in _PROPERTIES]
     if unknown:
@@ -50,10 +47,7 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     """Return the options for the parameters of a query; commas separate the items of a list, ``none`` means null.
 
-    Raises
-    ------
-    InvalidArgumentError
-        As `from_wire`, or if an option is given twice.
+    Raises InvalidArgumentError: as `from_wire`, or if an option is given twice.
     """
     values: dict[str, Any] = {}
     for name, text in items:

@@ -48,10 +48,7 @@ class Points:
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
     """Return the points of a query's names and values, which repeat for several points.
 
-    Raises
-    ------
-    InvalidArgumentError
-        With one sentence that says what is wrong and what would be right.
+    Raises InvalidArgumentError: with one sentence that says what is wrong and what would be right.
     """
     given: dict[str, list[str]] = {}
     for name, text in parameters:
@@ -90,10 +87,7 @@ def from_directions(
 def from_npy(data: bytes | memoryview) -> Points:
     """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If the bytes are not such an array.
+    Raises InvalidArgumentError if the bytes are not such an array.
     """
     array = _read_npy(data)
     if array.shape[1:] == (2,):

@@ -44,10 +44,7 @@ _Document = TypeVar("_Document", bound=_Input)
 def parse_document(kind: type[_Document], body: bytes, *, strict: bool = False) -> _Document:
     """Return the document of a JSON body.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If the body is not such a document.
+    Raises InvalidArgumentError if the body is not such a document.
     """
     try:
         return kind.model_validate_json(body, strict=strict)
