@@ -23,7 +23,7 @@ from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.routes import brdf, docs, exports, fits, health, measurements
+from service.routes import about, brdf, exports, fits, measurements
 from service.routes.dependencies import Context
 from service.settings import Settings
 from service.storage.database import Database
@@ -127,15 +127,8 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
     # Routes are tried in this order, so the ones that have to be quick come first.
-    for router in (
-        brdf.router,
-        fits.router,
-        brdf.components,
-        exports.router,
-        measurements.router,
-        health.router,
-        docs.router,
-    ):
+    routers = (brdf.router, fits.router, brdf.components, exports.router, measurements.router, about.router, about.page)
+    for router in routers:
         app.include_router(router)
     openapi.install(app)
     return app

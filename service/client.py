@@ -1,4 +1,4 @@
-"""Client of the service for Python: the same objects and the same errors as the library, over HTTP.
+"""Python client of the service: the same objects and the same errors as the library, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
 fit = client.fit("nickel.binary")

@@ -10,9 +10,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -68,12 +69,10 @@ def _extras() -> str:
 
 
 def _writable(folder: Path) -> str:
-    if not folder.exists():
-        return f"{folder} does not exist yet; the service makes it"
-    if (folder / "blobs").exists():
-        Blobs(folder).check()
-        return f"{folder} can be written to"
-    return f"{folder} holds nothing of a service yet"
+    if not (folder / "blobs").exists():
+        return f"{folder} does not exist yet or is empty; the service makes what it needs"
+    Blobs(folder).check()
+    return f"{folder} can be written to"
 
 
 def _space(folder: Path, least_mb: int) -> str:
@@ -85,25 +84,24 @@ def _space(folder: Path, least_mb: int) -> str:
 
 
 def _database(folder: Path) -> str:
-    with closing(_connection(folder)) as db:
-        (version,) = db.execute("PRAGMA user_version").fetchone()
-        if version != VERSION:
-            raise CheckFailedError(f"schema version {version} is of another release; this one knows {VERSION}")
-        faults = [row[0] for row in db.execute("PRAGMA integrity_check(3)")]
-        if faults != ["ok"]:
-            raise CheckFailedError(f"{'; '.join(faults)}: restore the folder from a copy")
-        (fits,) = db.execute("SELECT count(*) FROM fits").fetchone()
+    ((version,),) = _rows(folder, "PRAGMA user_version")
+    if version != VERSION:
+        raise CheckFailedError(f"schema version {version} is of another release; this one knows {VERSION}")
+    faults = [fault for (fault,) in _rows(folder, "PRAGMA integrity_check(3)")]
+    if faults != ["ok"]:
+        raise CheckFailedError(f"{'; '.join(faults)}: restore the folder from a copy")
+    ((fits,),) = _rows(folder, "SELECT count(*) FROM fits")
     return f"intact, schema version {version}, {fits} fits"
 
 
 def _measurements(folder: Path) -> str:
     """Compare every file with its row; what looks wrong is checked again, as it may be changing at the moment."""
     blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _rows(folder) if (fault := blobs.damage(sha256))}
-    strays = set(blobs.all()) - _rows(folder)
+    faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
+    strays = set(blobs.all()) - _stored(folder)
     if faults or strays:
         time.sleep(_SECOND_LOOK_DELAY)
-    still = _rows(folder)
+    still = _stored(folder)
     faults = {sha256: fault for sha256, fault in faults.items() if sha256 in still}
     strays = (strays & set(blobs.all())) - still
     if faults:
@@ -119,15 +117,15 @@ def _measurements(folder: Path) -> str:
     return f"{len(still)} files are what their rows say"
 
 
-def _rows(folder: Path) -> set[str]:
-    with closing(_connection(folder)) as db:
-        return {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
+def _stored(folder: Path) -> set[str]:
+    return {sha256 for (sha256,) in _rows(folder, "SELECT DISTINCT sha256 FROM measurements")}
 
 
-def _connection(folder: Path) -> sqlite3.Connection:
-    """Open the database for reading only."""
+def _rows(folder: Path, query: str) -> list[tuple[Any, ...]]:
+    """Return what `query` selects from the database, which is opened for reading only."""
     uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
-    return sqlite3.connect(uri, uri=True, timeout=10.0)
+    with closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as db:
+        return db.execute(query).fetchall()
 
 
 async def _fit(settings: Settings) -> str:
@@ -150,15 +148,13 @@ async def _scheduler(engine: Engine, address: str) -> str:
     await engine.start()
     try:
         deadline = asyncio.get_running_loop().time() + _SCHEDULER_TIMEOUT
-        while True:
-            try:
+        while asyncio.get_running_loop().time() < deadline:
+            with suppress(RuntimeError):
                 await engine.check()
-            except RuntimeError:
-                if asyncio.get_running_loop().time() > deadline:
-                    raise
-                await asyncio.sleep(0.2)
-            else:
-                return f"{address} answers and has workers"
+                break
+            await asyncio.sleep(0.2)
+        await engine.check()
+        return f"{address} answers and has workers"
     finally:
         await engine.close()
 

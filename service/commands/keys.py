@@ -68,12 +68,8 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 
 
 def _document(row: KeyRow) -> dict[str, object]:
-    times = {name: None if at is None else _time(at).isoformat() for name, at in _times(row).items()}
-    return asdict(row) | times
-
-
-def _times(row: KeyRow) -> dict[str, float | None]:
-    return {"created": row.created, "revoked": row.revoked}
+    revoked = None if row.revoked is None else _time(row.revoked).isoformat()
+    return {**asdict(row), "created": _time(row.created).isoformat(), "revoked": revoked}
 
 
 def _time(seconds: float) -> datetime:

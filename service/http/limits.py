@@ -19,21 +19,11 @@ _CLOSE = {"Connection": "close"}
 
 
 class Connection(H11Protocol):
-    """One client's connection; `connection_class` gives it its limits.
-
-    Attributes
-    ----------
-    max_connections : int
-        Connections that may be open at once.
-    header_timeout : float
-        Time that a request's head may take to arrive, the first one's from when the connection was made [s].
-    idle_timeout : float
-        Time that a client may leave a response unread [s].
-    """
+    """One client's connection; `connection_class` gives it its limits."""
 
     max_connections: int
-    header_timeout: float
-    idle_timeout: float
+    header_timeout: float  # seconds that a request's head may take to arrive
+    idle_timeout: float  # seconds that a client may leave a response unread
 
     _header_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
@@ -128,19 +118,8 @@ class BodyTimeout:
 
     Only the time spent waiting for the client counts, not what the service takes itself.
 
-    Parameters
-    ----------
-    receive : Receive
-        The server's own.
-    idle_timeout : float
-        Time without a byte after which the body is refused [s].
-    min_rate : float
-        Mean rate that the client has to reach after the first `idle_timeout` [bytes/s]; 0 allows any.
-
-    Attributes
-    ----------
-    n_bytes : int
-        Bytes received so far.
+    It is refused after `idle_timeout` seconds without a byte, or when its mean rate after that time is below `min_rate`
+    bytes per second; 0 allows any. `n_bytes` are the bytes received so far.
     """
 
     def __init__(self, receive: Receive, idle_timeout: float, min_rate: float) -> None:

@@ -31,8 +31,8 @@ _KEY = {
 }
 _EVERYWHERE = ("bad-request", "internal", "overloaded", "shutting-down")
 _BEHIND_A_KEY = ("unauthorized", "rate-limited")
-WITH_A_BODY = ("request-timeout", "bad-encoding", "unsupported-media-type")
-"""Problems of every operation that reads a body."""
+BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
+UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
 
 # name -> (description, pattern)
 _HEADERS = {
@@ -49,13 +49,9 @@ _HEADERS = {
     "Accept-Post": ("The types of body that are supported.", "/"),
     "Accept-Encoding": ("The encodings of a body that are supported.", "gzip"),
 }
-_HEADERS_OF_PROBLEMS = {
-    401: ("WWW-Authenticate",),
-    416: ("Content-Range",),
-    429: ("Retry-After",),
-    503: ("Retry-After",),
-    507: ("Retry-After",),
-}
+_HEADERS_OF_PROBLEMS = {401: ("WWW-Authenticate",), 416: ("Content-Range",)} | dict.fromkeys(
+    (429, 503, 507), ("Retry-After",)
+)
 _OPTIONAL_HEADERS_OF_PROBLEMS = {409: ("Retry-After",), 415: ("Accept-Post", "Accept-Encoding")}
 
 

@@ -102,22 +102,9 @@ class Jobs:
             logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
     async def submit(self, caller: Caller, measurement: str, options: dict[str, Any]) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or find the same one.
+        """Accept a fit of a stored measurement with all `options` in their wire form, or find the same one.
 
-        Parameters
-        ----------
-        caller : Caller
-        measurement : str
-            The measurement's sha256.
-        options : dict
-            All options in their wire form.
-
-        Returns
-        -------
-        FitRow
-            Its row, which is durable.
-        bool
-            Whether it is computed because of this call.
+        Return its row, which is durable, and whether it is computed because of this call.
         """
         key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
@@ -157,7 +144,8 @@ class Jobs:
                 return
             if changed is not None:
                 change = asyncio.create_task(changed.wait())
-                await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
+                events: list[asyncio.Future[Any]] = [change, *ends]
+                await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
                 change.cancel()
                 if any(end.done() for end in ends):
                     return

@@ -9,7 +9,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -46,19 +46,11 @@ class Metrics:
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
         self._requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
-        self._request_seconds = Histogram(
-            "dsbrdf_request_seconds",
-            "Time from a request's head to the end of its answer [s].",
-            ("method", "route"),
-            buckets=_SECONDS,
-            registry=registry,
-        )
+        timed: dict[str, Any] = {"buckets": _SECONDS, "registry": registry}
+        request_seconds = "Time from a request's head to the end of its answer [s]."
+        self._request_seconds = Histogram("dsbrdf_request_seconds", request_seconds, ("method", "route"), **timed)
         stage_seconds = Histogram(
-            "dsbrdf_stage_seconds",
-            "Time that a part of the work takes [s].",
-            ("stage",),
-            buckets=_SECONDS,
-            registry=registry,
+            "dsbrdf_stage_seconds", "Time that a part of the work takes [s].", ("stage",), **timed
         )
         self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
@@ -72,10 +64,7 @@ class Metrics:
         known = self._known.get((method, route, status))
         if known is None:  # the look-up of labels costs more than counting
             label = method if method in _METHODS else "other"
-            known = (
-                self._requests.labels(label, route, str(status)),
-                self._request_seconds.labels(label, route),
-            )
+            known = self._requests.labels(label, route, str(status)), self._request_seconds.labels(label, route)
             if label == method:
                 self._known[method, route, status] = known
         counter, histogram = known

@@ -18,10 +18,19 @@ from service.http.responses import IfNoneMatch, tagged_reply
 from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
 from service.storage.schema import FitKey
 from service.wire import examples
-from service.wire.conversions import component_list
-from service.wire.points import ANGLES, DIRECTIONS, NPY, Points, from_angles, from_directions, from_npy, from_query
-from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
-from service.wire.values_stream import JSON, values_reply
+from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, component_list, parse_document
+from service.wire.values import (
+    ANGLES,
+    DIRECTIONS,
+    JSON,
+    NPY,
+    Points,
+    from_angles,
+    from_directions,
+    from_npy,
+    from_query,
+    values_reply,
+)
 
 
 class _DirectRoute(APIRoute):
@@ -90,7 +99,7 @@ _GET_RESPONSES = openapi.response(_TRIPLES, examples.VALUES) | openapi.problems(
 _POST_RESPONSES = openapi.response(
     _TRIPLES, content={JSON: {"example": examples.VALUES}, NPY: openapi.file(NPY)}
 ) | openapi.problems(
-    "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.WITH_A_BODY
+    "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
 
 

@@ -21,9 +21,19 @@ from service.http.responses import IfNoneMatch, json_reply, next_page, preferred
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.wire import examples
-from service.wire.conversions import fit_document, fit_progress, fit_summary
 from service.wire.fit_options import OPTIONS_SCHEMA, from_query, from_wire, to_wire
-from service.wire.schemas import FitDocument, FitList, FitRequest, Page, Progress, Waiting, parse_document
+from service.wire.schemas import (
+    FitDocument,
+    FitList,
+    FitRequest,
+    Page,
+    Progress,
+    Waiting,
+    fit_document,
+    fit_progress,
+    fit_summary,
+    parse_document,
+)
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 
@@ -79,17 +89,7 @@ _SUBMISSION_BODY = openapi.body(
         headers=["Location", "Retry-After"],
         links=_LINKS,
     )
-    | openapi.problems(
-        "storage-quota",
-        "not-found",
-        "measurement-too-large",
-        "measurement-format",
-        "invalid-argument",
-        "queue-quota",
-        "queue-full",
-        "disk-full",
-        *openapi.WITH_A_BODY,
-    ),
+    | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={"parameters": [*_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:

@@ -16,8 +16,7 @@ from service.routes.dependencies import Context, Sha256, TheCaller, TheContext
 from service.routes.fits import CONTENT_ENCODING
 from service.storage.schema import Caller, MeasurementRow
 from service.wire import examples
-from service.wire.conversions import measurement_document
-from service.wire.schemas import MeasurementDocument, MeasurementList, Page
+from service.wire.schemas import MeasurementDocument, MeasurementList, Page, measurement_document
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
 
@@ -53,9 +52,7 @@ _RANGE = openapi.header_parameter(
         headers=["Location", "ETag"],
         links=_LINKS,
     )
-    | openapi.problems(
-        "storage-quota", "measurement-too-large", "measurement-format", "disk-full", *openapi.WITH_A_BODY
-    ),
+    | openapi.problems(*openapi.UPLOAD_PROBLEMS),
     openapi_extra={
         "parameters": [CONTENT_ENCODING],
         **openapi.body("A MERL file.", {BINARY: openapi.file(BINARY, maxLength=FILE_SIZE)}),

@@ -116,7 +116,7 @@ class Store:
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
         return self._one(
-            MeasurementRow.from_values, f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256
+            lambda row: MeasurementRow(*row), f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256
         )
 
     def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
@@ -159,27 +159,8 @@ class Store:
     ) -> tuple[FitRow, bool]:
         """Accept a fit, or find the same one; the flag says whether it has to be computed.
 
-        Parameters
-        ----------
-        caller : Caller
-            Whose fit it is, and how many it may have.
-        fit_id, measurement : str
-            Identities of the fit and of its measurement.
-        options : mapping
-            Options as on the wire.
-        versions : tuple of str
-            Of the algorithm and of the library.
-        queue_limit : int
-            How many fits may be waiting.
-
-        Raises
-        ------
-        MeasurementNotFoundError
-            If the caller has no such measurement.
-        QueueQuotaError, StorageQuotaError
-            If the caller has as many unfinished fits, or has stored as much, as it may.
-        QueueFullError
-            If too many fits are waiting.
+        `options` are in their wire form, `versions` those of algorithm and library; at most `queue_limit` fits may be
+        waiting. Raises MeasurementNotFoundError, QueueQuotaError, StorageQuotaError or QueueFullError.
         """
         key = (caller.owner, fit_id)
         with self.database.transaction() as db:

@@ -53,7 +53,7 @@ VALUES: dict[str, Any] = {"values": [[0.42, 0.21, 0.11]]}
 _DIFFUSE = {"lobes": [0], "parameters": _LOBES, "albedo": [0.31, 0.13, 0.07], "half_width_deg": 62.5, "margin": 1.3}
 _NO_LOBES = {**_LOBES, "kappa": [[[]]] * 3, "gamma": [[[]]] * 3, "center_deg": [[[]]] * 3}
 _EMPTY = {"lobes": [], "parameters": _NO_LOBES, "albedo": [0.0, 0.0, 0.0], "half_width_deg": None, "margin": None}
-_CONTENTS = {"specular_spike": _EMPTY, "specular_lobe": _EMPTY, "diffuse": _DIFFUSE}
+_CONTENTS: dict[str, dict[str, Any]] = {"specular_spike": _EMPTY, "specular_lobe": _EMPTY, "diffuse": _DIFFUSE}
 COMPONENTS: dict[str, Any] = {"items": [{"label": label, **content} for label, content in _CONTENTS.items()]}
 
 EVENTS = (

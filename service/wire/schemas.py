@@ -1,5 +1,10 @@
-"""The JSON documents as pydantic models. Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order."""
+"""The JSON documents as pydantic models, made from rows of the store and from models.
 
+Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order.
+"""
+
+from collections.abc import Iterable
+from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -7,8 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.decomposition import Component
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.report_text import component_document, lobes_document
 from service.errors import validation_sentence
-from service.storage.schema import Status
+from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
 
 FIT_ID = r"^[0-9a-f]{32}$"
@@ -217,3 +225,29 @@ class Export(_Input):
         Literal["specular_spike", "specular_lobe", "diffuse"] | None,
         Field(description="One component instead of the whole fit."),
     ] = None
+
+
+def fit_summary(row: FitRow, progress: float) -> FitSummary:
+    """Return a fit's document without lobes."""
+    return FitSummary.model_validate({**asdict(row), "progress": progress})
+
+
+def fit_document(row: FitRow, progress: float, model: DSBRDF | None) -> FitDocument:
+    """Return a fit's document; `model` is that of a fit that succeeded."""
+    lobes = None if model is None else lobes_document(model)
+    return FitDocument.model_validate({**asdict(row), "progress": progress, "lobes": lobes})
+
+
+def fit_progress(row: FitRow, progress: float) -> Progress:
+    """Return the event that reports a fit's state."""
+    return Progress.model_validate({**asdict(row), "progress": progress})
+
+
+def measurement_document(row: MeasurementRow) -> MeasurementDocument:
+    """Return a measurement's document."""
+    return MeasurementDocument.model_validate(asdict(row))
+
+
+def component_list(decomposition: Iterable[Component]) -> ComponentList:
+    """Return the components' document."""
+    return ComponentList.model_validate({"items": [component_document(component) for component in decomposition]})

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dsbrdf import InvalidArgumentError
 from service.errors import ProblemError
 from service.http.request_body import PIECE, decoder
-from service.wire.points import Points, from_npy, from_query
+from service.wire.values import Points, from_npy, from_query
 from tests.conftest import examples
 from tests.test_fuzz import MODEL, arrays
 

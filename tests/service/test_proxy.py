@@ -19,7 +19,7 @@ import pytest
 
 from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
-from service.wire.points import NPY
+from service.wire.values import NPY
 from tests.service.running import ENDLESS, Server, free_port, wait_until
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"

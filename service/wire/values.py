@@ -1,27 +1,44 @@
-"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
+"""Points at which a model is evaluated, and responses with its values.
 
+Points are half and difference angles, or pairs of directions, as text or arrays. Values leave as JSON or .npy: a few at
+once, many block by block, so that memory stays small.
+"""
+
+import asyncio
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from json import JSONEncoder
+from time import perf_counter
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response, StreamingResponse
 
 from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
+from service.operations.metrics import Metrics
 
 Array = NDArray[np.float64]
 
 ANGLES = ("theta_half_deg", "theta_diff_deg")
 DIRECTIONS = ("omega_in", "omega_out")
+JSON = "application/json"
 NPY = "application/x-npy"
 _KNOWN = (*ANGLES, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
 _BLOCK = 8192  # directions whose angles are found at a time, so that what is in between stays small
 _NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
+_MAX_INLINE = 64  # points that are evaluated faster than another thread is reached
+_JSON_BLOCK = 4096  # points; text is made in one go, during which nothing else runs
+_NPY_BLOCK = 131_072  # points that a model evaluates at a time
+_AHEAD = 2  # blocks that are computed at the same time, while those before them are sent
+_encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
 @dataclass(frozen=True)
@@ -57,7 +74,7 @@ def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
         given.setdefault(name, []).append(text)
     first, second = _pair(given)
     if first == ANGLES[0]:
-        return from_angles([_number(first, t) for t in given[first]], [_number(second, t) for t in given[second]])
+        return from_angles([_angle(first, t) for t in given[first]], [_angle(second, t) for t in given[second]])
     return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
 
 
@@ -150,7 +167,7 @@ def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
     return np.radians(angle)
 
 
-def _number(name: str, text: str) -> float:
+def _angle(name: str, text: str) -> float:
     try:
         return _float(text)
     except ValueError:
@@ -169,3 +186,82 @@ def _float(text: str) -> float:
     if "_" in text or not text.isascii():  # which Python takes for numbers, and nobody else
         raise ValueError(text)
     return float(text)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How values are written: blocks of points, with what stands before, between and behind them."""
+
+    media_type: str
+    block: int
+    encode: Callable[[Array], bytes]
+    head: bytes
+    between: bytes = b""
+    tail: bytes = b""
+
+    def write(self, model: DSBRDF, points: Points) -> bytes:
+        return self.encode(points.values(model))
+
+
+def _npy_form(n_points: int) -> _Form:
+    """Return the form of a .npy file of shape (n, 3)."""
+    header = BytesIO()
+    npy.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
+    return _Form(NPY, _NPY_BLOCK, lambda values: values.tobytes(), header.getvalue())
+
+
+_JSON_FORM = _Form(
+    JSON, _JSON_BLOCK, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}"
+)
+
+
+async def values_reply(model: DSBRDF, points: Points, media_type: str, metrics: Metrics) -> Response:
+    """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
+    form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
+
+    def whole() -> Response:
+        with metrics.timing("evaluating"):
+            return Response(form.head + form.write(model, points) + form.tail, media_type=media_type)
+
+    if len(points) <= _MAX_INLINE:
+        return whole()
+    if len(points) <= form.block:
+        return await run_in_threadpool(whole)
+    # The length is known beforehand for numbers of equal size, not for their text.
+    headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
+    return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
+
+
+async def _parts(form: _Form, model: DSBRDF, points: Points, metrics: Metrics) -> AsyncIterator[bytes]:
+    """Yield the parts of a long answer, each while the next ones are made; note how long that took in all."""
+    seconds = 0.0
+
+    def write(block: Points) -> bytes:
+        nonlocal seconds
+        begin = perf_counter()
+        part = form.write(model, block)
+        seconds += perf_counter() - begin
+        return part
+
+    blocks: Iterator[Points] = points.blocks(form.block)
+    coming: deque[asyncio.Task[bytes]] = deque()
+
+    def begin_next() -> None:
+        if (block := next(blocks, None)) is not None:
+            coming.append(asyncio.create_task(run_in_threadpool(write, block)))
+
+    try:
+        for _ in range(_AHEAD):
+            begin_next()
+        before = form.head
+        while coming:
+            part = await coming[0]
+            coming.popleft()
+            begin_next()
+            yield before + part
+            before = form.between
+        yield form.tail
+    finally:
+        for task in coming:  # of a client that has gone
+            task.cancel()
+    metrics.took("evaluating", seconds)
