@@ -65,7 +65,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         readiness = Readiness(store, engine, settings)
         app.state.context = Context(settings, store, engine, jobs, models, keys, metrics, readiness)
         metrics.collect_from(store.database)
-        await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
+        await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
         await jobs.start()
         following = asyncio.create_task(_follow_changes(store.database, keys, models))
@@ -120,13 +120,13 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         lifespan=_lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # every resource has one name
+        redirect_slashes=False,  # every resource has one path
         generate_unique_id_function=openapi.operation_id,
     )
     app.state.settings, app.state.store = settings, store
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
-    # Routes are tried in this order, so the ones that have to be quick come first.
+    # Routes are tried in this order, so the fast ones come first.
     routers = (brdf.router, fits.router, brdf.components, exports.router, measurements.router, about.router, about.page)
     for router in routers:
         app.include_router(router)

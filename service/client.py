@@ -283,7 +283,7 @@ class Client:
 
 
 def _error(answer: httpx.Response) -> Exception:
-    """Return what an answer that is no success stands for."""
+    """Return the exception for a response that is no success."""
     try:
         problem = answer.json()
     except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request

@@ -17,7 +17,9 @@ from service.settings import Settings
 from service.storage.schema import Caller
 
 _PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
-OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *_PAGE))  # they tell nothing of anyone
+OPEN_PATHS = frozenset(
+    ("/health/live", "/health/ready", "/openapi.json", *_PAGE)
+)  # they show nothing that belongs to a key
 
 CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()
@@ -69,7 +71,7 @@ class AuthenticationMiddleware:
             self._check_local(headers)
             return None
         scheme, _, text = sent[0].partition(b" ")
-        # A key that is sent counts, also where none is needed; of two it would be unclear which.
+        # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
         key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
         if key is None:
             raise invalid_key()
@@ -101,12 +103,12 @@ def _check_framing(headers: _Headers) -> None:
 
 
 def _check_path(path: str) -> None:
-    if not path.isprintable():  # a route would take a line's end for the end of the path
+    if not path.isprintable():  # a route would take a line break for the end of the path
         raise NotFoundError("No path here has control characters; GET /docs lists what there is.")
 
 
 def invalid_key() -> UnauthorizedError:
-    """Return the error of a key that is wrong or revoked."""
+    """Return the error for a key that is wrong or revoked."""
     detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
     return UnauthorizedError(detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
 

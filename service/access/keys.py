@@ -138,13 +138,13 @@ class Keys:
         self._active: dict[str, ActiveKey] = {}
 
     def load(self, database: Database) -> None:
-        """Read the keys again; what a key has used of its rate stays used."""
+        """Read the keys again; the requests that a key has made still count."""
         columns = "id, secret_sha256, requests_per_second, stored_mb, queued_fits"
         rows = database.rows(f"SELECT {columns} FROM keys WHERE revoked IS NULL")  # noqa: S608
         self._active = {row[0]: self._key(*row) for row in rows}
 
     def find(self, text: bytes) -> ActiveKey | None:
-        """Return the key that `text` is, in a time that does not tell what is wrong with it."""
+        """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
@@ -154,7 +154,7 @@ class Keys:
         return key if right else None
 
     def allows(self, caller: Caller) -> bool:
-        """Return whether a caller that was let in still may ask: its key has not been revoked since."""
+        """Return whether the key of a caller is still active; a caller without key is always allowed."""
         return not caller.owner or caller.owner in self._active
 
     def _key(

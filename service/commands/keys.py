@@ -62,7 +62,7 @@ def _list(database: Database, arguments: argparse.Namespace) -> int:
 
 def _revoke(database: Database, arguments: argparse.Namespace) -> int:
     if not revoke_key(database, arguments.id):
-        # What was given is not repeated: it could be a whole key.
+        # The argument is not repeated: it could be a whole key.
         return refuse("there is no key with this id; dsbrdf keys list shows the ids")
     return 0
 

@@ -34,7 +34,7 @@ _OLD_MEASUREMENTS = (
 
 @dataclass(frozen=True)
 class Purged:
-    """What has gone, or would go: rows of fits and of measurements, and bytes of files."""
+    """What was removed, or would be: rows of fits and of measurements, and bytes of files."""
 
     fits: int
     measurements: int

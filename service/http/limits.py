@@ -62,7 +62,7 @@ class Connection(H11Protocol):
     def send_400_response(self, msg: str) -> None:
         """Answer a request that is not HTTP with a problem document."""
         if not self._idle() and self.cycle.response_started:
-            self.transport.close()  # in the middle of another answer
+            self.transport.close()  # in the middle of another response
             return
         detail = f"{msg.rstrip('.')}: what was sent is not HTTP/1.1, or its head is too long."
         self._refuse(BadRequestError(detail, _CLOSE))

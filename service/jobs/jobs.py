@@ -36,11 +36,11 @@ _MAX_CANCEL_WAIT = 5.0  # seconds that who cancels a fit waits until its process
 _MIN_PROGRESS_STEP = 0.01  # a smaller change of the progress notifies nobody
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
-# A fit that runs whenever the service breaks off may be the cause: after the first number of interruptions it waits,
-# ever longer, so that there is a service that can be asked to cancel it; at the second one it is given up.
+# A fit that runs whenever the service is killed may be the cause: after the first number of interruptions it waits
+# longer each time, so that the service can be asked to cancel it; after the second number it fails.
 _INTERRUPTIONS_FORGIVEN = 8
 _FIRST_DELAY = 1.0  # seconds; twice as many with each further interruption
-_INTERRUPTIONS_ALLOWED = 100  # with the longest delay before most of them: most of an hour of breaking off
+_INTERRUPTIONS_ALLOWED = 100  # with the longest delay before most of them, this takes most of an hour
 _MAX_DELAY = 30.0  # seconds
 
 
@@ -181,7 +181,7 @@ class Jobs:
             await _run_to_end(asyncio.wait([previous]))
         try:
             if interruptions >= _INTERRUPTIONS_ALLOWED:
-                reason = f"The service has broken off {interruptions} times while it ran this fit."
+                reason = f"The service was killed {interruptions} times while it ran this fit."
                 await _write(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
                 return
             if interruptions > _INTERRUPTIONS_FORGIVEN:
@@ -201,7 +201,9 @@ class Jobs:
                 return True
             self._set_progress(key, 0.0)
             if row.started is not None and row.attempts == 1:
-                self._metrics.took("waiting", max(0.0, row.started - row.created))  # clocks are set back, too
+                self._metrics.record_time(
+                    "waiting", max(0.0, row.started - row.created)
+                )  # a clock may have been set back
             with self._metrics.timing("fitting"):
                 outcome = await self._compute(row)
             if isinstance(outcome, Fault) and outcome.origin == "system":
@@ -211,7 +213,7 @@ class Jobs:
             return await _write(self._record, row, outcome)
 
     async def _compute(self, row: FitRow) -> Outcome:
-        """Run the fit of a row, with a file that is what it should be; wait as long as no process can be started."""
+        """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
             damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
             try:
@@ -254,9 +256,9 @@ class Jobs:
 
 
 async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call `write` in a thread, again and again while the disk does not take it: a computed fit is not thrown away.
+    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost.
 
-    A cancelled call returns when the thread has come to its end, so that nothing is written later than one thinks.
+    A cancelled call returns when the thread has ended, so that nothing is written after it.
     """
     while True:
         try:
@@ -267,7 +269,7 @@ async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 async def _run_to_end(work: Coroutine[Any, Any, T]) -> T:
-    """Await `work`; a cancelled call returns when it has ended all the same."""
+    """Await `work` to its end, even if this call is cancelled meanwhile."""
     task = asyncio.create_task(work)
     try:
         return await asyncio.shield(task)

@@ -94,7 +94,7 @@ class ModelCache:
         return LoadedFit(*from_json(document))
 
     def _reason(self, key: FitKey) -> ProblemError:
-        """Return why a fit has no model."""
+        """Return the error for a fit without model."""
         row = self._store.fit(key)
         if row is None:
             return FitNotFoundError(key.id)

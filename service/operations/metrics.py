@@ -62,7 +62,7 @@ class Metrics:
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is its route's template or `NO_ROUTE`."""
         known = self._known.get((method, route, status))
-        if known is None:  # the look-up of labels costs more than counting
+        if known is None:  # looking labels up takes longer than counting
             label = method if method in _METHODS else "other"
             known = self._requests.labels(label, route, str(status)), self._request_seconds.labels(label, route)
             if label == method:
@@ -71,16 +71,16 @@ class Metrics:
         counter.inc()
         histogram.observe(seconds)
 
-    def took(self, stage: Stage, seconds: float) -> None:
-        """Note how long a part of the work took."""
+    def record_time(self, stage: Stage, seconds: float) -> None:
+        """Record how long a stage of the work took."""
         self._stages[stage].observe(seconds)
 
     @contextmanager
     def timing(self, stage: Stage) -> Iterator[None]:
-        """Note how long the block takes, if it goes well."""
+        """Record how long the block takes, unless it raises."""
         begin = perf_counter()
         yield
-        self.took(stage, perf_counter() - begin)
+        self.record_time(stage, perf_counter() - begin)
 
     def collect_from(self, database: Database) -> None:
         """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
@@ -92,7 +92,7 @@ class Metrics:
 
 
 class _Stored(Collector):
-    """What the database knows better than a counter that starts at zero with the process."""
+    """Gauges of what is stored, read from the database: counters would start at zero with the process."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -104,8 +104,8 @@ class _Stored(Collector):
         try:
             numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
             ((stored_bytes,),) = self._database.rows(files)
-        except sqlite3.Error as error:  # what has been counted is wanted all the more
-            logger.warning("the metrics are without those of the database: %s", error)
+        except sqlite3.Error as error:  # the other metrics are still of use
+            logger.warning("the metrics lack those of the database: %s", error)
             return
         for state in get_args(Status):
             states.add_metric((state,), numbers.get(state, 0))

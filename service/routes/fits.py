@@ -272,7 +272,7 @@ async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.T
 
 async def _departure(request: Request) -> None:
     """Return when the client has closed the connection."""
-    with suppress(RequestTimeoutError):  # of a body that nobody wants and that comes too slowly
+    with suppress(RequestTimeoutError):  # of a body that is not read and arrives too slowly
         while (await request.receive())["type"] != "http.disconnect":
             pass
 

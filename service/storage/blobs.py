@@ -102,7 +102,10 @@ class Blobs:
                     return None
                 digest = hashlib.file_digest(file, "sha256")
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # it is not the file that is at fault
+            if error.errno in (
+                errno.EMFILE,
+                errno.ENFILE,
+            ):  # this process has too many open files; the measurement may be sound
                 raise
             return error.strerror or str(error)
         if digest.hexdigest() != sha256:

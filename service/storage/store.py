@@ -75,7 +75,7 @@ class Store:
         self.database.close()
 
     def begin_upload(self, caller: Caller) -> Incoming:
-        """Return a new file for an upload, which takes its room of what the caller may store.
+        """Return a new file for an upload, and reserve room for it in what the caller may store.
 
         Raises StorageQuotaError if other uploads of the caller take all of that already.
         """
@@ -87,7 +87,7 @@ class Store:
             raise
 
     def end_upload(self, caller: Caller, incoming: Incoming) -> None:
-        """Remove the file of an upload, unless it is kept, and give its room back."""
+        """Remove the file of an upload, unless it was stored, and free the room that was reserved for it."""
         try:
             incoming.discard()
         finally:
@@ -96,7 +96,7 @@ class Store:
     def add_measurement(
         self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
     ) -> tuple[MeasurementRow, bool]:
-        """Keep a received file; the flag says whether it is new to the caller.
+        """Store a received file; the flag says whether it is new to the caller.
 
         Raises StorageQuotaError if the caller would have stored more than it may.
         """
@@ -178,7 +178,7 @@ class Store:
                 raise QueueFullError(
                     f"{waiting} fits are waiting already, as many as may; the measurement is stored, ask again later."
                 )
-            # A fit that runs once more starts anew, at the head of the list.
+            # A fit that runs again is a new row, at the head of the list.
             db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608
             new = (caller.owner, *key, measurement, json.dumps(options), *versions, time.time())
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
@@ -228,12 +228,12 @@ class Store:
             return db.execute(query, key).rowcount > 0
 
     def requeue_running(self) -> None:
-        """Set what runs back to accepted: this process is about to end, and the next one runs it."""
+        """Set running fits back to accepted: this process is about to end, and the next one runs them."""
         with self.database.transaction() as db:
             db.execute(f"{_REQUEUE} WHERE status = 'running'")
 
     def resume(self) -> list[FitRow]:
-        """Set what an earlier process left running back to accepted: it broke off. Return all that wait.
+        """Set fits that a killed process left running back to accepted; return all accepted fits.
 
         The oldest come first, but those before that were interrupted less often: one of the others may be the cause.
         """
@@ -248,7 +248,7 @@ class Store:
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
         with self.database.transaction() as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
-            db.execute(f"PRAGMA user_version = {version}")  # the same again is a write all the same
+            db.execute(f"PRAGMA user_version = {version}")  # writing the same value is a write too
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]

@@ -31,11 +31,11 @@ JSON = "application/json"
 NPY = "application/x-npy"
 _KNOWN = (*ANGLES, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
-_BLOCK = 8192  # directions whose angles are found at a time, so that what is in between stays small
+_BLOCK = 8192  # directions converted at a time, so that intermediate arrays stay small
 _NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
-_MAX_INLINE = 64  # points that are evaluated faster than another thread is reached
-_JSON_BLOCK = 4096  # points; text is made in one go, during which nothing else runs
+_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
+_JSON_BLOCK = 4096  # points: while the text of a block is made, nothing else runs
 _NPY_BLOCK = 131_072  # points that a model evaluates at a time
 _AHEAD = 2  # blocks that are computed at the same time, while those before them are sent
 _encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
@@ -120,7 +120,7 @@ def _read_npy(data: bytes | memoryview) -> Array:
         version = npy.read_magic(stream)
         read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
         shape, fortran_order, dtype = read(stream, max_header_size=_LONGEST_NPY_HEADER)
-    except Exception:  # NumPy parses the header as Python and lets all that this can raise pass
+    except Exception:  # NumPy parses the header as Python, which can raise any exception
         raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
     if dtype.kind != "f" or dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
@@ -183,7 +183,7 @@ def _vector(name: str, text: str) -> list[float]:
 
 
 def _float(text: str) -> float:
-    if "_" in text or not text.isascii():  # which Python takes for numbers, and nobody else
+    if "_" in text or not text.isascii():  # Python accepts such numbers, other languages do not
         raise ValueError(text)
     return float(text)
 
@@ -262,6 +262,6 @@ async def _parts(form: _Form, model: DSBRDF, points: Points, metrics: Metrics) -
             before = form.between
         yield form.tail
     finally:
-        for task in coming:  # of a client that has gone
+        for task in coming:  # when the client has closed the connection
             task.cancel()
-    metrics.took("evaluating", seconds)
+    metrics.record_time("evaluating", seconds)

@@ -225,7 +225,7 @@ def test_there_are_half_as_many_connections_as_files_at_most(
     monkeypatch: pytest.MonkeyPatch, files: int, most: int
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
-    assert connection_class(Settings()).most == most
+    assert connection_class(Settings()).max_connections == most
 
 
 def test_the_checks_can_fail(target: Target) -> None:

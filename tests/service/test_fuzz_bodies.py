@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.errors import ProblemError
+from service.errors import ProblemError, TooLargeError
 from service.http.request_body import PIECE, decoder
 from service.wire.values import Points, from_npy, from_query
 from tests.conftest import examples
@@ -31,7 +31,7 @@ class Sink:
     def __call__(self, data: bytes) -> None:
         self.seen += len(data)
         if self.seen > LIMIT:
-            raise ProblemError("too-large", "The body is too long.")
+            raise TooLargeError("The body is too long.")
         self.parts.append(data)
 
 
