@@ -77,7 +77,7 @@ def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:
     assert json.loads(to_json(model))["report"] is None
 
 
-def test_a_first_version_text_stays_readable() -> None:
+def test_stored_text_of_format_version_1_is_readable() -> None:
     text = (
         '{"format": "dsbrdf", "version": 1, "model": {"theta_diff": [0, 1.5], "kappa": [[[1], [2]], [[3], [4]], '
         '[[5], [6]]], "gamma": [[[0], [1]], [[2], [3]], [[4], [5.5]]], "center": [[[0], [0]], [[0], [0]], '
@@ -102,7 +102,7 @@ def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
+def test_failed_save_keeps_the_existing_file(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     save(model, path)
     bad = replace(report, metrics={"relative_rms": float("nan")})
@@ -113,7 +113,7 @@ def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, t
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_other_suffixes_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+def test_unknown_suffix_is_refused(model: DSBRDF, tmp_path: Path) -> None:
     with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model\.txt'"):
         save(model, tmp_path / "model.txt")
     with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model'"):
