@@ -131,7 +131,7 @@ def headline(file: Path, result: FitResult) -> str:
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
     """Return the components of a model, from narrow to wide, as they are written to JSON."""
-    return [_component_document(component) for component in decompose(model)]
+    return [component_document(component) for component in decompose(model)]
 
 
 def lobes_document(model: DSBRDF) -> dict[str, Any]:
@@ -146,7 +146,8 @@ def lobes_document(model: DSBRDF) -> dict[str, Any]:
     }
 
 
-def _component_document(component: Component) -> dict[str, Any]:
+def component_document(component: Component) -> dict[str, Any]:
+    """Return one component as JSON content."""
     width = component.half_width
     return {
         "label": component.label,

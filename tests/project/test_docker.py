@@ -87,7 +87,7 @@ def test_prove_script_is_valid_shell() -> None:
     assert (DOCKER / "prove.sh").stat().st_mode & 0o111
 
 
-def test_image_runs_as_unprivileged_user() -> None:
+def test_image_is_minimal_and_unprivileged() -> None:
     final = DOCKERFILE.rpartition("\nFROM ")[2]
     assert final.startswith("python AS service")
     assert re.search(r"^USER [1-9]\d+:[1-9]\d+$", final, re.MULTILINE)

@@ -157,7 +157,7 @@ def test_the_targets_of_make_exist() -> None:
     assert {"demo", "serve", "test", "check", "fix", "bench", "lock"} <= targets
 
 
-def test_the_extras_are_those_of_the_package() -> None:
+def test_readme_lists_the_extras_of_the_package() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     table = README.partition("| extra | brings |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == set(extras)
@@ -178,7 +178,7 @@ def test_links_within_the_readme_lead_to_a_heading() -> None:
     assert anchors - headings == set()
 
 
-def test_the_glossary_names_what_reports_hold(python_quick_start: dict[str, Any]) -> None:
+def test_readme_glossary_names_all_metrics(python_quick_start: dict[str, Any]) -> None:
     glossary = README.partition("## Glossary")[2].partition("\n## ")[0]
     for name in (*python_quick_start["result"].report.metrics, "kappa", "gamma", "center", "delta", "n_lobes", "mask"):
         assert f"`{name}`" in glossary

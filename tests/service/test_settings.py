@@ -31,7 +31,7 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
         ("DSBRDF_PORT", "eighty"),
         ("DSBRDF_LOG_LEVEL", "loud"),
         ("DSBRDF_WORKERS", "0"),
-        ("DSBRDF_HEAD_SECONDS", "-1"),
+        ("DSBRDF_HEADER_TIMEOUT", "-1"),
         ("DSBRDF_ACCESS_LOG", "perhaps"),
     ],
 )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from subprocess import CompletedProcess
 from typing import Any
 
-from service.access.keys import Limits, add_key
+from service.access.keys import KeyLimits, add_key
 from service.commands import keys
 from service.storage.database import Database
 from tests.support.commands import run_main
@@ -27,8 +27,8 @@ class Guarded:
 
 def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
     """Make a key beside a running service, and use it once; return its id and the header that holds it."""
-    database = Database(server.data_dir, beside=True)
-    row, key = add_key(database, name, Limits(**limits))
+    database = Database(server.data_dir, exclusive=False)
+    row, key = add_key(database, name, KeyLimits(**limits))
     database.close()
     header = {"Authorization": f"Bearer {key}"}
     wait_until(lambda: server.http.get("/metrics", headers=header).status_code == 200)

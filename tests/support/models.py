@@ -1,11 +1,9 @@
 """Models and reports that several tests use."""
 
 import numpy as np
-import pytest
 
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.metrics import on_grid
-from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 
 ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
@@ -21,28 +19,6 @@ def make_model(n_lobes: int = 3, n_knots: int = 5) -> DSBRDF:
         gamma=10.0 ** generator.uniform(-320.0, 7.0, shape),
         center=generator.uniform(0.0, np.pi / 2, shape),
         delta=generator.standard_normal((3, n_knots)) * 10.0 ** generator.uniform(-200.0, 200.0, (3, n_knots)),
-    )
-
-
-@pytest.fixture
-def model() -> DSBRDF:
-    return make_model()
-
-
-@pytest.fixture
-def report() -> FitReport:
-    numbers = np.random.default_rng(0).standard_normal((3, 4)).tolist()
-    return FitReport(
-        metrics={"relative_rms": 0.1 + 0.2, "floor": 1e-323, "excess": 1.7976931348623157e308, "male": None},
-        by_channel=[{"channel": "red", "excess": 1.5}],
-        by_theta_diff=[],
-        slices={"theta_diff": numbers[0], "converged": [[True, False]], "iterations": [[3, 100]]},
-        selection=[{"n_lobes": 1, "t": None, "significant": False}],
-        rings=[],
-        energy={"albedo": numbers},
-        timings={"em": 0.1},
-        options={"n_lobes": 3, "method": "paper", "mask": None, "robust": False},
-        versions={"dsbrdf": "0.1.0", "name": "Grün µ"},
     )
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.http.connections import connection_class
+from service.http.limits import connection_class
 from service.settings import Settings
 from tests.support import malformed_requests as hostile
 from tests.support.decompression_bombs import BOMBS, JSON, MEASUREMENT, NPY
@@ -209,7 +209,7 @@ def test_idle_connections_leave_descriptors_for_others(own_server: Callable[...,
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
     try:
-        server = own_server(own_interpreter=True, head_seconds="600")
+        server = own_server(own_interpreter=True, header_timeout="600")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     address = (server.http.base_url.host, server.http.base_url.port)
@@ -224,7 +224,7 @@ def test_idle_connections_leave_descriptors_for_others(own_server: Callable[...,
 @pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 1024), (-1, 1024)])
 def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPatch, files: int, most: int) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
-    assert connection_class(Settings()).most == most
+    assert connection_class(Settings()).max_connections == most
 
 
 def test_checks_of_this_file_can_fail(target: Target) -> None:

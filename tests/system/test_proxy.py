@@ -19,7 +19,7 @@ import pytest
 
 from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
-from service.wire.points import NPY
+from service.wire.values import NPY
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, Server
 
@@ -108,7 +108,7 @@ def own_proxy(tmp_path: Path) -> Iterator[Callable[..., Proxy]]:
 
 
 def assert_problem(answer: httpx.Response, kind: str) -> None:
-    status, title = KINDS[kind]
+    status, title, _ = KINDS[kind]
     assert answer.status_code == status
     assert answer.headers["content-type"] == "application/problem+json"
     document = answer.json()
@@ -168,7 +168,7 @@ def test_slow_head_times_out(server: Server, own_proxy: Callable[..., Proxy]) ->
 def test_stalled_body_times_out_in_the_service(
     own_server: Callable[..., Server], own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
-    proxy = own_proxy(address_of(own_server(silence_seconds="1")))
+    proxy = own_proxy(address_of(own_server(idle_timeout="1")))
     head = f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(data)}\r\n\r\n"
     assert b"urn:dsbrdf:problem:request-timeout" in proxy.send(head.encode() + data[:1000])
 
@@ -176,7 +176,7 @@ def test_stalled_body_times_out_in_the_service(
 def test_nginx_body_timeout_exceeds_that_of_the_service() -> None:
     seconds = re.search(r"client_body_timeout (\d+)s;", CONFIGURATION.read_text())
     assert seconds
-    assert int(seconds[1]) > Settings().silence_seconds
+    assert int(seconds[1]) > Settings().idle_timeout
 
 
 def test_request_rate_of_an_address_is_limited(server: Server, own_proxy: Callable[..., Proxy]) -> None:

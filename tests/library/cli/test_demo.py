@@ -13,7 +13,7 @@ from dsbrdf.cli import demo
 from dsbrdf.cli import main as cli
 
 
-def test_the_demo_shows_everything_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["demo", "-o", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "201 Created" in out
@@ -36,14 +36,14 @@ def test_the_demo_shows_everything_and_stops_the_service(tmp_path: Path, capsys:
         httpx.get(f"{address[0]}/health/live", timeout=5)
 
 
-def test_the_service_stops_whatever_happens(tmp_path: Path) -> None:
+def test_demo_service_stops_after_an_exception(tmp_path: Path) -> None:
     with pytest.raises(httpx.HTTPStatusError), demo.running_service(tmp_path) as url:
         httpx.get(f"{url}/no/such/page", timeout=5).raise_for_status()
     with pytest.raises(httpx.TransportError):
         httpx.get(f"{url}/health/live", timeout=5)
 
 
-def test_a_service_that_does_not_start_shows_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demo_shows_the_log_of_a_service_that_fails_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho it broke\nexit 3\n")
     broken.chmod(0o755)

@@ -22,7 +22,7 @@ def options_of(*words: str) -> dsbrdf.FitOptions:
     return flags.fit_options(parser.parse_args(words))
 
 
-def test_without_flags_the_options_are_the_defaults() -> None:
+def test_no_flags_give_the_default_options() -> None:
     assert options_of() == dsbrdf.FitOptions()
 
 
@@ -37,13 +37,13 @@ def test_every_option_has_a_flag_with_help(capsys: Capture) -> None:
     assert "(default: 80)" in text
 
 
-def test_every_angle_among_the_options_is_known_as_one() -> None:
+def test_every_angle_option_is_converted_from_degrees() -> None:
     names = {field.name for field in fields(dsbrdf.FitOptions)}
     angles = {name for name, text in flags._field_descriptions().items() if "[rad]" in text}
     assert angles == flags.ANGLE_FIELDS & names
 
 
-def test_the_help_does_not_depend_on_how_this_python_keeps_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_is_the_same_for_indented_and_cleaned_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python 3.13 takes the indentation off."""
     texts = flags._field_descriptions()
     assert set(texts) == {field.name for field in fields(dsbrdf.FitOptions)}
@@ -76,6 +76,8 @@ def test_flags_reach_the_options() -> None:
         (["--no-such-flag"], "unrecognized arguments: --no-such-flag"),
     ],
 )
-def test_bad_options_get_one_sentence(words: list[str], said: str, plastic_file: Path, capsys: Capture) -> None:
+def test_invalid_options_are_refused_in_one_sentence(
+    words: list[str], said: str, plastic_file: Path, capsys: Capture
+) -> None:
     assert exit_code(["fit", str(plastic_file), *words]) == 2
     assert said in sentence(capsys)

@@ -50,7 +50,7 @@ def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, 
     assert f"{gamma[0, 1]:.4g}" in out
 
 
-def test_fit_tells_how_the_lobes_were_chosen_and_where_the_error_is(
+def test_fit_prints_the_lobe_selection_and_the_largest_errors(
     plastic: Measurement, capsys: Capture, plastic_file: Path
 ) -> None:
     assert cli.main(["fit", str(plastic_file)]) == 0
@@ -76,7 +76,7 @@ def test_fit_tells_how_the_lobes_were_chosen_and_where_the_error_is(
         assert line.split()[-3:] == [f"{band['relative_rms']:.4f}", f"{band['floor']:.4f}", f"{band['excess']:.3f}"]
 
 
-def test_a_ring_lobe_is_shown_with_its_center(plastic_file: Path, capsys: Capture) -> None:
+def test_ring_lobe_is_printed_with_its_center(plastic_file: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(plastic_file), "--n-lobes", "1", "--ring-lobes", "1"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("plastic: 1 lobe + 1 ring lobe; ")
@@ -112,7 +112,7 @@ def test_one_bad_file_does_not_stop_the_others(
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
 
 
-def test_a_fit_that_was_lost_is_not_the_users_fault(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[batch.FileFit]:
         yield batch.FileFit(files[0], error="the process died", lost=True)
         yield batch.FileFit(files[1], error="no measurement")
@@ -122,7 +122,7 @@ def test_a_fit_that_was_lost_is_not_the_users_fault(monkeypatch: pytest.MonkeyPa
     assert capsys.readouterr().err == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
 
 
-def test_fit_json_of_several_files_tells_of_each(plastic_file: Path, damaged_file: Path, capsys: Capture) -> None:
+def test_fit_json_of_several_files_lists_each(plastic_file: Path, damaged_file: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(damaged_file), str(plastic_file), "--json", *QUICK]) == 2
     bad, good = document(capsys)["items"]
     assert (bad["file"], bad["status"]) == (str(damaged_file), "failed")
@@ -130,7 +130,7 @@ def test_fit_json_of_several_files_tells_of_each(plastic_file: Path, damaged_fil
     assert (good["file"], good["status"], good["error"]) == (str(plastic_file), "succeeded", None)
 
 
-def test_a_folder_stands_for_its_files(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
     folder = tmp_path / "materials"
     folder.mkdir()
     assert cli.main(["fit", str(folder)]) == 2
@@ -141,7 +141,7 @@ def test_a_folder_stands_for_its_files(plastic_file: Path, tmp_path: Path, capsy
     assert [item["file"] for item in document(capsys)["items"]] == [str(folder / "a.binary")]
 
 
-def test_slices_that_did_not_converge_are_told_but_no_error(plastic_file: Path, capsys: Capture) -> None:
+def test_unconverged_slices_are_a_warning(plastic_file: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(plastic_file), "--method", "paper", "--em-iterations", "1"]) == 0
     captured = capsys.readouterr()
     assert "stopped at the bound of 1 iterations" in captured.err
@@ -197,7 +197,7 @@ def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
     return [str(file) for file in files]
 
 
-def test_a_second_run_keeps_what_is_there(
+def test_second_run_keeps_existing_results(
     two_files: list[str], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = ["fit", *two_files, "-o", str(tmp_path / "out"), "--json", *QUICK]
@@ -214,7 +214,7 @@ def test_a_second_run_keeps_what_is_there(
 
 
 @pytest.mark.parametrize("reason", ["options", "force", "measurement", "damaged", "algorithm", "no report"])
-def test_a_fit_that_is_not_the_one_asked_for_is_made_again(
+def test_stored_fit_with_other_options_is_replaced(
     two_files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, reason: str
 ) -> None:
     output = tmp_path / "out" / "one.json"
@@ -239,14 +239,14 @@ def test_a_fit_that_is_not_the_one_asked_for_is_made_again(
     assert from_json(output.read_text())[1] is not None
 
 
-def test_two_files_of_one_name_are_refused(two_files: list[str], tmp_path: Path, capsys: Capture) -> None:
+def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "other").mkdir()
     shutil.copyfile(two_files[0], tmp_path / "other/one.binary")
     assert cli.main(["fit", two_files[0], str(tmp_path / "other/one.binary"), "-o", str(tmp_path / "out")]) == 2
     assert "would both be written to" in sentence(capsys)
 
 
-def test_a_full_disk_is_not_the_users_fault(
+def test_full_disk_exits_with_1(
     plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     def full(*_: Any) -> None:

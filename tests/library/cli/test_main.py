@@ -15,7 +15,7 @@ from tests.support.command_line import Capture, exit_code, sentence
 # serve, demo, and the command itself
 
 
-def test_serve_becomes_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_replaces_its_process_by_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[list[str]] = []
 
     def execv(_: str, command: list[str]) -> NoReturn:
@@ -30,20 +30,20 @@ def test_serve_becomes_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     assert calls == [start, start + every]
 
 
-def test_the_service_knows_the_flags_of_serve() -> None:
+def test_service_accepts_the_flags_of_serve() -> None:
     answer = subprocess.run([sys.executable, "-m", "service", "--help"], capture_output=True, text=True, check=True)
     for flag in ("--host", "--port", "--data-dir", "--workers", "--insecure"):
         assert flag in answer.stdout
 
 
 @pytest.mark.parametrize(("command", "extra"), [("serve", "service"), ("demo", "dev")])
-def test_a_missing_extra_is_named(command: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_missing_extra_is_named(command: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     assert cli.main([command]) == 1
     assert f"pip install 'dsbrdf[{extra}]'" in sentence(capsys)
 
 
-def test_version(capsys: Capture) -> None:
+def test_version_is_printed(capsys: Capture) -> None:
     assert exit_code(["--version"]) == 0
     assert capsys.readouterr().out == f"dsbrdf {dsbrdf.__version__}\n"
 
@@ -58,6 +58,6 @@ def test_command_that_computes_nothing_imports_no_numpy(words: list[str]) -> Non
 
 
 @pytest.mark.parametrize("words", [[], ["unknown"], ["fit"], ["eval"], ["export", "m.json"]])
-def test_bad_usage_gets_one_sentence(words: list[str], capsys: Capture) -> None:
+def test_wrong_usage_is_refused_in_one_sentence(words: list[str], capsys: Capture) -> None:
     assert exit_code(words) == 2
     assert sentence(capsys).startswith("dsbrdf")

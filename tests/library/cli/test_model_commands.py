@@ -87,12 +87,14 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
         (["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"], "invalid choice: 'shiny'"),
     ],
 )
-def test_bad_points_get_one_sentence(words: list[str], said: str, model_file: Path, capsys: Capture) -> None:
+def test_invalid_points_are_refused_in_one_sentence(
+    words: list[str], said: str, model_file: Path, capsys: Capture
+) -> None:
     assert exit_code(["eval", str(model_file), *words]) == 2
     assert said in sentence(capsys)
 
 
-def test_decompose(model_file: Path, capsys: Capture) -> None:
+def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> None:
     assert cli.main(["decompose", str(model_file), "--json"]) == 0
     items = document(capsys)["items"]
     for item, component in zip(items, dsbrdf.decompose(load(model_file)), strict=True):
@@ -134,27 +136,27 @@ def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) ->
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"format": "other"}', b"[" * 5000])
 @pytest.mark.parametrize("suffix", [".json", ".npz", ".txt"])
-def test_what_is_no_model_gets_one_sentence(content: bytes, suffix: str, tmp_path: Path, capsys: Capture) -> None:
+def test_file_that_is_no_model_is_refused_in_one_sentence(
+    content: bytes, suffix: str, tmp_path: Path, capsys: Capture
+) -> None:
     path = tmp_path / f"model{suffix}"
     path.write_bytes(content)
     assert cli.main(["decompose", str(path)]) == 2
     assert sentence(capsys).startswith(f"dsbrdf: {path}: ")
 
 
-def test_a_missing_model_gets_one_sentence(tmp_path: Path, capsys: Capture) -> None:
+def test_missing_model_is_reported_in_one_sentence(tmp_path: Path, capsys: Capture) -> None:
     assert cli.main(["decompose", str(tmp_path / "none.json")]) == 2
     assert sentence(capsys) == f"dsbrdf: {tmp_path / 'none.json'}: No such file or directory\n"
 
 
-def test_a_folder_that_is_not_there_is_told_by_the_name_that_was_given(
-    model_file: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_missing_output_folder_is_reported_by_its_given_name(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
     output = tmp_path / "nowhere" / "model.npz"
     assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(output)]) == 2
     assert sentence(capsys) == f"dsbrdf: {output}: No such file or directory\n"
 
 
-def test_a_fault_of_our_own_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, model_file: Path) -> None:
+def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, model_file: Path) -> None:
     def broken(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError
 
@@ -163,7 +165,7 @@ def test_a_fault_of_our_own_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch,
         cli.main(["decompose", str(model_file)])
 
 
-def test_a_reader_that_leaves_early_is_no_error(model_file: Path) -> None:
+def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
     many = " ".join(str(angle / 200) for angle in range(15_000))
     command = (
         f"'{sys.executable}' -m dsbrdf.cli.main eval '{model_file}' --theta-diff 0 --theta-half {many} | head -n 1"

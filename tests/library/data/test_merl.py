@@ -28,7 +28,7 @@ def data(plastic_file: Path) -> bytes:
 # Reading and writing
 
 
-def test_layout_is_the_format(data: bytes, plastic: Measurement) -> None:
+def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measurement) -> None:
     assert data[:12] == HEADER
     assert len(data) == FILE_SIZE == 34_992_012
     for channel, node in ((0, (0, 0, 0)), (1, (3, 4, 5)), (2, (89, 89, 179))):
@@ -48,7 +48,7 @@ def test_round_trip_is_bit_for_bit(data: bytes, plastic_file: Path, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["copy.binary"]
 
 
-def test_odd_but_legal_bits_survive(data: bytes) -> None:
+def test_unusual_valid_bit_patterns_survive(data: bytes) -> None:
     changes = {(0, ABOVE): -0.0, (1, ABOVE): 5e-324, (2, BELOW): -1e300, (0, (0, 0, 0)): -7.25}
     changed = with_values(data, changes)
     measurement = parse_merl(changed)
@@ -57,7 +57,7 @@ def test_odd_but_legal_bits_survive(data: bytes) -> None:
     assert not measurement.valid[0, 0, 0]
 
 
-def test_bytes_are_not_copied_and_a_mutable_buffer_is(data: bytes) -> None:
+def test_immutable_bytes_are_shared_and_mutable_buffers_copied(data: bytes) -> None:
     assert np.shares_memory(parse_merl(data).stored, np.frombuffer(data, dtype=np.uint8))
     buffer = bytearray(data)
     measurement = parse_merl(buffer)
@@ -73,7 +73,7 @@ def test_array_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_merl(path).values, values, rtol=5e-16)
 
 
-def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
     path = tmp_path / "kept.binary"
     path.write_bytes(b"before")
     with pytest.raises(MeasurementFormatError):
@@ -90,7 +90,7 @@ def test_written_files_have_ordinary_permissions(plastic: Measurement, tmp_path:
     assert (tmp_path / "a.binary").stat().st_mode == (tmp_path / "b").stat().st_mode
 
 
-def test_reading_takes_little_more_than_the_file(plastic_file: Path) -> None:
+def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> None:
     nodes_above_horizon.cache_clear()  # made once per process, and part of the cost
     tracemalloc.start()
     try:

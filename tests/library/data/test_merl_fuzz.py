@@ -64,7 +64,7 @@ def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
 
 @examples(0.3)
 @given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end), cuts=cut_places)
-def test_a_damaged_file_gets_one_verdict_whatever_the_pieces(
+def test_damaged_file_gets_one_result_in_any_chunks(
     file: bytes, damage: list[tuple[int, bytes]], length: int, cuts: list[int]
 ) -> None:
     changed = bytearray(file)
@@ -76,7 +76,7 @@ def test_a_damaged_file_gets_one_verdict_whatever_the_pieces(
 
 @examples(3)
 @given(data=st.one_of(st.binary(max_size=80), st.binary(max_size=80).map(HEADER.__add__)), cuts=cut_places)
-def test_a_few_bytes_are_never_a_measurement(data: bytes, cuts: list[int]) -> None:
+def test_short_byte_strings_are_refused(data: bytes, cuts: list[int]) -> None:
     with pytest.raises(MeasurementFormatError):
         parse_merl(data)
     assert in_pieces(data, cuts) == whole(data)

@@ -74,7 +74,7 @@ def test_checking_a_stream_takes_bounded_memory(data: bytes) -> None:
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cuts=st.lists(st.integers(0, FILE_SIZE), max_size=12), near=st.lists(st.integers(0, 40), max_size=6))
-def test_pieces_may_be_cut_anywhere(data: bytes, cuts: list[int], near: list[int]) -> None:
+def test_stream_may_be_split_anywhere(data: bytes, cuts: list[int], near: list[int]) -> None:
     changed = with_values(data, {(0, (0, 0, 0)): -1.0, (1, (1, 1, 1)): -1.0, (2, (89, 0, 179)): -1.0})
     channel = [12 + 8 * NODES * k + d for k, d in enumerate(near[:3])]
     edges = [0, *sorted([*cuts, *near, *channel]), FILE_SIZE]
@@ -97,18 +97,18 @@ def test_single_bytes_can_be_streamed(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("length", [1, 11, 12, 13, 19, 20, 12 + 8 * NODES, FILE_SIZE - 8, FILE_SIZE - 1])
-def test_truncated(data: bytes, length: int) -> None:
+def test_truncated_file_is_refused(data: bytes, length: int) -> None:
     sentence = refusal(data[:length])
     assert f"only {length} bytes" in sentence
     assert "34992012" in sentence
 
 
-def test_empty() -> None:
+def test_empty_file_is_refused() -> None:
     assert refusal(b"").startswith("The data is empty; a MERL measurement has exactly 34992012 bytes")
 
 
 @pytest.mark.parametrize("extra", [b"\0", bytes(8), bytes(2_000_000)])
-def test_too_long(data: bytes, extra: bytes) -> None:
+def test_too_long_file_is_refused(data: bytes, extra: bytes) -> None:
     assert refusal(data + extra).startswith("The data is longer than 34992012 bytes")
 
 
@@ -120,7 +120,7 @@ def test_a_stream_is_refused_as_soon_as_it_is_too_long(data: bytes) -> None:
         checker.update(b"\0")
 
 
-def test_float32(data: bytes) -> None:
+def test_float32_file_is_named(data: bytes) -> None:
     values = np.frombuffer(data, dtype="<f8", offset=12).astype("<f4")
     assert "the length of float32 values" in refusal(HEADER + values.tobytes())
 
@@ -161,7 +161,7 @@ def test_dimensions_are_checked_one_by_one(data: bytes, dimensions: tuple[int, i
         MerlChecker().update(header)
 
 
-def test_big_endian(data: bytes) -> None:
+def test_big_endian_file_is_named(data: bytes) -> None:
     assert "big-endian" in refusal(struct.pack(">3i", 90, 90, 180) + data[12:])
 
 
@@ -177,7 +177,9 @@ def test_check_header_ignores_what_follows_and_needs_twelve_bytes(data: bytes) -
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(("channel", "node"), [(0, (0, 0, 0)), (1, BELOW), (2, (89, 89, 179))])
-def test_a_value_that_is_not_finite(data: bytes, value: float, channel: int, node: tuple[int, int, int]) -> None:
+def test_value_that_is_not_finite_is_located(
+    data: bytes, value: float, channel: int, node: tuple[int, int, int]
+) -> None:
     sentence = refusal(with_values(data, {(channel, node): value}))
     assert sentence == (
         f"1 value, in the {('red', 'green', 'blue')[channel]} channel at (theta_half, theta_diff, phi_diff) node "
@@ -185,7 +187,7 @@ def test_a_value_that_is_not_finite(data: bytes, value: float, channel: int, nod
     )
 
 
-def test_a_signalling_nan(data: bytes) -> None:
+def test_signalling_nan_is_refused(data: bytes) -> None:
     changed = bytearray(data)
     struct.pack_into("<Q", changed, position(1, ABOVE), 0x7FF0000000000001)
     assert "is NaN or infinite" in refusal(bytes(changed))
@@ -199,7 +201,7 @@ def test_values_that_are_not_finite_are_counted(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
-def test_the_limit_is_on_the_brdf_not_on_the_stored_number(data: bytes, channel: int) -> None:
+def test_largest_value_is_a_limit_of_the_scaled_brdf(data: bytes, channel: int) -> None:
     limit = 1e8 / SCALE[channel]
     sentence = refusal(with_values(data, {(channel, ABOVE): limit * 1.001, (channel, (11, 0, 0)): limit * 2}))
     assert sentence.startswith(f"2 values, the first in the {('red', 'green', 'blue')[channel]} channel at")
@@ -216,7 +218,7 @@ def table(value: float, valid: NDArray[np.bool_]) -> bytes:
     return HEADER + np.where(np.stack([valid] * 3), value, -1.0).astype("<f8").tobytes()
 
 
-def test_hardly_any_valid_nodes() -> None:
+def test_file_with_hardly_any_valid_nodes_is_refused() -> None:
     above = nodes_above_horizon()
     index = np.flatnonzero(above)
     for share, accepted in ((0.0, False), (0.0099, False), (0.0101, True)):
@@ -232,7 +234,7 @@ def test_hardly_any_valid_nodes() -> None:
             assert "at least 1% of them" in sentence
 
 
-def test_all_zero() -> None:
+def test_file_of_zeros_is_refused() -> None:
     assert refusal(table(0.0, np.ones(GRID_SHAPE, dtype=bool))).startswith("Every valid node is zero")
     # Positive values at invalid nodes do not help, one at a valid node does.
     values = np.zeros((3, *GRID_SHAPE))
@@ -246,7 +248,7 @@ def test_all_zero() -> None:
 # Files
 
 
-def test_missing_file_and_directory(tmp_path: Path) -> None:
+def test_missing_file_directory_and_pipe_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_merl(tmp_path / "missing.binary")
     with pytest.raises(MeasurementFormatError, match="is a directory; a MERL measurement is a file of 34992012"):
@@ -256,7 +258,7 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
         read_merl(tmp_path / "pipe")
 
 
-def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "huge.binary"
     with path.open("wb") as file:
         file.write(HEADER)

@@ -129,7 +129,7 @@ def test_fit_processes_have_one_thread_and_the_environment_stays(
     assert not any(map(alive, workers))
 
 
-def test_closing_early_ends_the_processes(files: list[Path]) -> None:
+def test_closing_the_iterator_ends_the_processes(files: list[Path]) -> None:
     with endless_fits(files) as workers:
         assert all(map(alive, workers))
     assert active_children() == []

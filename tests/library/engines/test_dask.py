@@ -35,14 +35,14 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 # the cluster alone
 
 
-def test_only_profiles_travel(plastic_file: Path) -> None:
+def test_task_for_a_worker_holds_only_profiles(plastic_file: Path) -> None:
     plain = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
     weighted = reduce_measurement(FitTask("one", plastic_file, FitOptions(weighting="log")), lambda _: None)
     assert len(plain.payload) < 400_000
     assert len(weighted.payload) < 1_000_000
 
 
-def test_a_cluster_is_waited_for_and_followed(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskCluster, plastic_file: Path) -> None:
     stage = Stage(own_cluster)
     address = own_cluster.address
 
@@ -85,7 +85,7 @@ def test_a_cluster_is_waited_for_and_followed(own_cluster: DaskCluster, plastic_
     asyncio.run(body())
 
 
-def test_a_lost_worker_s_fit_runs_again_and_others_go_on(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     own_cluster.add_worker()
@@ -104,7 +104,7 @@ def test_a_lost_worker_s_fit_runs_again_and_others_go_on(own_cluster: DaskCluste
     asyncio.run(body())
 
 
-def test_a_fit_that_loses_worker_after_worker_is_given_up(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_fit_that_loses_four_workers_fails(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     stage = Stage(own_cluster)
     for _ in range(4):
@@ -123,7 +123,7 @@ def test_a_fit_that_loses_worker_after_worker_is_given_up(own_cluster: DaskClust
     asyncio.run(body())
 
 
-def test_a_fit_outlives_the_scheduler(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     stage = Stage(own_cluster)
@@ -143,7 +143,9 @@ def test_a_fit_outlives_the_scheduler(own_cluster: DaskCluster, plastic_file: Pa
     asyncio.run(body())
 
 
-def test_a_worker_that_may_not_start_processes_is_not_used(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_worker_without_permission_for_child_processes_is_not_used(
+    own_cluster: DaskCluster, plastic_file: Path
+) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker(nanny=True)
     stage = Stage(own_cluster)
@@ -163,7 +165,7 @@ def test_a_worker_that_may_not_start_processes_is_not_used(own_cluster: DaskClus
     asyncio.run(body())
 
 
-def test_a_worker_of_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     found = dsbrdf.fit.__globals__["versions"]()
     monkeypatch.setattr(cluster_room, "versions", lambda: found | {"numpy": "0.1"})
 
@@ -179,7 +181,7 @@ def test_a_worker_of_other_versions_is_not_used(cluster: DaskCluster, monkeypatc
     assert f"has numpy {found['numpy']}, not 0.1" in asyncio.run(body())
 
 
-def test_fits_stay_within_the_memory_of_their_worker(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker("--memory-limit", "200MiB")
     outcome, _ = run(Stage(own_cluster), FitTask("one", plastic_file, SLOW))

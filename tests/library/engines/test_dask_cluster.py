@@ -42,7 +42,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
         ("tls://127.0.0.1:1", "TLS"),
     ],
 )
-def test_a_scheduler_that_cannot_be_reached_is_told_in_one_sentence(
+def test_unreachable_scheduler_is_reported_in_one_sentence(
     address: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_CONNECT_TIMEOUT", 1.0)
@@ -65,7 +65,7 @@ def test_a_scheduler_that_cannot_be_reached_is_told_in_one_sentence(
     assert "\n" not in fault
 
 
-def test_a_worker_that_hangs_loses_its_fit_to_another(
+def test_fit_of_a_hanging_worker_runs_on_another(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 5.0)
@@ -92,7 +92,7 @@ def test_a_worker_that_hangs_loses_its_fit_to_another(
         hung.send_signal(signal.SIGCONT)
 
 
-def test_a_scheduler_that_hangs_is_lost_until_it_answers(
+def test_hanging_scheduler_is_a_fault_until_it_answers(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 3.0)
@@ -117,7 +117,7 @@ def test_a_scheduler_that_hangs_is_lost_until_it_answers(
         scheduler.send_signal(signal.SIGCONT)
 
 
-def test_a_worker_that_could_not_tell_what_it_is_is_asked_again(
+def test_worker_that_did_not_describe_itself_is_asked_again(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_DESCRIBE_TIMEOUT", 0.0)
@@ -134,7 +134,7 @@ def test_a_worker_that_could_not_tell_what_it_is_is_asked_again(
     asyncio.run(body())
 
 
-def test_a_cancelled_fit_is_gone_whatever_it_was_doing(cluster: DaskCluster, plastic_file: Path) -> None:
+def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file: Path) -> None:
     stage, moments = Stage(cluster), random.Random(4)
 
     async def body() -> None:
@@ -153,7 +153,7 @@ def test_a_cancelled_fit_is_gone_whatever_it_was_doing(cluster: DaskCluster, pla
     asyncio.run(body())
 
 
-def test_what_waits_for_a_process_is_cancelled_at_once() -> None:
+def test_waiting_fit_is_cancelled_at_once() -> None:
     async def body() -> None:
         children = WorkerProcesses(1, FitLimits())
         first = asyncio.create_task(children.run(_sleep, 60.0, on_progress=lambda _: None))
@@ -174,7 +174,7 @@ def _sleep(seconds: float, _: object) -> None:
     time.sleep(seconds)
 
 
-def test_a_file_that_changes_while_it_is_fitted_gives_no_result(plastic_file: Path, tmp_path: Path) -> None:
+def test_file_changed_during_its_fit_is_a_system_fault(plastic_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "changing.binary"
     shutil.copyfile(plastic_file, path)
     task = FitTask("one", path, QUICK)
@@ -189,7 +189,7 @@ def test_a_file_that_changes_while_it_is_fitted_gives_no_result(plastic_file: Pa
     assert outcome == Fault("system", "MeasurementChanged", message)
 
 
-def test_a_killed_worker_leaves_nothing_in_the_temporary_folder(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_killed_worker_leaves_no_temporary_files(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     worker = own_cluster.add_worker()
 

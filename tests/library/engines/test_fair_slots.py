@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 # who comes first is served first
 
 
-def test_places_are_given_in_order_and_to_the_emptiest() -> None:
+def test_slots_are_given_in_order_and_at_the_emptiest_place() -> None:
     async def body() -> None:
         places = FairSlots({"a": 2, "b": 1})
         taken: list[str] = []
@@ -43,7 +43,7 @@ def test_places_are_given_in_order_and_to_the_emptiest() -> None:
     asyncio.run(body())
 
 
-def test_a_place_given_to_one_who_leaves_goes_to_the_next() -> None:
+def test_slot_of_a_cancelled_waiter_goes_to_the_next() -> None:
     async def body() -> None:
         places = FairSlots({"a": 1})
 

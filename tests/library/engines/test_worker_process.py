@@ -17,7 +17,7 @@ def ignore(_: float) -> None:
     """Nobody looks at the progress."""
 
 
-def test_how_a_process_ended_is_known_while_others_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_status_is_known_while_other_processes_start(monkeypatch: pytest.MonkeyPatch) -> None:
     read = forkserver.read_signed
 
     def read_slowly(descriptor: int) -> int:
@@ -36,6 +36,6 @@ def test_how_a_process_ended_is_known_while_others_start(monkeypatch: pytest.Mon
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
-def test_memory_that_is_freed_is_used_again() -> None:
+def test_freed_memory_is_reused() -> None:
     pages = WorkerProcess(fill_and_free, (), FitLimits()).run(ignore)
     assert 0 < pages < 10_000  # given back each time, it would be 51,200

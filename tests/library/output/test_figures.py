@@ -41,7 +41,7 @@ def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np
 
 
 @pytest.mark.parametrize("theta_diff_deg", [0, 45])
-def test_the_squares_are_the_measured_means_and_the_line_is_the_fit(fitted: Fitted, theta_diff_deg: int) -> None:
+def test_profiles_figure_draws_measured_means_and_the_fit(fitted: Fitted, theta_diff_deg: int) -> None:
     summary, model = fitted
     figure = profiles_figure(summary, model, theta_diff=[np.radians(theta_diff_deg)])
     assert len(figure.axes) == 2
@@ -57,7 +57,7 @@ def test_the_squares_are_the_measured_means_and_the_line_is_the_fit(fitted: Fitt
             assert np.all(summary.weight[index, theta_diff_deg, nodes] > 0)
 
 
-def test_the_lobes_add_up_to_the_fit(fitted: Fitted) -> None:
+def test_drawn_lobes_sum_to_the_fit(fitted: Fitted) -> None:
     summary, model = fitted
     figure = lobes_figure(summary, model, theta_diff=[0.0], channel="green")
     ax = figure.axes[0]
@@ -69,7 +69,7 @@ def test_the_lobes_add_up_to_the_fit(fitted: Fitted) -> None:
     np.testing.assert_allclose(np.sum(parts, axis=0), total, rtol=1e-9, atol=1e-12)
 
 
-def test_every_point_of_the_data_is_inside_the_panel(fitted: Fitted) -> None:
+def test_axis_limits_contain_all_data(fitted: Fitted) -> None:
     summary, model = fitted
     for ax in (panel for panel in overview_figure(summary, model).axes if panel.get_yscale() == "log"):
         low, high = ax.get_ylim()
@@ -79,25 +79,25 @@ def test_every_point_of_the_data_is_inside_the_panel(fitted: Fitted) -> None:
                 assert low < values.min() < values.max() < high
 
 
-def test_the_overview_has_both_rows_for_every_slice(fitted: Fitted) -> None:
+def test_overview_has_two_panels_per_slice(fitted: Fitted) -> None:
     figure = overview_figure(*fitted, theta_diff=[0.0, 0.5, 1.0])
     assert len(figure.axes) == 2 * 3 * 2
 
 
-def test_a_slice_without_data_still_makes_a_picture(fitted: Fitted) -> None:
+def test_slice_without_data_is_drawn(fitted: Fitted) -> None:
     summary, model = fitted
     assert not np.any(summary.weight[:, 89])
     assert encode_figure(profiles_figure(summary, model, theta_diff=[np.pi / 2])).startswith(b"\x89PNG")
 
 
-def test_a_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
+def test_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
     shape = (3, 1, 1)
     flat = DSBRDF(np.zeros(1), np.full(shape, 0.2), np.zeros(shape), np.zeros(shape), np.zeros((3, 1)))
     peak = profiles_figure(fitted[0], flat, theta_diff=[0.0]).axes[1]
     assert peak.get_xlim() == (-90.0, 90.0)
 
 
-def test_formats(fitted: Fitted) -> None:
+def test_figures_are_encoded_as_png_svg_and_pdf(fitted: Fitted) -> None:
     figure = profiles_figure(*fitted, theta_diff=[0.0])
     width, height = figure.get_size_inches()
     image = imread(BytesIO(encode_figure(figure, dpi=100)), format="png")
@@ -110,7 +110,7 @@ def test_formats(fitted: Fitted) -> None:
 
 
 @pytest.mark.parametrize("theta_diff", [[], [-0.1], [2.0], [np.nan], [[0.0]]])
-def test_slices_out_of_range_are_refused(fitted: Fitted, theta_diff: list[float]) -> None:
+def test_theta_diff_out_of_range_is_refused(fitted: Fitted, theta_diff: list[float]) -> None:
     with pytest.raises(InvalidArgumentError, match="theta_diff must be one or more angles from 0 to pi/2"):
         profiles_figure(*fitted, theta_diff=theta_diff)
 
@@ -120,7 +120,7 @@ def test_an_unknown_channel_is_refused(fitted: Fitted) -> None:
         lobes_figure(*fitted, channel="alpha")
 
 
-def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_matplotlib_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     with pytest.raises(
         extras.MissingExtraError, match=r"matplotlib must be installed for figures: pip install 'dsbrdf\[plot\]'"
@@ -128,7 +128,7 @@ def test_without_matplotlib_the_error_names_the_extra(fitted: Fitted, monkeypatc
         profiles_figure(*fitted)
 
 
-def test_a_figure_touches_no_global_state() -> None:
+def test_figures_change_no_global_matplotlib_state() -> None:
     code = """
 import sys, numpy as np
 from dsbrdf.output.figures import encode_figure, overview_figure
@@ -142,7 +142,7 @@ assert "matplotlib.pyplot" not in sys.modules
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_figures_are_the_callers_own(fitted: Fitted) -> None:
+def test_figures_are_independent_objects(fitted: Fitted) -> None:
     first, second = (profiles_figure(*fitted, theta_diff=[0.0]) for _ in range(2))
     assert isinstance(first, Figure)
     assert first is not second

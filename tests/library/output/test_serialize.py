@@ -23,28 +23,6 @@ from dsbrdf.output.serialize import (
 from tests.support.models import ARRAYS, assert_same_bits, make_model
 
 
-@pytest.fixture
-def model() -> DSBRDF:
-    return make_model()
-
-
-@pytest.fixture
-def report() -> FitReport:
-    numbers = np.random.default_rng(0).standard_normal((3, 4)).tolist()
-    return FitReport(
-        metrics={"relative_rms": 0.1 + 0.2, "floor": 1e-323, "excess": 1.7976931348623157e308, "male": None},
-        by_channel=[{"channel": "red", "excess": 1.5}],
-        by_theta_diff=[],
-        slices={"theta_diff": numbers[0], "converged": [[True, False]], "iterations": [[3, 100]]},
-        selection=[{"n_lobes": 1, "t": None, "significant": False}],
-        rings=[],
-        energy={"albedo": numbers},
-        timings={"em": 0.1},
-        options={"n_lobes": 3, "method": "paper", "mask": None, "robust": False},
-        versions={"dsbrdf": "0.1.0", "name": "Grün µ"},
-    )
-
-
 @pytest.mark.parametrize(("n_lobes", "n_knots"), [(0, 4), (1, 1), (3, 18), (8, 19)])
 def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, report: FitReport) -> None:
     model = make_model(n_lobes, n_knots)
@@ -77,7 +55,7 @@ def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:
     assert json.loads(to_json(model))["report"] is None
 
 
-def test_a_first_version_text_stays_readable() -> None:
+def test_stored_text_of_format_version_1_is_readable() -> None:
     text = (
         '{"format": "dsbrdf", "version": 1, "model": {"theta_diff": [0, 1.5], "kappa": [[[1], [2]], [[3], [4]], '
         '[[5], [6]]], "gamma": [[[0], [1]], [[2], [3]], [[4], [5.5]]], "center": [[[0], [0]], [[0], [0]], '
@@ -102,7 +80,7 @@ def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
+def test_failed_save_keeps_the_existing_file(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     save(model, path)
     bad = replace(report, metrics={"relative_rms": float("nan")})
@@ -113,7 +91,7 @@ def test_a_failed_save_leaves_what_was_there(model: DSBRDF, report: FitReport, t
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_other_suffixes_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+def test_unknown_suffix_is_refused(model: DSBRDF, tmp_path: Path) -> None:
     with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model\.txt'"):
         save(model, tmp_path / "model.txt")
     with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model'"):

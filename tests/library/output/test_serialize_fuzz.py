@@ -80,7 +80,7 @@ PLACES = list(places(DOCUMENT))
     changes=st.lists(st.tuples(st.sampled_from(PLACES), st.one_of(numbers, json_values)), max_size=3),
     dropped=st.lists(st.sampled_from(PLACES), max_size=2),
 )
-def test_a_changed_document_is_refused_or_works(
+def test_changed_json_document_is_refused_or_valid(
     changes: list[tuple[tuple[Any, ...], Any]], dropped: list[tuple[Any, ...]]
 ) -> None:
     document = json.loads(to_json(MODEL))
@@ -106,14 +106,14 @@ def test_a_changed_document_is_refused_or_works(
         st.text(max_size=20), st.sampled_from(["[" * 100_000, "9" * 6000, "1e999", "NaN", '{"a":' * 9999])
     ),
 )
-def test_a_damaged_text_is_refused_or_works(start: int, removed: int, inserted: str) -> None:
+def test_damaged_json_text_is_refused_or_valid(start: int, removed: int, inserted: str) -> None:
     text = to_json(MODEL)
     check_text(text[:start] + inserted + text[start + removed :])
 
 
 @examples(1)
 @given(st.one_of(st.text(), json_values.map(json.dumps)))
-def test_other_text_is_refused(text: str) -> None:
+def test_arbitrary_text_is_refused(text: str) -> None:
     with pytest.raises(ModelFormatError):
         from_json(text)
 
@@ -126,7 +126,7 @@ ARCHIVE = to_npz(MODEL)
     changes=st.lists(st.tuples(st.integers(0, len(ARCHIVE)), st.binary(max_size=8)), max_size=4),
     length=st.one_of(st.just(len(ARCHIVE)), st.integers(0, len(ARCHIVE))),
 )
-def test_a_damaged_archive_is_refused_or_works(changes: list[tuple[int, bytes]], length: int) -> None:
+def test_damaged_npz_is_refused_or_valid(changes: list[tuple[int, bytes]], length: int) -> None:
     data = bytearray(ARCHIVE)
     for place, content in changes:
         data[place : place + len(content)] = content
@@ -141,7 +141,7 @@ def test_a_damaged_archive_is_refused_or_works(changes: list[tuple[int, bytes]],
         min_size=1,
     )
 )
-def test_an_archive_of_odd_arrays_is_refused_or_works(changed: dict[str, bytes | None]) -> None:
+def test_npz_of_arbitrary_arrays_is_refused_or_valid(changed: dict[str, bytes | None]) -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(ARCHIVE)) as source, zipfile.ZipFile(buffer, "w") as target:
         kept = {name.removesuffix(".npy"): source.read(name) for name in source.namelist()}
@@ -153,6 +153,6 @@ def test_an_archive_of_odd_arrays_is_refused_or_works(changed: dict[str, bytes |
 
 @examples(1)
 @given(st.binary(max_size=300))
-def test_other_bytes_are_refused(data: bytes) -> None:
+def test_arbitrary_bytes_are_refused(data: bytes) -> None:
     with pytest.raises(ModelFormatError):
         from_npz(data)

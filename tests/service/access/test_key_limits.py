@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import httpx
 import pytest
 
-from service.access import rate_limit
-from service.access.rate_limit import Bucket
+from service.access import keys as keys_module
+from service.access.keys import RateLimit
 from tests.support.guarded import Guarded
 from tests.support.server import ENDLESS, QUICK, assert_problem
 
@@ -20,8 +20,8 @@ def variants(data: bytes, count: int) -> list[bytes]:
 
 def test_token_bucket_refills_at_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
-    monkeypatch.setattr(rate_limit, "monotonic", lambda: now)
-    bucket = Bucket(4.0)
+    monkeypatch.setattr(keys_module, "monotonic", lambda: now)
+    bucket = RateLimit(4.0)
     assert [bucket.take() for _ in range(20)] == [0.0] * 20
     assert bucket.take() == pytest.approx(0.25)
     now += 0.2
@@ -32,7 +32,7 @@ def test_token_bucket_refills_at_its_rate(monkeypatch: pytest.MonkeyPatch) -> No
     now += 1e6
     assert [bucket.take() for _ in range(20)] == [0.0] * 20
     assert bucket.take() > 0.0
-    slow = Bucket(0.01)
+    slow = RateLimit(0.01)
     assert slow.take() == 0.0
     assert slow.take() == pytest.approx(100.0)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from service.access.keys import Keys, Limits, add_key, revoke_key
+from service.access.keys import KeyLimits, Keys, add_key, revoke_key
 from service.settings import Settings
 from service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command
@@ -40,7 +40,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
 
     monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
     database = Database(tmp_path)
-    row, key = add_key(database, "x", Limits())
+    row, key = add_key(database, "x", KeyLimits())
     active = Keys(Settings())
     assert active.find(key.encode()) is None  # not loaded
     active.load(database)
@@ -67,7 +67,7 @@ def test_damaged_or_locked_database_is_reported_in_one_sentence(
     assert refused.stderr.count("\n") == 1
     assert "cannot be opened" in refused.stderr
     (tmp_path / "dsbrdf.sqlite").unlink()
-    monkeypatch.setattr("service.storage.database._PATIENCE_BESIDE", 0.1)
+    monkeypatch.setattr("service.storage.database._COMMAND_BUSY_TIMEOUT", 0.1)
     database = Database(tmp_path)
     with database.transaction():
         busy = keys_command("add", "x", "--data-dir", str(tmp_path))

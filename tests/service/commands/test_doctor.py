@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from service.commands import doctor
-from service.commands.doctor import WrongError, checks
+from service.commands.doctor import checks
+from service.errors import CheckFailedError
 from service.settings import Settings
 from service.storage.database import FILE_NAME
 from tests.support.commands import run_main
@@ -43,7 +44,7 @@ def found(folder: Path, name: str) -> str:
 
 
 def fault(folder: Path, name: str) -> str:
-    with pytest.raises(WrongError) as wrong:
+    with pytest.raises(CheckFailedError) as wrong:
         found(folder, name)
     return str(wrong.value)
 

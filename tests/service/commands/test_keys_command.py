@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from service.access.keys import Limits, add_key, revoke_key
+from service.access.keys import KeyLimits, add_key, revoke_key
 from service.storage.database import Database
 from tests.support.commands import start_in_vain
 from tests.support.guarded import Guarded, keys_command
@@ -101,7 +101,7 @@ def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> N
     assert code == 2
     assert "dsbrdf keys add" in said
     database = Database(folder)
-    _, key = add_key(database, "y", Limits())
+    _, key = add_key(database, "y", KeyLimits())
     database.close()
     server = Server(folder, host="0.0.0.0")
     try:

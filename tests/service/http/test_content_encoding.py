@@ -9,17 +9,17 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.http.content_encoding import PIECE, decoder
-from service.http.problems import ProblemError
+from service.errors import ProblemError
+from service.http.request_body import PIECE, decoder
 
 
-def decode(encoding: str | None, body: bytes, step: int) -> bytes:
+def decode(encoding: str, body: bytes, step: int) -> bytes:
     parts: list[bytes] = []
     stage = decoder(encoding, parts.append)
     for start in range(0, len(body), step):
         stage.feed(body[start : start + step])
     stage.finish()
-    assert all(len(part) <= PIECE for part in parts) or encoding is None
+    assert all(len(part) <= PIECE for part in parts) or not encoding
     return b"".join(parts)
 
 

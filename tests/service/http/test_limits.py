@@ -21,7 +21,7 @@ PATIENCE = 1.0  # seconds that the service has with slow clients here
 @pytest.fixture(scope="module")
 def impatient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service that soon gives slow clients up, and has few places."""
-    settings = {"head_seconds": "1", "silence_seconds": "1", "least_upload_rate": "100000", "limit_concurrency": "4"}
+    settings = {"header_timeout": "1", "idle_timeout": "1", "least_upload_rate": "100000", "limit_concurrency": "4"}
     running = Server(tmp_path_factory.mktemp("impatient") / "data", workers="1", **settings)
     try:
         yield running.start()
@@ -95,7 +95,7 @@ def test_body_below_the_minimum_rate_times_out(
 
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
     patience = 3 * PATIENCE  # for a client that is held up by a busy machine
-    server = own_server(silence_seconds=str(patience), least_upload_rate="100000")
+    server = own_server(idle_timeout=str(patience), least_upload_rate="100000")
     step = len(data) // 8
 
     async def in_steps() -> AsyncIterator[bytes]:

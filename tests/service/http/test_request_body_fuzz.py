@@ -9,8 +9,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.http.content_encoding import PIECE, decoder
-from service.http.problems import ProblemError
+from service.errors import ProblemError, TooLargeError
+from service.http.request_body import PIECE, decoder
 from tests.support.strategies import examples
 
 LIMIT = 1 << 20  # what the sinks of these tests take
@@ -26,7 +26,7 @@ class Sink:
     def __call__(self, data: bytes) -> None:
         self.seen += len(data)
         if self.seen > LIMIT:
-            raise ProblemError("too-large", "The body is too long.")
+            raise TooLargeError("The body is too long.")
         self.parts.append(data)
 
 

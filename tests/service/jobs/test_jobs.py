@@ -18,8 +18,9 @@ from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
 from service.operations.metrics import Metrics
 from service.settings import Settings
-from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
+from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
 OPTIONS = dsbrdf.FitOptions()
@@ -91,14 +92,14 @@ class Race:
 
     async def break_off(self) -> None:
         """Leave the rows as a process does that is killed; another one is to start."""
-        tasks = [live.task for live in self.jobs._live.values()]
+        tasks = [live.task for live in self.jobs._running.values()]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
 
     async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
-        row, _ = await self.jobs.submit(caller, self.measurement, options)
+        row, _ = await self.jobs.submit(caller, self.measurement, to_wire(options))
         return row.key
 
     async def until_run(self, number: int) -> None:
@@ -225,7 +226,7 @@ def test_two_requests_for_a_cancelled_fit_start_it_once(tmp_path: Path) -> None:
 def test_result_is_written_when_the_disk_works_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
     async def story(place: Race) -> None:
         complete = place.store.complete_fit
@@ -258,7 +259,7 @@ def test_engine_exception_is_a_system_fault(tmp_path: Path) -> None:
 
 
 def test_fit_is_retried_when_processes_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs_module, "_PAUSE", 0.01)
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
     async def story(place: Race) -> None:
         not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
@@ -316,7 +317,7 @@ def test_shutdown_does_not_count_as_an_attempt(tmp_path: Path, broken_off: bool)
 def test_fit_that_always_crashes_the_service_fails_at_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
     monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
-    monkeypatch.setattr(jobs_module, "_REST", 0.1)
+    monkeypatch.setattr(jobs_module, "_FIRST_DELAY", 0.1)
 
     async def story(place: Race) -> None:
         key = await place.submit()

@@ -2,32 +2,13 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server
-
-
-@pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """A service whose log and metrics nobody else fills."""
-    running = Server(tmp_path_factory.mktemp("watched") / "data", workers="1")
-    try:
-        yield running.start()
-    finally:
-        running.close()
-
-
-@pytest.fixture(scope="module")
-def sha256(watched: Server, data: bytes) -> str:
-    answer = watched.http.post("/v1/measurements", content=data)
-    assert answer.status_code == 201
-    identity: str = answer.json()["sha256"]
-    return identity
 
 
 def metrics(server: Server) -> dict[tuple[str, ...], float]:

@@ -3,7 +3,7 @@
 import json
 import re
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
@@ -16,24 +16,6 @@ from tests.support.server import QUICK, Server, assert_problem
 SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
 
 KEY = f"dsbrdf_0123456789ab_{SECRET}"
-
-
-@pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """A service whose log and metrics nobody else fills."""
-    running = Server(tmp_path_factory.mktemp("watched") / "data", workers="1")
-    try:
-        yield running.start()
-    finally:
-        running.close()
-
-
-@pytest.fixture(scope="module")
-def sha256(watched: Server, data: bytes) -> str:
-    answer = watched.http.post("/v1/measurements", content=data)
-    assert answer.status_code == 201
-    identity: str = answer.json()["sha256"]
-    return identity
 
 
 def lines(server: Server) -> list[dict[str, Any]]:

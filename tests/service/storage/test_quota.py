@@ -9,8 +9,9 @@ import httpx
 import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
-from service.storage.quota import StorageQuotaError, Uploads
-from service.storage.rows import Caller
+from service.errors import StorageQuotaError
+from service.storage.quotas import Uploads
+from service.storage.schema import Caller
 from service.storage.store import Store
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until

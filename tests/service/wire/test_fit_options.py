@@ -10,12 +10,10 @@ import pytest
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
 from service.jobs.jobs import fit_identity
-from service.wire.fit_options import DEFAULTS, from_wire, to_wire
-from service.wire.option_parsing import parse_options, parse_query
-from service.wire.schemas import OptionsDocument
+from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
-SCHEMA = OptionsDocument.model_json_schema()
+SCHEMA = OPTIONS_SCHEMA
 PROPERTIES: dict[str, dict[str, Any]] = SCHEMA["properties"]
 
 
@@ -59,8 +57,8 @@ CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bound
 @pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
 def test_option_ranges_equal_those_of_the_library(name: str, value: object, inside: bool) -> None:
     text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-    assert accepted(parse_options, {name: value}) == inside
-    assert accepted(parse_query, [(name, text)]) == inside
+    assert accepted(from_wire, {name: value}) == inside
+    assert accepted(from_query, [(name, text)]) == inside
 
 
 def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
@@ -82,8 +80,8 @@ def test_rules_of_the_paper_method_are_enforced(other: dict[str, Any]) -> None:
     (name,) = other
     assert SCHEMA["then"]["properties"][name] in ({"enum": ["auto", 0]}, {"type": "null"})
     with pytest.raises(InvalidArgumentError):
-        parse_options({"method": "paper", **other})
-    assert parse_options(other)
+        from_wire({"method": "paper", **other})
+    assert from_wire(other)
 
 
 @pytest.mark.parametrize(
@@ -94,12 +92,12 @@ def test_rules_of_the_paper_method_are_enforced(other: dict[str, Any]) -> None:
 )  # fmt: skip
 def test_json_options_of_wrong_type_are_refused(name: str, value: object) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
-        parse_options({name: value})
+        from_wire({name: value})
 
 
 def test_whole_number_is_accepted_as_integer() -> None:
-    assert parse_options({"n_lobes": 3.0}).n_lobes == 3
-    assert parse_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
+    assert from_wire({"n_lobes": 3.0}).n_lobes == 3
+    assert from_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
         n_lobes=3, mask=0.1, robust=True
     )
 
@@ -111,7 +109,7 @@ def test_whole_number_is_accepted_as_integer() -> None:
 )  # fmt: skip
 def test_query_options_in_other_notations_are_refused(name: str, text: str) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
-        parse_query([(name, text)])
+        from_query([(name, text)])
 
 
 def test_option_that_cannot_be_stored_is_refused(server: Server, stored: str) -> None:
@@ -128,21 +126,23 @@ def test_options_survive_the_wire_format() -> None:
     ):
         wire = to_wire(options)
         assert to_wire(from_wire(wire)) == wire
-        assert parse_options(wire) == from_wire(wire)
     assert from_wire({}) == dsbrdf.FitOptions()
     assert from_wire(DEFAULTS) == dsbrdf.FitOptions()
-    assert parse_query([("horizon_cutoff_deg", "None")]).horizon_cutoff is None
-    assert parse_query([("knots_deg", "0,30,60.0")]).knots == tuple(np.radians([0.0, 30.0, 60.0]).tolist())
+    assert from_query([("horizon_cutoff_deg", "None")]).horizon_cutoff is None
+    assert from_query([("knots_deg", "0,30,60.0")]).knots == tuple(np.radians([0.0, 30.0, 60.0]).tolist())
     with pytest.raises(dsbrdf.InvalidArgumentError, match="increasing"):
-        parse_query([("knots_deg", "30,20")])
+        from_query([("knots_deg", "30,20")])
     with pytest.raises(dsbrdf.InvalidArgumentError, match="more than once"):
-        parse_query([("n_lobes", "2"), ("n_lobes", "2")])
+        from_query([("n_lobes", "2"), ("n_lobes", "2")])
 
 
 def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
-    base = fit_identity("a" * 64, dsbrdf.FitOptions())
-    assert base == fit_identity("a" * 64, dsbrdf.FitOptions(horizon_cutoff=float(np.radians(80)) + 1e-14))
-    others = {fit_identity("b" * 64, dsbrdf.FitOptions()), fit_identity("a" * 64, dsbrdf.FitOptions(n_lobes=2))}
+    base = fit_identity("a" * 64, to_wire(dsbrdf.FitOptions()))
+    assert base == fit_identity("a" * 64, to_wire(dsbrdf.FitOptions(horizon_cutoff=float(np.radians(80)) + 1e-14)))
+    others = {
+        fit_identity("b" * 64, to_wire(dsbrdf.FitOptions())),
+        fit_identity("a" * 64, to_wire(dsbrdf.FitOptions(n_lobes=2))),
+    }
     monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
-    others.add(fit_identity("a" * 64, dsbrdf.FitOptions()))
+    others.add(fit_identity("a" * 64, to_wire(dsbrdf.FitOptions())))
     assert len(others | {base}) == 4

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.wire.points import Points, from_npy, from_query
+from service.wire.values import Points, from_npy, from_query
 from tests.support.strategies import MODEL, arrays, examples
 
 # Points

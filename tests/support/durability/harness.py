@@ -20,7 +20,7 @@ import numpy as np
 import dsbrdf
 from dsbrdf.data.merl import read_merl
 from dsbrdf.output.serialize import from_json
-from service.wire.option_parsing import parse_options
+from service.wire.fit_options import from_wire
 from tests.support.processes import ONE_CORE, alive
 from tests.support.server import Server
 
@@ -83,7 +83,7 @@ class Harness:
 def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-        return dsbrdf.fit(read_merl(measurement), parse_options(options)).model
+        return dsbrdf.fit(read_merl(measurement), from_wire(options)).model
 
 
 def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:
