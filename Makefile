@@ -1,4 +1,4 @@
-# Every target creates the environment it needs; the second run is quick.
+# Every target first creates the environment in .venv if it is missing, which takes about a minute.
 PYTHON ?= python3
 DURATION ?= 30
 VENV := .venv
@@ -22,34 +22,34 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-demo: $(READY)  ## start the service, POST a measurement, print lobes and values, leave a picture
+demo: $(READY)  ## start the service, POST a measurement, print lobes and values, save a figure
 	@$(BIN)/dsbrdf demo
 
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve
 
-test: $(READY)  ## run every test
-	$(BIN)/python -m pytest
+test: $(READY)  ## run all tests, on up to four cores
+	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-check: $(READY)  ## format, lint, types, security
+check: $(READY)  ## check format, lint, types and security
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml dsbrdf service
 
-audit: $(READY)  ## look the pinned dependencies up among the known vulnerabilities
+audit: $(READY)  ## check the pinned dependencies for known vulnerabilities
 	@$(BIN)/python .ci/audit.py
 
-fix: $(READY)  ## format and mend what can be mended
+fix: $(READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(READY)  ## run the benchmarks but the two long ones
+bench: $(READY)  ## run all benchmarks except the two long ones
 	$(BIN)/python -m benchmarks
 
-soak: $(READY)  ## load the service for DURATION minutes (30), then look for odd inputs for longer than the tests do
+soak: $(READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	$(BIN)/python -m pytest --hypothesis-profile=soak tests/test_fuzz.py tests/service/test_fuzz_bodies.py
+	DSBRDF_SOAK=1 $(BIN)/python -m pytest
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh

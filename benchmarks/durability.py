@@ -1,4 +1,4 @@
-"""What the service does under kills, crowds and a full disk: one row for each series, the asked beside the measured.
+"""What the service does under kills, many clients and a full disk: one row a series, with its target and its result.
 
 Every series has a real server to itself, in a process of its own, and looks at it from outside: its answers, its
 database, its files, and the processes that the operating system shows.  Random moments come from a generator whose
@@ -6,56 +6,17 @@ seed is printed.  The exit code is 1 if a row is missed.
 """
 
 import argparse
-import random
 import sys
 import tempfile
 import time
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-from benchmarks import crowds, kills
-from benchmarks.stand import Stand
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
+from tests.support.durability.series import SERIES, run
 
 _SHOWN = 10  # faults of a series
-
-
-class Series(NamedTuple):
-    """A row: how often its event happens, what is asked of the service then, and what makes it happen."""
-
-    times: int
-    asked: str
-    run: Callable[[Stand, int], str]
-
-
-SERIES = {
-    "queue": Series(500, "500 queued fits: 0 lost, 0 computed twice", crowds.queued),
-    "server-kill": Series(
-        50, "kill -9 of the server: 0 accepted fits lost, 0 orphans, 0 temporary files", kills.server_killed
-    ),
-    "child-kill": Series(100, "kill -9 of a child: only that fit affected, typed error", kills.child_killed),
-    "memory": Series(20, "out of memory: only that fit affected, typed error", kills.out_of_memory),
-    "terminate": Series(20, "SIGTERM: out within 10 s, fits resume", kills.terminated),
-    "uploads": Series(32, "32 uploads, a third vanish: nothing left behind", crowds.uploads),
-    "same-file": Series(50, "50 clients with one file: one blob, one fit", crowds.same_file),
-    "disk": Series(5, "disk full: 507, nothing lost, recovers", crowds.full_disk),
-}
-
-
-def run(name: str, times: int, seed: int, measurement: Path) -> tuple[str, list[str]]:
-    """Run one series; return what was measured, and its faults."""
-    # A short path: the names of sockets have to fit into a hundred characters.
-    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
-        stand = Stand(Path(folder), measurement, random.Random(seed))
-        try:
-            measured = SERIES[name].run(stand, times)
-        except Exception:
-            stand.faults.append(traceback.format_exc())
-            measured = "broken off"
-    return measured, stand.faults
 
 
 def main(argv: Sequence[str] | None = None) -> int:

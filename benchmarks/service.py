@@ -1,4 +1,4 @@
-"""How quick the service is on this machine: one row for each promise, what is asked beside what is measured.
+"""How fast the service is on this machine: one row for each target, with the target and the measured value.
 
 The service is the real one, in a process of its own on the loopback address.  Rates are medians of several runs, and
 what is compared with something (FastAPI alone, the library) alternates with it in the same run.  The exit code is 1 if
@@ -25,11 +25,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
-from benchmarks.stand import Stand
 from dsbrdf.data.merl import FILE_SIZE, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.serialize import from_json
-from tests.service.running import Server
+from tests.support.durability.harness import Harness
+from tests.support.server import Server
 
 CONNECTIONS = 16
 POINTS = 1_000_000
@@ -60,36 +60,40 @@ class Row(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a row is measured: a running service, and a measurement that it has."""
+    """What a row is measured with: a running service, and a measurement that it has stored."""
 
-    stand: Stand
+    harness: Harness
     server: Server
     runs: int
 
     @property
     def address(self) -> str:
-        """Where the service listens."""
+        """URL of the service."""
         return str(self.server.http.base_url).rstrip("/")
 
     def fitted(self) -> str:
         """Address of a default fit of the measurement."""
-        status, body = post(f"{self.address}/v1/fits?", [self.stand.measurement.read_bytes()], _RAW)
+        status, body = post(f"{self.address}/v1/fits?", [self.harness.measurement.read_bytes()], _RAW)
         assert status in (200, 201), body
         return f"{self.address}/v1/fits/{json.loads(body)['id']}"
 
 
 def gets(place: Place) -> list[Row]:
-    """Values of one point, beside FastAPI alone, and while fits run."""
+    """Measure values of one point, compared with FastAPI alone, and while fits run."""
     url = f"{place.fitted()}/brdf?{_POINT}"
-    service, bare = [], []
-    with program([sys.executable, "-m", "benchmarks.bare"], place.stand.folder / "bare.log") as address:
+    service, baseline = [], []
+    with program(
+        [sys.executable, "-m", "benchmarks.fastapi_baseline"], place.harness.folder / "baseline.log"
+    ) as address:
         for target, seconds in ((url, 1.0), (f"{address}/values", 1.0)):
             get_repeatedly(target, CONNECTIONS, seconds)
         for _ in range(place.runs):
-            bare.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
+            baseline.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
             service.append(get_repeatedly(url, CONNECTIONS, 3.0))
-    ratio = statistics.median(ours.per_second / theirs.per_second for ours, theirs in zip(service, bare, strict=True))
-    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(bare)}"
+    ratio = statistics.median(
+        ours.per_second / theirs.per_second for ours, theirs in zip(service, baseline, strict=True)
+    )
+    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(baseline)}"
     with _fits_running(place):
         busy = [get_repeatedly(url, CONNECTIONS, 3.0) for _ in range(place.runs)]
     p99 = statistics.median(rate.p99 for rate in busy)
@@ -100,7 +104,7 @@ def gets(place: Place) -> list[Row]:
 
 
 def npy(place: Place) -> list[Row]:
-    """A million points in one request, beside the library's own call."""
+    """Measure a million points in one request, compared with the call of the library."""
     fit = place.fitted()
     model, _ = from_json(place.server.http.get(f"{fit}/export?format=json").raise_for_status().text)
     degrees = np.random.default_rng(0).uniform(0.0, 90.0, (POINTS, 2))
@@ -128,8 +132,8 @@ def npy(place: Place) -> list[Row]:
 
 
 def uploads(place: Place) -> list[Row]:
-    """Different measurements at the same time."""
-    common = memoryview(place.stand.measurement.read_bytes())[:-8]
+    """Measure uploads of different measurements at the same time."""
+    common = memoryview(place.harness.measurement.read_bytes())[:-8]
     _upload(place, common, 0)
     rates, growths = [], []
     for run in range(place.runs):
@@ -145,17 +149,17 @@ def uploads(place: Place) -> list[Row]:
 
 
 def overhead(place: Place) -> list[Row]:
-    """A fit by one request with the file, beside the library's own time for it.
+    """Measure a fit by one request with the file, compared with the time of the library.
 
     That is what reading the file, fitting and writing the document take in a process of its own, once before the
     request and once after it: their mean is compared with, and how far they are apart is what the machine itself adds
     to every difference. The second row compares with the time of the very fit, as its report tells.
     """
     place.fitted()
-    file = place.stand.folder / "variant.binary"
+    file = place.harness.folder / "variant.binary"
     beside, own, apart, library = [], [], [], []
     for number in range(FITS):
-        body = place.stand.variant(number)
+        body = place.harness.variant(number)
         file.write_bytes(body)
         os.sync()  # the file written above is not the service's to wait for
         read, before = _library(file)
@@ -212,7 +216,7 @@ def _upload(place: Place, common: memoryview, number: int) -> None:
 
 
 def _library(file: Path) -> tuple[float, float]:
-    """How long a process of its own takes to read a file, and with it to fit it and to write the document [s]."""
+    """Return the time to read a file, and to read, fit and encode it, in a process of its own [s]."""
     run = subprocess.run([sys.executable, "-c", _LIBRARY, file], check=True, capture_output=True, text=True)
     read, whole = map(float, run.stdout.split())
     return read, whole
@@ -250,10 +254,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             if measurement is None:
                 measurement = Path(folder) / "plastic.binary"
                 write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-            stand = Stand(Path(folder), measurement, random.Random(0))
-            with stand.server() as server:
+            harness = Harness(Path(folder), measurement, random.Random(0), own_interpreter=True)
+            with harness.server() as server:
                 server.start()
-                for row in PARTS[name](Place(stand, server, arguments.runs)):
+                for row in PARTS[name](Place(harness, server, arguments.runs)):
                     print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
                     missed |= not row.holds
     return int(missed)

@@ -1,4 +1,4 @@
-"""A mixed load for a long time, and what the server's process takes meanwhile: memory, descriptors, threads, disk.
+"""A mixed load for a long time, and the memory, descriptors, threads and disk that the server uses meanwhile.
 
 The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log.  Drift is the median over the last
 fifth of the time against the median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was
@@ -23,10 +23,10 @@ from statistics import median
 from typing import NamedTuple
 
 from benchmarks.load import STEPS, Client, Tally
-from benchmarks.stand import Stand
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.service.running import Server
+from tests.support.durability.harness import Harness
+from tests.support.server import Server
 
 _OUT = Path("out")
 _INTERVAL = 3.0  # seconds
@@ -36,7 +36,7 @@ _SHOWN = 10  # faults
 
 
 class Sample(NamedTuple):
-    """What the server takes at one moment; memory is resident, in MB, of the web process and of its helpers."""
+    """What the server uses at one moment; resident memory in MB, of the web process and of its helpers."""
 
     seconds: float
     web_mb: float
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print a table and leave samples and a picture."""
+    """Print a table, and save the samples and a figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
     parser.add_argument("--seed", type=int, default=int(time.time()), help="of the load (default: the time)")
@@ -56,8 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
         measurement = Path(folder) / "plastic.binary"
         write_merl(measurement, synthetic_measurement(noise=0.02, seed=1))
-        stand = Stand(Path(folder), measurement, random.Random(arguments.seed))
-        samples, idle, tally = soak(stand, 60.0 * arguments.minutes)
+        harness = Harness(Path(folder), measurement, random.Random(arguments.seed), own_interpreter=True)
+        samples, idle, tally = soak(harness, 60.0 * arguments.minutes)
         log = (Path(folder) / "data.log").read_text()
     _OUT.mkdir(exist_ok=True)
     _write(samples, _OUT / "soak.csv")
@@ -67,15 +67,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return _judge(samples, idle, tally, log)
 
 
-def soak(stand: Stand, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
-    """Load a server; return the samples, the numbers of descriptors before and after, and the answers."""
+def soak(harness: Harness, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
+    """Load a server; return the samples, the numbers of descriptors before and after, and the responses."""
     tally = Tally()
     samples: list[Sample] = []
-    with stand.server(workers="2") as server:
+    with harness.server(workers="2") as server:
         server.start()
         server.http.close()
         before = _sample(server, 0.0, tally).descriptors
-        with _clients(stand, str(server.http.base_url), tally):
+        with _clients(harness, str(server.http.base_url), tally):
             begin = time.monotonic()
             while (now := time.monotonic() - begin) < seconds:
                 samples.append(_sample(server, now, tally))
@@ -87,13 +87,13 @@ def soak(stand: Stand, seconds: float) -> tuple[list[Sample], tuple[int, int], T
 
 
 @contextmanager
-def _clients(stand: Stand, address: str, tally: Tally) -> Iterator[None]:
+def _clients(harness: Harness, address: str, tally: Tally) -> Iterator[None]:
     over = threading.Event()
     with ThreadPoolExecutor(len(STEPS)) as pool:
         futures = []
         for number, step in enumerate(STEPS):
-            bodies = [stand.variant(2 * number + i) for i in range(2)]
-            client = Client(address, bodies, tally, stand.random.getrandbits(32))
+            bodies = [harness.variant(2 * number + i) for i in range(2)]
+            client = Client(address, bodies, tally, harness.random.getrandbits(32))
             futures.append(pool.submit(client.run, step, over))
         try:
             yield
@@ -118,13 +118,13 @@ def _sample(server: Server, seconds: float, tally: Tally) -> Sample:
 
 
 def _status(pid: int) -> dict[str, int]:
-    """Numbers of a process's status, memory in kB."""
+    """Return the numbers in the status of a process, memory in kB."""
     lines = (line.partition(":") for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return {name: int(value.split()[0]) for name, _, value in lines if value.split()[:1] and value.split()[0].isdigit()}
 
 
 def _judge(samples: Sequence[Sample], idle: tuple[int, int], tally: Tally, log: str) -> int:
-    """Print the table; return 1 if a figure is missed."""
+    """Print the table; return 1 if a target is not reached."""
     fifth = len(samples) // 5
     early, late = (
         [median(column) for column in zip(*part, strict=True)]

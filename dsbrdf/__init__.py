@@ -6,6 +6,9 @@
     dsbrdf.decompose(result.model).diffuse
 
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
+
+Wings, each calling only those to its left: errors, version, extras, process_settings, data, model, fitting, output,
+engines, cli.
 """
 
 from importlib import import_module
@@ -59,7 +62,7 @@ __all__ = [
 ]
 
 # Where each public name is defined. A name is imported when it is first used, so that `import dsbrdf` and the
-# commands that compute nothing do not wait for SciPy.
+# commands that compute nothing do not wait for NumPy and SciPy.
 _DEFINED_IN = {
     "dsbrdf.data.measurement": ("Measurement",),
     "dsbrdf.data.merl": ("parse_merl", "read_merl", "write_merl"),

@@ -1,4 +1,4 @@
-"""What can go wrong, as a tree.
+"""The errors of the library, as a tree.
 
 DSBRDFError
 ├── MeasurementFormatError   a file or array is not an acceptable measurement
@@ -6,29 +6,32 @@ DSBRDFError
 ├── ModelFormatError         a stored model cannot be read
 └── FitError                 an acceptable measurement cannot be fitted with these options
 
-ConvergenceWarning           a fit stopped before it converged; its report says where
+ConvergenceWarning           a fit stopped before it converged; the result is usable
 """
+
+WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
+"""Errors of the operating system that mean a wrong path, not a fault of the machine."""
 
 
 class DSBRDFError(Exception):
-    """Base of every error that this library raises on purpose."""
+    """Base class of all errors that the library raises on purpose."""
 
 
 class MeasurementFormatError(DSBRDFError, ValueError):
-    """The bytes or the array are not an acceptable measurement; the message is one sentence that says why."""
+    """The bytes or the array are not an acceptable measurement; the message says why in one sentence."""
 
 
 class InvalidArgumentError(DSBRDFError, ValueError):
-    """An option, angle, direction or label is out of its range; the message says what would be right."""
+    """An option, angle, direction or label is not acceptable; the message says what would be."""
 
 
 class ModelFormatError(DSBRDFError, ValueError):
-    """A stored model is damaged, of another format, or of a version that this release does not know."""
+    """A stored model is damaged, has another format, or a version that this release cannot read."""
 
 
 class FitError(DSBRDFError):
-    """The measurement is well formed but leaves nothing to fit with the options given."""
+    """The measurement is acceptable, but with the given options no samples are left to fit."""
 
 
 class ConvergenceWarning(UserWarning):
-    """A fit stopped at its iteration bound; the result is usable and its report says where."""
+    """A fit stopped at its iteration limit; the result is usable, and its report says which part did not converge."""

@@ -1,30 +1,30 @@
-"""Optional dependencies: imported where they are used, and asked for by the name of their extra."""
+"""Optional dependencies: a clear error when an extra that a function needs is not installed."""
 
 from importlib.util import find_spec
 
 
 class MissingExtraError(ImportError):
-    """An optional dependency is not installed; the message is one sentence that says how to install it."""
+    """An optional dependency is not installed; the message says in one sentence how to install it."""
 
 
 def require(extra: str, *modules: str, purpose: str) -> None:
-    """Make sure that the modules of an extra can be imported.
+    """Raise an error unless the modules of an extra are installed.
 
     Parameters
     ----------
     extra : str
         Name of the extra in ``pyproject.toml``.
     *modules : str
-        Top-level modules that it provides.
+        The modules to look for.
     purpose : str
-        What needs them, as the subject of the sentence.
+        What needs them, for the error message.
 
     Raises
     ------
     MissingExtraError
-        Naming what is missing and the command that installs it.
+        With the missing modules and the command that installs them.
     """
     missing = [module for module in modules if find_spec(module) is None]
     if missing:
         names = " and ".join(missing)
-        raise MissingExtraError(f"{purpose} cannot do without {names}, not installed: pip install 'dsbrdf[{extra}]'")
+        raise MissingExtraError(f"{names} must be installed for {purpose}: pip install 'dsbrdf[{extra}]'")

@@ -1,4 +1,4 @@
-"""Which algorithm and which software computed a fit."""
+"""Versions of the library, of its algorithm and of the software that it uses."""
 
 import platform
 from importlib.metadata import version
@@ -6,11 +6,11 @@ from importlib.metadata import version
 __version__ = version("dsbrdf")
 
 ALGORITHM_VERSION = "1"
-"""Changes whenever the same measurement and options may give another model: part of a fit's identity."""
+"""Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that may make a difference: of the algorithm, this library and what it computes with."""
+    """Return all versions that can affect the result of a fit."""
     return {
         "algorithm": ALGORITHM_VERSION,
         "dsbrdf": __version__,

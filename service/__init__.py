@@ -1,1 +1,7 @@
-"""The HTTP service: measurements in, fitted DSBRDF models, their values and their lobes out."""
+"""The HTTP service: takes measurements, returns fitted DSBRDF models, their values and their components.
+
+Wings, each calling only those to its left: errors, settings, storage, operations, wire, http, access, jobs, routes,
+app, commands, __main__. The Python `client` uses errors and wire only.
+"""
+
+DEFAULT_DATA_DIR = "dsbrdf-data"

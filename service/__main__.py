@@ -22,18 +22,16 @@ from pydantic import ValidationError
 
 from dsbrdf.extras import MissingExtraError
 from service.access.keys import has_active_key
-from service.app import create_app
-from service.context import Context
-from service.http.connections import connection_class
-from service.http.problems import sentence
-from service.jobs.engine_factory import engine_of
+from service.app import create_app, make_engine
+from service.errors import DataFolderError, validation_sentence
+from service.http.limits import connection_class
 from service.operations import logging as logs
+from service.routes.dependencies import Context
 from service.settings import Settings, unknown_settings
-from service.storage.schema import DataFolderError
 from service.storage.store import Store
 
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
-_TIDYING = 5.0  # seconds that the end of the service may take beside what open requests are given
+_CLEANUP_SECONDS = 5.0  # that the end of the service may take after the open requests have ended
 
 logger = logging.getLogger(__name__)
 
@@ -44,29 +42,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        return _refuse(_wrong_setting(error, given))
+        return _refuse(_settings_message(error, given))
     try:
         if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
             return _refuse(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
-        engine_of(settings)  # what it needs may not be installed
+        make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
     except (DataFolderError, MissingExtraError) as error:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
     try:
-        _try_address(settings.host, settings.port)
+        _check_address(settings.host, settings.port)
     except OSError as error:
         store.close()
         return _refuse(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.", 1)
     logs.configure(settings)
     for unknown in unknown_settings():
         logger.warning("%s", unknown)
-    _give_memory_back()
-    _allow_descriptors()
+    _return_freed_memory()
+    _raise_descriptor_limit()
     _keep_temporary_files_in(settings.data_dir)
     return _run(settings, store)
 
@@ -95,31 +93,31 @@ def _run(settings: Settings, store: Store) -> int:
     except SystemExit as stop:
         return 1 if stop.code else 0
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # impatience must not break off what is left to tidy
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second signal must not interrupt the cleanup
     return 0 if server.started else 1
 
 
 class _Server(uvicorn.Server):
-    """Lets go who waits for a fit or follows one, before it waits for requests to end."""
+    """Releases the requests that wait for a fit or follow one before it waits for requests to end."""
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
         self._app = app
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Stop: no new requests, and the ones in progress answer soon."""
+        """Stop accepting requests and let those in progress end soon."""
         context: Context = self._app.state.context
-        last_moment = threading.Timer(context.settings.shutdown_seconds + _TIDYING, _break_off)
-        last_moment.daemon = True
-        last_moment.start()
+        deadline = threading.Timer(context.settings.shutdown_seconds + _CLEANUP_SECONDS, _exit_at_once)
+        deadline.daemon = True
+        deadline.start()
         context.readiness.stop()
-        context.jobs.let_go()
+        context.jobs.release_waiters()
         await super().shutdown(sockets)
 
 
-def _break_off() -> None:
-    """End now, whatever hangs: nothing that was accepted is lost by that, and the next start tidies up."""
-    logger.error("the service does not end in time and breaks off")
+def _exit_at_once() -> None:
+    """End the process although something hangs: accepted fits are stored, and the next start cleans up."""
+    logger.error("the service does not end in time; its process is ended now")
     os._exit(1)
 
 
@@ -144,22 +142,22 @@ def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
     return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
 
 
-def _wrong_setting(error: ValidationError, given: Mapping[str, Any]) -> str:
+def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
     """Return one sentence that names the flag or the environment variable of each setting that is wrong."""
     faults = []
     for fault in error.errors():
         name = str(fault["loc"][0])
         written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
         faults.append({**fault, "loc": (written,), "msg": f"{fault['msg']}, not {str(fault['input'])[:60]!r}"})
-    return sentence(faults)
+    return validation_sentence(faults)
 
 
-def _give_memory_back() -> None:
+def _return_freed_memory() -> None:
     """Let the C library return large buffers when they are freed.
 
-    By itself, glibc keeps ever larger ones among the small ones once it has seen some, and the process grows for as
-    long as it works. A threshold that is set stays where it is. It also gives nearly each thread a heap of its own, and
-    what is free in one is of no use to another; two are enough. Other C libraries have none of this.
+    By default, glibc raises its threshold when large buffers are freed and then keeps them, so that the process grows
+    as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
+    that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
     """
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
@@ -167,26 +165,26 @@ def _give_memory_back() -> None:
         library.mallopt(_ARENA_MAX, 2)
 
 
-def _allow_descriptors() -> None:
-    """Allow this process as many open files as it may have; what is usual is less than the connections it accepts."""
+def _raise_descriptor_limit() -> None:
+    """Raise the limit of open files to the largest allowed; the usual one is below the number of connections."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(OSError, ValueError):  # some systems tell more than they allow
+    with suppress(OSError, ValueError):  # some systems report more than they allow
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:
-    """Let the fork server have its socket where the next start removes what a killed server has left."""
+    """Put the fork server's socket where the next start removes what a killed server has left."""
     folder = data_dir.resolve() / "run"
     if folder.exists():
         shutil.rmtree(folder)
     folder.mkdir()
-    # A socket's path has at most 107 characters; by the open folder's descriptor it is short, however deep it lies.
+    # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
     descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
     if descriptor.is_dir():
         tempfile.tempdir = str(descriptor)
 
 
-def _try_address(host: str, port: int) -> None:
+def _check_address(host: str, port: int) -> None:
     """Raise OSError unless the address can be listened on, before anything of the service runs."""
     for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
         with socket.socket(family, kind, protocol) as trial:

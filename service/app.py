@@ -1,6 +1,8 @@
-"""The application: `create_app` puts the parts together, and the lifespan opens and closes them."""
+"""The application: `create_app` connects its parts, and the lifespan opens and closes them."""
 
 import asyncio
+import logging
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
@@ -9,21 +11,27 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp
 
 import dsbrdf
-from dsbrdf.data.merl import MerlChecker
-from service.access.authentication import Gate
-from service.access.changes import follow
+from dsbrdf.data.merl_validation import MerlChecker
+from dsbrdf.engines.dask import DaskEngine
+from dsbrdf.engines.engine import Engine, FitLimits
+from dsbrdf.engines.local import LocalEngine
+from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
-from service.context import Context
-from service.http import contract, problems
-from service.jobs.engine_factory import engine_of
+from service.http import openapi, problems
+from service.http.request_log import RequestLogMiddleware
 from service.jobs.jobs import Jobs
-from service.jobs.model_cache import Models
+from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.operations.request_log import Observe
-from service.routes import brdf, docs, exports, fits, health, lobes, measurements
+from service.routes import about, brdf, exports, fits, measurements
+from service.routes.dependencies import Context
 from service.settings import Settings
+from service.storage.database import Database
 from service.storage.store import Store
+
+_CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
+
+logger = logging.getLogger(__name__)
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 
@@ -35,32 +43,32 @@ problem documents.
 
 
 class _Application(FastAPI):
-    """FastAPI with a layer around everything, so that also an error that nothing has foreseen is observed."""
+    """FastAPI with the service's middleware around everything, so that unexpected errors are logged and counted too."""
 
     def build_middleware_stack(self) -> ASGIApp:
-        """Return the layers of the application."""
+        """Return the application with all middleware."""
         state = self.state
-        guarded = Gate(super().build_middleware_stack(), state.settings, state.keys)
-        return Observe(guarded, state.settings, state.metrics)
+        authenticated = AuthenticationMiddleware(super().build_middleware_stack(), state.settings, state.keys)
+        return RequestLogMiddleware(authenticated, state.settings, state.metrics)
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    """Open what the service works with, and close it in the opposite order."""
+    """Open the parts of the service, and close them in the opposite order."""
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
-        engine = engine_of(settings)
+        engine = make_engine(settings)
         jobs = Jobs(store, engine, settings, metrics)
-        models = Models(store, settings.model_cache)
+        models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, engine, jobs, models, metrics, readiness)
+        app.state.context = Context(settings, store, engine, jobs, models, keys, metrics, readiness)
         metrics.collect_from(store.database)
-        await run_in_threadpool(MerlChecker)  # what uploads share is made before the first one
+        await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
         await jobs.start()
-        following = asyncio.create_task(follow(store.database, keys, models))
+        following = asyncio.create_task(_follow_changes(store.database, keys, models))
         try:
             yield
         finally:
@@ -73,10 +81,37 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         store.close()
 
 
+async def _follow_changes(database: Database, keys: Keys, models: ModelCache) -> None:
+    """Read the keys again and empty the cache whenever another process has written; until cancelled."""
+    changed = False
+    while True:
+        await asyncio.sleep(_CHANGES_PERIOD)
+        try:
+            # In threads that uploads and evaluations do not use: a key has to be refused under load too.
+            changed = await asyncio.to_thread(database.changed_by_others) or changed
+            if changed:
+                await asyncio.to_thread(keys.load, database)
+                models.forget_all()
+                changed = False
+        except sqlite3.Error:
+            logger.exception("what other processes have written could not be read; trying again")
+
+
+def make_engine(settings: Settings) -> Engine:
+    """Return the engine that the settings ask for, not yet started.
+
+    Raises MissingExtraError if it needs what is not installed.
+    """
+    limits = FitLimits(settings.fit_seconds, settings.fit_memory_mb)
+    if settings.engine == "dask":
+        return DaskEngine(settings.scheduler, settings.workers, limits)
+    return LocalEngine(settings.workers, limits)
+
+
 def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     """Return the application for `settings`.
 
-    It takes over `store`, which is the one of its data folder; without one, nothing is opened before it starts.
+    It closes `store`, the open store of its data folder; without one, it opens that folder when it starts.
     """
     app = _Application(
         title="dsbrdf",
@@ -85,14 +120,15 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         lifespan=_lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # every resource has one name
-        generate_unique_id_function=contract.operation_id,
+        redirect_slashes=False,  # every resource has one path
+        generate_unique_id_function=openapi.operation_id,
     )
     app.state.settings, app.state.store = settings, store
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
-    # Routes are tried in this order, so the ones that have to be quick come first.
-    for routes in (brdf, fits, lobes, exports, measurements, health, docs):
-        app.include_router(routes.router)
-    contract.install(app)
+    # Routes are tried in this order, so the fast ones come first.
+    routers = (brdf.router, fits.router, brdf.components, exports.router, measurements.router, about.router, about.page)
+    for router in routers:
+        app.include_router(router)
+    openapi.install(app)
     return app

@@ -1,4 +1,4 @@
-"""Client of the service for Python: the same objects and the same errors as the library, over HTTP.
+"""Python client of the service: the same objects and the same errors as the library, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
 fit = client.fit("nickel.binary")
@@ -283,7 +283,7 @@ class Client:
 
 
 def _error(answer: httpx.Response) -> Exception:
-    """Return what an answer that is no success stands for."""
+    """Return the exception for a response that is no success."""
     try:
         problem = answer.json()
     except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request

@@ -9,6 +9,8 @@ from typing import Literal
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from service import DEFAULT_DATA_DIR
+
 
 def available_cores() -> int:
     """Return the number of processor cores that this process may use."""
@@ -18,7 +20,9 @@ def available_cores() -> int:
 
 
 _PREFIX = "DSBRDF_"
-_NOT_OURS = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_EXAMPLES"))  # of the client and the tests
+_OTHER_VARIABLES = frozenset(
+    ("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_EXAMPLES")
+)  # of the client and the tests
 
 
 class Settings(BaseSettings):
@@ -28,7 +32,7 @@ class Settings(BaseSettings):
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
-    data_dir: Path = Field(default=Path("dsbrdf-data"), description="Folder of the database and the measurements.")
+    data_dir: Path = Field(default=Path(DEFAULT_DATA_DIR), description="Folder of the database and the measurements.")
     insecure: bool = Field(default=False, description="Allow an address other than loopback without API keys.")
     require_keys: bool = Field(default=False, description="Ask for API keys on loopback too, as behind a proxy.")
     key_requests_per_second: float = Field(default=100.0, ge=0.001, description="Rate of requests with one API key.")
@@ -72,8 +76,8 @@ class Settings(BaseSettings):
     )
 
     limit_concurrency: int = Field(default=512, ge=1, description="Connections served at once; further ones get 503.")
-    head_seconds: float = Field(default=10.0, gt=0, description="Time that a request's head may take to arrive [s].")
-    silence_seconds: float = Field(
+    header_timeout: float = Field(default=10.0, gt=0, description="Time that a request's head may take to arrive [s].")
+    idle_timeout: float = Field(
         default=30.0, gt=0, description="Time without a byte after which a slow sender or reader is given up [s]."
     )
     least_upload_rate: int = Field(
@@ -99,7 +103,7 @@ def unknown_settings() -> list[str]:
     known = {_PREFIX + name.upper() for name in Settings.model_fields}
     sentences = []
     for name in sorted(os.environ):
-        if name.upper().startswith(_PREFIX) and name.upper() not in known | _NOT_OURS:
+        if name.upper().startswith(_PREFIX) and name.upper() not in known | _OTHER_VARIABLES:
             similar = get_close_matches(name.upper(), known, 1)
             meant = f"; did you mean {similar[0]}?" if similar else "."
             sentences.append(f"The environment variable {name[:80]} is no setting and has no effect{meant}")

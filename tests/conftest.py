@@ -1,7 +1,7 @@
-"""Fixtures shared by all tests: synthetic measurements, and measured ones where they are at hand."""
+"""Fixtures shared by all tests: measurements, clusters and services."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -9,39 +9,37 @@ from hypothesis import HealthCheck, settings
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
-from tests.dask_cluster import DaskCluster
+from tests.support.dask_cluster import DaskCluster
+from tests.support.guarded import Guarded, new_key
+from tests.support.materials import glossy_plastic, matte_paint, polished_metal
+from tests.support.server import Server
+from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 
 # A busy machine is no fault of the code under test, and a change is judged by the same examples each time;
-# `pytest --hypothesis-profile=soak` looks for others, and for longer.
+# `make soak` looks for others, and for longer.
 settings.register_profile("here", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 settings.register_profile("soak", settings.get_profile("here"), max_examples=10_000, derandomize=False)
-settings.load_profile("here")
-
-
-def examples(share: float) -> settings:
-    """Return settings with a multiple of the number of examples that the profile has."""
-    return settings(max_examples=max(1, round(share * settings().max_examples)))
+settings.load_profile("soak" if SOAK else "here")
 
 
 @pytest.fixture(scope="session")
 def plastic() -> Measurement:
     """A glossy coloured plastic with 2 % noise."""
-    return synthetic_measurement(noise=0.02, seed=1, name="plastic")
+    return glossy_plastic()
 
 
 @pytest.fixture(scope="session")
 def metal() -> Measurement:
     """A polished coloured metal without a diffuse part and without noise."""
-    return synthetic_measurement(roughness=0.05, diffuse=(0.0, 0.0, 0.0), specular=(0.95, 0.64, 0.54), name="metal")
+    return polished_metal()
 
 
 @pytest.fixture(scope="session")
 def matte() -> Measurement:
     """A rough, nearly diffuse material without noise."""
-    return synthetic_measurement(roughness=0.7, diffuse=(0.6, 0.5, 0.4), specular=(0.02, 0.02, 0.02), name="matte")
+    return matte_paint()
 
 
 @pytest.fixture(scope="session")
@@ -88,5 +86,69 @@ def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
     running = DaskCluster(tmp_path / "cluster")
     try:
         yield running
+    finally:
+        running.close()
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service that tests share: they must not rely on what else is in it."""
+    running = Server(tmp_path_factory.mktemp("service") / "data")
+    try:
+        yield running.start()
+    finally:
+        running.close()
+
+
+@pytest.fixture
+def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
+    """Start services that one test has for itself, with settings of its own."""
+    started: list[Server] = []
+
+    def start(*, own_interpreter: bool = False, **environment: str) -> Server:
+        folder = tmp_path / f"data{len(started)}"
+        started.append(Server(folder, **environment))
+        started[-1].own_interpreter = own_interpreter
+        return started[-1].start()
+
+    try:
+        yield start
+    finally:
+        for running in started:
+            running.close()
+
+
+@pytest.fixture(scope="session")
+def data(plastic_file: Path) -> bytes:
+    """The bytes of an acceptable measurement."""
+    return plastic_file.read_bytes()
+
+
+@pytest.fixture(scope="session")
+def stored(server: Server, data: bytes) -> str:
+    """The sha256 of a measurement that the shared service has."""
+    answer = server.http.post("/v1/measurements", content=data)
+    assert answer.status_code in (200, 201)
+    sha256: str = answer.json()["sha256"]
+    return sha256
+
+
+@pytest.fixture(scope="session")
+def fitted(server: Server, stored: str) -> str:
+    """The id of a fit with two lobes that has succeeded."""
+    answer = server.submit(stored, n_lobes=2, em_iterations=20)
+    assert answer.json()["status"] == "succeeded", answer.text
+    fit_id: str = answer.json()["id"]
+    return fit_id
+
+
+@pytest.fixture(scope="session")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    """A service that wants keys, for tests to share."""
+    running = Server(tmp_path_factory.mktemp("guarded") / "data", require_keys="true", workers="2")
+    try:
+        running.start()
+        alice, bob = (new_key(running, name)[1] for name in ("alice", "bob"))
+        yield Guarded(running, alice, bob)
     finally:
         running.close()

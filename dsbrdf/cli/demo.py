@@ -1,8 +1,9 @@
-"""What ``dsbrdf demo`` does: the whole way over HTTP, from a measurement to lobes and a picture.
+"""The command ``dsbrdf demo``: everything over HTTP, from a measurement to lobes and a figure.
 
-The service runs as it does for everyone else, in a process of its own; the demo talks to it through httpx only.
+The service runs in a process of its own, as for any other client; the demo uses it through httpx only.
 """
 
+import argparse
 import re
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from dsbrdf.extras import require
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.figures import overview_figure, render
+from dsbrdf.output.figures import encode_figure, overview_figure
 from dsbrdf.output.report_text import bands_table, components_table, metrics_line, parameters_table, selection_table
 from dsbrdf.output.serialize import from_json
 
@@ -35,25 +36,39 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-START_SECONDS = 60.0
-STOP_SECONDS = 10.0
-SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, whose values are compared
+START_TIMEOUT = 60.0  # seconds
+STOP_TIMEOUT = 10.0  # seconds
+SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, for the table of values
 
 
-def run(folder: Path) -> None:
-    """Run the demo: print what the service answers and leave ``demo.png`` in a folder.
+def configure(parser: argparse.ArgumentParser, _: str) -> None:
+    """Add the arguments of the command to its parser."""
+    parser.set_defaults(run=run)
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("out"), metavar="DIR", help="folder of the figure (default: out)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    run_demo(arguments.output)
+    return 0
+
+
+def run_demo(folder: Path) -> None:
+    """Print the responses of the service and save ``demo.png`` in a folder.
 
     Parameters
     ----------
     folder : Path
-        Where to put the picture; made if it does not exist.
+        Where to save the figure; made if it does not exist.
 
     Raises
     ------
     MissingExtraError
         If the service, httpx or matplotlib is not installed.
     RuntimeError
-        If the service does not start; the message ends with its log.
+        If the service does not start; the message has the end of its log.
     """
     require("dev", "fastapi", "uvicorn", "httpx", "matplotlib", purpose="the demo")
     import httpx
@@ -61,20 +76,20 @@ def run(folder: Path) -> None:
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="dsbrdf-demo-") as scratch, running_service(Path(scratch)) as url:
         _title(f"Service on {url}, ready after {time.perf_counter() - begin:.1f} s")
-        measurement = _paint()
+        measurement = _red_paint()
         summary = profiles(measurement)
         with httpx.Client(base_url=url, timeout=60.0) as client:
-            fit = _post(client, measurement)
+            fit = _fit_twice(client, measurement)
             model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_lobes(_get(client, fit, "lobes").json()["items"], model)
             _show_metrics(fit["metrics"], report)
             _show_values(client, fit, summary)
-            _show_sum(client, fit)
+            _show_components(client, fit)
     folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / "demo.png"
-    write_atomically(picture, [render(overview_figure(summary, model))])
-    _title(f"Picture of measured profiles, fit and lobes: {picture}")
-    print(f"Done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data are removed.")
+    figure = folder / "demo.png"
+    write_atomically(figure, [encode_figure(overview_figure(summary, model))])
+    _title(f"Figure of measured profiles, fit and lobes: {figure}")
+    print(f"Done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data is removed.")
 
 
 @contextmanager
@@ -84,17 +99,17 @@ def running_service(folder: Path) -> Iterator[str]:
     Parameters
     ----------
     folder : Path
-        Where it keeps its data and its log.
+        For its data and its log.
 
     Yields
     ------
     str
-        Its URL; it is ready to take work.
+        Its URL; the service is ready.
 
     Raises
     ------
     RuntimeError
-        If it ends, or is not ready in time; the message ends with its log.
+        If it ends or is not ready in time; the message has the end of its log.
     """
     log = folder / "service.log"
     command = [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(folder / "data")]
@@ -110,31 +125,31 @@ def running_service(folder: Path) -> Iterator[str]:
 
 
 def stop(process: "subprocess.Popen[bytes]") -> None:
-    """Ask a process to end, and end it if it does not."""
+    """Ask a process to end, and kill it if it does not."""
     process.terminate()
     try:
-        process.wait(STOP_SECONDS)
+        process.wait(STOP_TIMEOUT)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
 
 
 def _address_when_ready(process: "subprocess.Popen[bytes]", log: Path) -> str | None:
-    """Wait for the service and return its URL, which its log tells; None if it ends or takes too long."""
+    """Wait until the service is ready and return its URL, found in its log; None if it ends or takes too long."""
     import httpx
 
-    deadline = time.monotonic() + START_SECONDS
+    deadline = time.monotonic() + START_TIMEOUT
     while process.poll() is None and time.monotonic() < deadline:
-        told = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
-        with suppress(httpx.TransportError):  # not listening yet, or busy
-            if told and httpx.get(f"{told[0]}/health/ready", timeout=5.0).is_success:
-                return told[0]
+        found = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
+        with suppress(httpx.TransportError):  # the service does not listen yet, or is busy
+            if found and httpx.get(f"{found[0]}/health/ready", timeout=5.0).is_success:
+                return found[0]
         time.sleep(0.05)
     return None
 
 
-def _paint() -> Measurement:
-    """A red paint with a glossy coat, and the noise of an instrument."""
+def _red_paint() -> Measurement:
+    """Return the measurement of a red paint with a glossy coat, with the noise of an instrument."""
     return synthetic_measurement(
         roughness=0.06,
         diffuse=(0.40, 0.16, 0.10),
@@ -144,8 +159,8 @@ def _paint() -> Measurement:
     )
 
 
-def _post(client: "httpx.Client", measurement: Measurement) -> dict[str, Any]:
-    """Fit the measurement, twice: the second time nothing is computed."""
+def _fit_twice(client: "httpx.Client", measurement: Measurement) -> dict[str, Any]:
+    """Submit the measurement twice; the second time the service finds the fit and computes nothing."""
     content = encode_merl(measurement)
     _title(f"POST /v1/fits with {len(content):,} bytes: {measurement.name}")
     for _ in range(2):
@@ -165,7 +180,7 @@ def _get(client: "httpx.Client", fit: dict[str, Any], path: str, **query: Any) -
 
 
 def _values(client: "httpx.Client", fit: dict[str, Any], path: str, theta_half: Array, theta_diff: Array) -> Array:
-    """BRDF values (n, 3) over HTTP, for angles (n,) [degrees]."""
+    """Return BRDF values (n, 3) [1/sr] over HTTP, for angles (n,) [degrees]."""
     query = {"theta_half_deg": theta_half.tolist(), "theta_diff_deg": theta_diff.tolist()}
     return np.array(_get(client, fit, path, **query).json()["values"])
 
@@ -176,9 +191,9 @@ def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
 
 
 def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) -> None:
-    """How the numbers of lobes were chosen, and how good the fit is, where."""
+    """Print how the numbers of lobes were chosen, and the errors of the fit."""
     if report is None:
-        raise RuntimeError("the service has exported the fit without its report")
+        raise RuntimeError("the service exported the fit without its report")
     _title("How many lobes")
     _print(*selection_table(report))
     _title("Metrics")
@@ -186,7 +201,7 @@ def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) ->
 
 
 def _show_values(client: "httpx.Client", fit: dict[str, Any], summary: Profiles) -> None:
-    """Measured values, mean over phi_diff, against those that the service gives."""
+    """Print measured values, averaged over phi_diff, beside those of the service."""
     _title("Measured and fitted values [1/sr]")
     nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
     theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
@@ -199,8 +214,8 @@ def _show_values(client: "httpx.Client", fit: dict[str, Any], summary: Profiles)
         print(f"{angles[0]:>9.1f}°{angles[1]:>11.0f}°{cells}")
 
 
-def _show_sum(client: "httpx.Client", fit: dict[str, Any]) -> None:
-    """The components' values and that they add up to the fit's."""
+def _show_components(client: "httpx.Client", fit: dict[str, Any]) -> None:
+    """Print the values of the components, and their sum beside the values of the fit."""
     _title("Components at theta_half 2°, theta_diff 30° [1/sr]")
     point = np.array([2.0]), np.array([30.0])
     parts = {label: _values(client, fit, f"lobes/{label}/brdf", *point)[0] for label in LABELS}

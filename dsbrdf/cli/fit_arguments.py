@@ -1,4 +1,4 @@
-"""The fields of `FitOptions` as command line flags: names, kinds and help all come from the dataclass."""
+"""The fields of `FitOptions` as command line options, with names, types and help taken from the dataclass."""
 
 import argparse
 import inspect
@@ -12,22 +12,22 @@ import numpy as np
 
 from dsbrdf.fitting.options import FitOptions
 
-ANGLES = frozenset({"horizon_cutoff", "knots"})
+ANGLE_FIELDS = frozenset({"horizon_cutoff", "knots"})
 """Fields in radians; on the command line they are in degrees."""
 
-_NUMBERS = {int: ("N",), float: ("N",), tuple: ("N,N,...",)}
+_PLACEHOLDERS = {int: ("N",), float: ("N",), tuple: ("N,N,...",)}
 
 
-def add_fit_flags(parser: argparse.ArgumentParser) -> None:
-    """Give the parser one flag for each field of `FitOptions`."""
-    hints, texts = get_type_hints(FitOptions), _field_texts()
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """Add one option for each field of `FitOptions`."""
+    hints, texts = get_type_hints(FitOptions), _field_descriptions()
     group = parser.add_argument_group("options of the fit")
     for field in fields(FitOptions):
-        _add_flag(group, field, hints[field.name], texts.get(field.name, ""))
+        _add_option(group, field, hints[field.name], texts.get(field.name, ""))
 
 
 def fit_options(arguments: argparse.Namespace) -> FitOptions:
-    """Return the options that the flags ask for; what was not given keeps the default of `FitOptions`.
+    """Return the options that the command line gives; the others keep the defaults of `FitOptions`.
 
     Raises
     ------
@@ -38,17 +38,10 @@ def fit_options(arguments: argparse.Namespace) -> FitOptions:
     return FitOptions(**given)
 
 
-def scheduler_address(text: str) -> str:
-    """Return the text of a flag if it can be the address of a Dask scheduler."""
-    if re.fullmatch(r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+", text) is None:
-        raise argparse.ArgumentTypeError(f"must be an address such as tcp://host:8786, not {text!r}")
-    return text
-
-
-def _add_flag(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text: str) -> None:
-    name = "lobes" if field.name == "n_lobes" else field.name.replace("_", "-")
-    in_degrees = field.name in ANGLES
-    help_text = f"{text} (default: {_shown(field.default, in_degrees=in_degrees)})"
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text: str) -> None:
+    name = field.name.replace("_", "-")
+    in_degrees = field.name in ANGLE_FIELDS
+    help_text = f"{text} (default: {_as_typed(field.default, in_degrees=in_degrees)})"
     for written, typed in (("[rad]", "[degrees]"), ("`", ""), ("None", "none"), ("%", "%%")):
         help_text = help_text.replace(written, typed)
     if hint is bool:
@@ -60,45 +53,45 @@ def _add_flag(group: argparse._ArgumentGroup, field: Field[Any], hint: Any, text
             help=help_text,
         )
         return
-    kinds = _kinds(hint)
+    types = _types(hint)
     group.add_argument(
         f"--{name}",
         dest=field.name,
-        type=_converter(kinds, in_degrees=in_degrees),
+        type=_converter(types, in_degrees=in_degrees),
         default=argparse.SUPPRESS,
-        metavar="|".join([*_words(kinds), *_NUMBERS.get(_number(kinds), ())]),
+        metavar="|".join([*_words(types), *_PLACEHOLDERS.get(_numeric_type(types), ())]),
         help=help_text,
     )
 
 
-def _shown(value: Any, *, in_degrees: bool) -> str:
-    """Return a default as it would be typed."""
+def _as_typed(value: Any, *, in_degrees: bool) -> str:
+    """Return a default value as a user would type it."""
     if isinstance(value, tuple):
-        return ",".join(_shown(item, in_degrees=in_degrees) for item in value)
+        return ",".join(_as_typed(item, in_degrees=in_degrees) for item in value)
     if isinstance(value, float):
         return f"{np.degrees(value) if in_degrees else value:g}"
     return str(value).lower()
 
 
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    """Members of a union, or the hint alone."""
+def _types(hint: Any) -> tuple[Any, ...]:
+    """Return the types of which a value may be: the members of a union, or the type itself."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
-def _words(kinds: tuple[Any, ...]) -> dict[str, Any]:
-    """Words that stand for a value: those of a Literal, and ``none``."""
-    words = {word: word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)}
-    return words | ({"none": None} if NoneType in kinds else {})
+def _words(types: tuple[Any, ...]) -> dict[str, Any]:
+    """Return the words that may be given, with their values: those of a Literal, and ``none``."""
+    words = {word: word for kind in types if get_origin(kind) is Literal for word in get_args(kind)}
+    return words | ({"none": None} if NoneType in types else {})
 
 
-def _number(kinds: tuple[Any, ...]) -> Any:
-    """int, float or tuple; None where only words are allowed."""
-    return next((kind for kind in ((get_origin(k) or k) for k in kinds) if kind in (int, float, tuple)), None)
+def _numeric_type(types: tuple[Any, ...]) -> Any:
+    """Return the numeric type that is allowed, int, float or tuple; None where only words are."""
+    return next((kind for kind in ((get_origin(k) or k) for k in types) if kind in (int, float, tuple)), None)
 
 
-def _converter(kinds: tuple[Any, ...], *, in_degrees: bool) -> Callable[[str], Any]:
-    """Return the function from the text of a flag to its value."""
-    words, number = _words(kinds), _number(kinds)
+def _converter(types: tuple[Any, ...], *, in_degrees: bool) -> Callable[[str], Any]:
+    """Return the function that converts the text of an option to its value."""
+    words, number = _words(types), _numeric_type(types)
     names = {int: "a whole number", float: "a number", tuple: "numbers separated by commas"}
     allowed = " or ".join([*words, *([] if number is None else [names[number]])])
 
@@ -120,12 +113,8 @@ def _converter(kinds: tuple[Any, ...], *, in_degrees: bool) -> Callable[[str], A
     return convert
 
 
-whole_number = _converter((int,), in_degrees=False)
-"""The text of a flag as an int."""
-
-
-def _field_texts() -> dict[str, str]:
-    """What the docstring of `FitOptions` says about each field."""
-    text = inspect.getdoc(FitOptions) or ""  # of the same indentation in every version of Python
+def _field_descriptions() -> dict[str, str]:
+    """Return the description of each field from the docstring of `FitOptions`."""
+    text = inspect.getdoc(FitOptions) or ""  # without the indentation, which Python 3.13 removes and older ones keep
     entries = re.findall(r"^(\w+) : .*\n((?:    .+(?:\n|$))+)", text, flags=re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}

@@ -1,7 +1,6 @@
 """Points on the command line: half and difference angles in degrees, or pairs of directions."""
 
 import argparse
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,41 +10,29 @@ from dsbrdf.errors import InvalidArgumentError
 Array = NDArray[np.float64]
 
 
-def add_point_flags(parser: argparse.ArgumentParser) -> None:
-    """Give the parser the flags of a point; each may be given for several points."""
+def add_point_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name points; each may be given several times."""
     for name in ("--theta-half", "--theta-diff"):
-        parser.add_argument(
-            name, nargs="+", action="extend", type=float, metavar="DEGREES", help="one or several angles"
-        )
+        parser.add_argument(name, nargs="+", action="extend", type=float, metavar="DEGREES", help="one or more angles")
     for name in ("--omega-in", "--omega-out"):
         parser.add_argument(
-            name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be repeated"
+            name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be given several times"
         )
-
-
-def join_directions(argv: Sequence[str]) -> list[str]:
-    """Join a direction to its flag: argparse would take ``-0.5,0,0.9`` for a flag of its own."""
-    words = list(argv)
-    for flag in ("--omega-in", "--omega-out"):
-        while flag in words[:-1]:
-            at = words.index(flag)
-            words[at : at + 2] = [f"{flag}={words[at + 1]}"]
-    return words
 
 
 def given_points(arguments: argparse.Namespace) -> dict[str, Array]:
-    """Return the points asked for.
+    """Return the points that the command line names.
 
     Returns
     -------
     dict
         ``theta_half_deg`` and ``theta_diff_deg`` of shape (n,) [degrees], or ``omega_in`` and ``omega_out`` of shape
-        (n, 3).  A part that is given once goes with all of the other.
+        (n, 3).  An angle or a direction that is given once is combined with all values of the other.
 
     Raises
     ------
     InvalidArgumentError
-        If a part is missing, both kinds are mixed, or the numbers of parts do not pair up.
+        If one of the two is missing, angles and directions are mixed, or their numbers differ and neither is 1.
     """
     by_angles = arguments.theta_half or arguments.theta_diff
     if by_angles and (arguments.omega_in or arguments.omega_out):
@@ -58,14 +45,14 @@ def given_points(arguments: argparse.Namespace) -> dict[str, Array]:
     length = max(len(array) for array in columns.values())
     if any(len(array) not in (1, length) for array in columns.values()):
         counts = " and ".join(f"{len(array)} {name}" for name, array in columns.items())
-        raise InvalidArgumentError(f"{counts} do not pair up: give as many of one as of the other, or just one")
+        raise InvalidArgumentError(f"{counts} cannot be combined: give equally many of both, or one of one of them")
     return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
 
 
 def _given(arguments: argparse.Namespace, name: str) -> Array:
     values = getattr(arguments, name)
     if not values:
-        raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both of its parts")
+        raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both")
     return np.array(values, dtype=np.float64)
 
 

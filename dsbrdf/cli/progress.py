@@ -1,4 +1,4 @@
-"""A progress bar on stderr, where someone looks at it and tqdm is installed."""
+"""A progress bar on stderr, if that is a terminal and tqdm is installed."""
 
 import sys
 from collections.abc import Iterator
@@ -10,12 +10,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Progress:
-    """What a long command shows while it works; made by `progress_bar`."""
+    """Progress and messages of a long command; made by `progress_bar`."""
 
     bar: Any = None
 
     def __call__(self, done: float) -> None:
-        """Move the bar to ``done`` of its total."""
+        """Move the bar to ``done``, in the units of its total."""
         if self.bar is not None:
             self.bar.n = round(done, 2)
             self.bar.refresh()
@@ -31,7 +31,7 @@ class Progress:
 
 @contextmanager
 def progress_bar(total: int, unit: str) -> Iterator[Progress]:
-    """Show a bar while the block runs; nothing where stderr is no terminal or tqdm (extra ``progress``) is missing."""
+    """Show a bar during the block, if stderr is a terminal and tqdm (extra ``progress``) is installed."""
     if not sys.stderr.isatty() or find_spec("tqdm") is None:
         yield Progress()
         return

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written completely or not at all."""
 
 import os
 import tempfile
@@ -10,15 +10,15 @@ __all__ = ["write_atomically"]
 
 
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
-    """Write a file so that nobody ever sees a part of it.
+    """Write a file so that no other process ever sees an incomplete one.
 
-    The parts go to a temporary file in the same folder, which then takes the place of ``path`` in one step.
-    If anything fails, ``path`` is as it was and the temporary file is gone.
+    The parts are written to a temporary file in the same folder, which then replaces ``path`` in one step.
+    After an error, ``path`` is unchanged and the temporary file is removed.
 
     Parameters
     ----------
     path : path-like
-        Where to write; an existing file is replaced.
+        The file to write; an existing one is replaced.
     parts : iterable of bytes-like
         The content, in order.
 
@@ -31,7 +31,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
     except OSError as error:
-        error.filename = str(target)  # what was asked for
+        error.filename = str(target)  # the name that the caller knows
         raise
     try:
         with os.fdopen(descriptor, "wb") as file:
@@ -46,7 +46,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
 
 
 def _default_mode() -> int:
-    """Permissions of an ordinary new file; the temporary one starts out private."""
+    """Return the permissions of an ordinary new file; those of the temporary file are stricter."""
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask

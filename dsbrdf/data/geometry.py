@@ -9,9 +9,9 @@ the polar angle ``theta_half`` of the half vector ``h ~ omega_in + omega_out``, 
                                  s sin(theta_diff) sin(phi_diff),
                                  cos(theta_diff))
 
-An isotropic BRDF does not depend on ``phi_half``. All angles are radians. Every angle is taken with
-``atan2`` of a sum and a difference, which keeps full accuracy where ``arccos`` loses half of the digits: at
-normal incidence, at ``omega_in = omega_out`` and at the horizon.
+An isotropic BRDF does not depend on ``phi_half``. All angles are in radians. Every angle is computed with
+``atan2`` of a sum and a difference, which is accurate where ``arccos`` loses half of the digits: at normal
+incidence, at ``omega_in = omega_out`` and at the horizon.
 """
 
 import numpy as np
@@ -22,17 +22,17 @@ from dsbrdf.errors import InvalidArgumentError
 __all__ = ["above_horizon", "check_directions", "directions", "half_difference", "incident_cosines"]
 
 _UNIT_TOLERANCE = 1e-6
-# Cosines closer than this to a bound count as on it: nodes that lie exactly on the horizon must not
-# be decided by the last bit of a cosine.
+# Cosines closer than this to a bound count as equal to it, so that rounding does not decide about nodes that lie
+# exactly on the horizon.
 _COSINE_ROUNDING = 1e-12
-# A sum of two unit vectors shorter than this is the rounding of the two, not a direction.
+# A sum of two unit vectors that is shorter than this is only rounding error.
 _SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
 def half_difference(
     omega_in: ArrayLike, omega_out: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Half and difference angles of pairs of directions.
+    """Return the half and difference angles of pairs of directions.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def half_difference(
     -------
     theta_half, theta_diff, phi_diff : ndarray, shape (...)
         Radians; ``phi_diff`` is in [0, 2 pi). Opposite directions (``omega_in = -omega_out``, possible
-        only at the horizon) have no half vector: the normal takes its place. Where the half vector is the
+        only at the horizon) have no half vector; the normal is used instead. Where the half vector is the
         normal, ``phi_diff`` is the azimuth of ``omega_in``; at ``omega_in = omega_out`` it is 0.
     """
     first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
@@ -64,7 +64,7 @@ def half_difference(
     tangent = np.cos(theta_half) * along - np.sin(theta_half) * difference[..., 2] + 0.0
     phi_diff = np.arctan2(across + 0.0, tangent)
     phi_diff = np.where(phi_diff < 0.0, phi_diff + 2.0 * np.pi, phi_diff)
-    # A tiny negative angle rounds up to the full turn, which is the angle 0.
+    # A tiny negative angle is rounded to 2 pi, which is the angle 0.
     phi_diff = np.where(phi_diff >= 2.0 * np.pi, 0.0, phi_diff)
     return theta_half, theta_diff, phi_diff
 
@@ -72,7 +72,7 @@ def half_difference(
 def directions(
     theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, phi_half: ArrayLike = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions of given half and difference angles; the inverse of `half_difference`.
+    """Return the directions with given half and difference angles; the inverse of `half_difference`.
 
     Parameters
     ----------
@@ -84,16 +84,18 @@ def directions(
     omega_in, omega_out : ndarray, shape (..., 3)
         Unit vectors. One of them may lie below the horizon: see `above_horizon`.
     """
-    half, diff, phi, turn = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half)
+    half, diff, phi, azimuth = _angles(
+        theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
+    )
     sin_half, cos_half, cos_diff = np.sin(half), np.cos(half), np.cos(diff)
     x, y = np.sin(diff) * np.cos(phi), np.sin(diff) * np.sin(phi)
-    cos_turn, sin_turn = np.cos(turn), np.sin(turn)
+    cos_azimuth, sin_azimuth = np.cos(azimuth), np.sin(azimuth)
 
     def rotated(sign: float) -> NDArray[np.float64]:
         tilted = cos_half * sign * x + sin_half * cos_diff
         parts = np.broadcast_arrays(
-            cos_turn * tilted - sin_turn * sign * y,
-            sin_turn * tilted + cos_turn * sign * y,
+            cos_azimuth * tilted - sin_azimuth * sign * y,
+            sin_azimuth * tilted + cos_azimuth * sign * y,
             cos_half * cos_diff - sin_half * sign * x,
         )
         return np.stack(parts, axis=-1)
@@ -104,7 +106,7 @@ def directions(
 def incident_cosines(
     theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Cosines of ``omega_in`` and ``omega_out`` with the surface normal.
+    """Return the cosines between ``omega_in``, ``omega_out`` and the surface normal.
 
     Parameters
     ----------
@@ -117,15 +119,15 @@ def incident_cosines(
         ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
     """
     half, diff, phi = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
-    level = np.cos(half) * np.cos(diff)
-    swing = np.sin(half) * np.sin(diff) * np.cos(phi)
-    return level - swing, level + swing
+    mean = np.cos(half) * np.cos(diff)
+    offset = np.sin(half) * np.sin(diff) * np.cos(phi)
+    return mean - offset, mean + offset
 
 
 def above_horizon(
     theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2
 ) -> NDArray[np.bool_]:
-    """Whether both directions are above the horizon and within ``cutoff`` of the normal.
+    """Return whether both directions are above the horizon and within ``cutoff`` of the normal.
 
     Parameters
     ----------
@@ -153,19 +155,19 @@ def above_horizon(
 
 
 def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
-    """Directions that can be used as they are, or one sentence on what is wrong with them.
+    """Return directions scaled to exact unit length, or raise an error that says what is wrong with them.
 
     Parameters
     ----------
     name : str
-        What to call them in the sentence, such as ``"omega_in"``.
+        Their name in the error message, such as ``"omega_in"``.
     omega : array_like, shape (..., 3)
         Vectors in the frame with the surface normal as z axis.
 
     Returns
     -------
     ndarray, shape (..., 3)
-        The directions, scaled to unit length to the last digit.
+        Unit vectors.
 
     Raises
     ------
@@ -175,7 +177,7 @@ def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
     """
     vectors = _vectors(name, omega)
     if not np.isfinite(vectors).all():
-        raise InvalidArgumentError(f"{name} holds NaN or infinity; a direction has three finite numbers.")
+        raise InvalidArgumentError(f"{name} contains NaN or infinity; a direction has three finite numbers.")
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
     if (np.abs(length - 1.0) > _UNIT_TOLERANCE).any():
         worst = length.flat[int(np.argmax(np.abs(length - 1.0)))]

@@ -1,8 +1,8 @@
-"""The angular grid of the MERL data base: its axes, which of its nodes count, and the cutoffs in angle.
+"""The angular grid of the MERL database: its axes, the nodes above the horizon, and the cutoff angles.
 
-The grid is (theta_half, theta_diff, phi_diff) with 90 x 90 x 180 nodes. A node stands at the left edge of
-its bin; ``theta_half`` is spaced by squares, which puts most rows into the highlight. ``phi_diff`` covers
-half a turn: the other half follows from reciprocity.
+The grid is (theta_half, theta_diff, phi_diff) with 90 x 90 x 180 nodes. A node is at the lower edge of its
+bin; ``theta_half`` is spaced quadratically, so that most rows are in the highlight. ``phi_diff`` covers 180
+degrees: the other half follows from reciprocity.
 """
 
 from functools import cache
@@ -26,7 +26,7 @@ __all__ = [
 CHANNELS = ("red", "green", "blue")
 GRID_SHAPE = (90, 90, 180)
 DEFAULT_HORIZON_CUTOFF = float(np.radians(80.0))
-"""Directions further than this from the normal are left out by default [rad]."""
+"""Samples with a direction further than this from the normal are left out by default [rad]."""
 CENTER_CUTOFF = float(np.radians(1.0))
 """The paper's procedure and metrics leave out samples with theta_half below this [rad] (Nishino 2009, section 6)."""
 
@@ -43,15 +43,15 @@ PHI_DIFF = _read_only(np.deg2rad(np.arange(180.0)))
 
 @cache
 def nodes_above_horizon() -> NDArray[np.bool_]:
-    """Nodes of the grid whose two directions are strictly above the horizon.
+    """Return which nodes of the grid have both directions strictly above the horizon.
 
     Returns
     -------
     ndarray of bool, shape (90, 90, 180)
-        Read-only; computed once.
+        Read-only; computed once and cached.
     """
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
-    for row, theta_half in enumerate(THETA_HALF):  # the whole grid at once would take 50 MB for a moment
+    for row, theta_half in enumerate(THETA_HALF):  # row by row, because the whole grid at once needs 50 MB
         above[row] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF)
     above.flags.writeable = False
     return above

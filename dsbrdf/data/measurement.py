@@ -1,4 +1,4 @@
-"""A measured isotropic BRDF on the angular grid of the MERL data base."""
+"""A measured isotropic BRDF on the angular grid of the MERL database."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class Measurement:
     Attributes
     ----------
     stored : ndarray, shape (3, 90, 90, 180)
-        The numbers exactly as the file holds them, read-only; axes (channel, theta_half,
+        The numbers exactly as in the file, read-only; axes (channel, theta_half,
         theta_diff, phi_diff).
     scale : ndarray, shape (3,)
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
@@ -37,28 +37,27 @@ class Measurement:
     def values(self) -> NDArray[np.float64]:
         """The BRDF in 1/sr, shape (3, 90, 90, 180); a new array (35 MB) at every call.
 
-        Only the nodes in ``valid`` carry a measured value.
+        Only the nodes in ``valid`` have a measured value.
         """
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 
     @classmethod
     def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> "Measurement":
-        """Make a measurement of an array, as if it had been written to a file and read back.
+        """Return the measurement with the given values, as if they had been written to a file and read back.
 
         Parameters
         ----------
         values : array_like, shape (3, 90, 90, 180)
-            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); negative where there is no
-            value.
+            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); negative means no value.
         valid : array_like of bool, shape (90, 90, 180), optional
-            Nodes that carry a value; the others are marked with a negative number, whatever they hold.
+            Nodes that have a value; the values of the others are replaced by -1.
         name : str
             The material's name.
 
         Returns
         -------
         Measurement
-            Its ``sha256`` is that of the encoded bytes, its ``values`` equal the given ones to rounding.
+            Its ``sha256`` is that of the encoded bytes; its ``values`` equal the given ones up to rounding.
 
         Raises
         ------

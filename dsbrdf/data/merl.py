@@ -4,8 +4,8 @@ A file is three little-endian int32 dimensions (90, 90, 180) followed by 3 x 90 
 float64 values, axes (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
 is the BRDF in 1/sr; a negative value marks a node without a measurement.
 
-`MerlChecker` takes the bytes in pieces of any size, so that a file can be checked while it arrives;
-`parse_merl` and `read_merl` go through the same code.
+`MerlChecker` accepts the bytes in pieces of any size, so that an upload can be checked while it arrives;
+`parse_merl` and `read_merl` use the same code.
 """
 
 import os
@@ -43,12 +43,12 @@ __all__ = [
 
 
 def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") -> Measurement:
-    """Measurement in the bytes of a MERL file.
+    """Return the measurement in the bytes of a MERL file.
 
     Parameters
     ----------
     data : bytes-like
-        The whole file. Immutable bytes are used in place, not copied.
+        The whole file. Immutable bytes are used without a copy.
     name : str
         The material's name.
 
@@ -83,8 +83,8 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
     Raises
     ------
     MeasurementFormatError
-        With one sentence that says what is wrong and what would be right. A file of a wrong header or length
-        is refused before its values are read.
+        With one sentence that says what is wrong and what would be right. The header and the length are
+        checked before the values are read.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -97,26 +97,26 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
         check_header(file.read(HEADER_SIZE))
         check_length(status.st_size)
         file.seek(0)
-        # One byte more than needed tells a file that has grown since.
+        # One byte more than needed shows whether the file has grown since.
         data = file.read(FILE_SIZE + 1)
     return parse_merl(data, source.stem)
 
 
 def encode_merl(measurement: Measurement | ArrayLike, valid: ArrayLike | None = None) -> bytes:
-    """Bytes of a MERL file.
+    """Return the bytes of a MERL file.
 
     Parameters
     ----------
     measurement : Measurement or array_like, shape (3, 90, 90, 180)
-        A measurement is encoded bit for bit as it was read; an array is the BRDF in 1/sr, negative where
-        there is no value.
+        A measurement is encoded bit for bit as it was read; an array is the BRDF in 1/sr, where negative
+        means no value.
     valid : array_like of bool, shape (90, 90, 180), optional
-        For an array: the nodes that carry a value. The others are stored as -1, whatever they hold.
+        For an array: the nodes that have a value. The others are stored as -1.
 
     Returns
     -------
     bytes
-        ``FILE_SIZE`` of them.
+        ``FILE_SIZE`` bytes.
 
     Raises
     ------
@@ -127,15 +127,15 @@ def encode_merl(measurement: Measurement | ArrayLike, valid: ArrayLike | None = 
 
 
 def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLike) -> None:
-    """Write a MERL ``.binary`` file, whole or not at all.
+    """Write a MERL ``.binary`` file, completely or not at all.
 
     Parameters
     ----------
     path : path-like
-        Where to write; an existing file is replaced.
+        The file to write; an existing one is replaced.
     measurement : Measurement or array_like, shape (3, 90, 90, 180)
-        A measurement is written bit for bit as it was read; an array is the BRDF in 1/sr, negative where
-        there is no value.
+        A measurement is written bit for bit as it was read; an array is the BRDF in 1/sr, where negative
+        means no value.
 
     Raises
     ------

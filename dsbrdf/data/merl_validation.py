@@ -1,7 +1,7 @@
-"""The bytes of a MERL ``.binary`` file, checked piece by piece while they arrive, and made of values.
+"""Validation of a MERL ``.binary`` file piece by piece while it arrives, and encoding of values.
 
-The order of precedence is fixed, whatever the pieces: the header, the length, then the values, so that one
-file always gets one and the same sentence. `dsbrdf.data.merl` describes the format.
+Whatever the pieces, the header is checked before the length and the length before the values, so that the same
+file always gives the same error message. `dsbrdf.data.merl` describes the format.
 """
 
 import hashlib
@@ -35,22 +35,22 @@ NODES = 90 * 90 * 180
 FILE_SIZE = HEADER_SIZE + 3 * NODES * 8
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 SCALE.flags.writeable = False
-LARGEST_VALUE = 1e8  # [1/sr]; no reflectance comes near it
+LARGEST_VALUE = 1e8  # [1/sr]; far larger than any BRDF value
 SMALLEST_VALID_SHARE = 0.01
 
-_FLOAT32_SIZE = HEADER_SIZE + 3 * NODES * 4
+_FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 _SHAPE = (len(CHANNELS), *GRID_SHAPE)
-_PIECE = 1 << 20
+_PIECE_SIZE = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 
 
 def check_header(header: bytes | bytearray | memoryview) -> None:
-    """Check the first 12 bytes of a file: its three dimensions, each on its own.
+    """Check the first 12 bytes of a file: its three dimensions.
 
     Parameters
     ----------
     header : bytes-like
-        At least the first 12 bytes; what follows is ignored.
+        At least the first 12 bytes; further ones are ignored.
 
     Raises
     ------
@@ -94,11 +94,11 @@ def check_length(n_bytes: int) -> None:
         return
     right = f"a MERL measurement has exactly {FILE_SIZE} bytes (12 + 3 x 90 x 90 x 180 x 8)"
     if n_bytes > FILE_SIZE:
-        # The sentence is the same whether the whole length is known or a stream was cut off.
+        # The message must not depend on whether the whole length is known.
         raise MeasurementFormatError(f"The data is longer than {FILE_SIZE} bytes; {right}.")
     if n_bytes == 0:
         raise MeasurementFormatError(f"The data is empty; {right}.")
-    if n_bytes == _FLOAT32_SIZE:
+    if n_bytes == _FLOAT32_FILE_SIZE:
         raise MeasurementFormatError(
             f"The data has {n_bytes} bytes, the length of float32 values; {right}, its values being float64."
         )
@@ -108,28 +108,28 @@ def check_length(n_bytes: int) -> None:
 class MerlChecker:
     """Check the bytes of a MERL file piece by piece, in bounded memory.
 
-    Feed every byte in order with `update`, then call `finish`. Beyond the piece at hand it keeps two bits per
-    node, 0.4 MB, so that many uploads can be checked side by side.
+    Pass all bytes in order to `update`, then call `finish`. Only two bits per node are kept, 0.4 MB, so that
+    many uploads can be checked at the same time.
 
     Attributes
     ----------
     n_bytes : int
-        How many bytes were seen.
+        Number of bytes so far.
     """
 
     def __init__(self) -> None:
         self.n_bytes = 0
         self._header = b""
-        self._rest = b""  # the first bytes of a value that the next piece completes
+        self._incomplete_value = b""  # the first bytes of a value that continues in the next piece
         self._n_values = 0
         self._measured = np.full(NODES // 8, 0xFF, dtype=np.uint8)  # bits: no channel is negative
         self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
         self._above = nodes_above_horizon().reshape(-1)
-        self._not_finite = _Fault()
-        self._too_large = _Fault()
+        self._not_finite = _FaultCount()
+        self._too_large = _FaultCount()
 
     def update(self, piece: bytes | bytearray | memoryview) -> None:
-        """Take the next bytes.
+        """Check the next bytes.
 
         Parameters
         ----------
@@ -139,8 +139,8 @@ class MerlChecker:
         Raises
         ------
         MeasurementFormatError
-            As soon as the header is wrong or there are more bytes than a file has. Wrong values are reported
-            by `finish`, because their count is part of the sentence.
+            As soon as the header is wrong or there are too many bytes. Wrong values are reported by `finish`,
+            because the message contains their number.
         """
         view = memoryview(piece).cast("B")
         if len(self._header) < HEADER_SIZE:
@@ -153,26 +153,26 @@ class MerlChecker:
         self.n_bytes += len(view)
         if self.n_bytes > FILE_SIZE:
             check_length(self.n_bytes)
-        if self._rest and len(view) > 0:
-            taken = 8 - len(self._rest)
-            self._rest += bytes(view[:taken])
+        if self._incomplete_value and len(view) > 0:
+            taken = 8 - len(self._incomplete_value)
+            self._incomplete_value += bytes(view[:taken])
             view = view[taken:]
-            if len(self._rest) == 8:
-                self._take(np.frombuffer(self._rest, dtype="<f8"))
-                self._rest = b""
+            if len(self._incomplete_value) == 8:
+                self._check_values(np.frombuffer(self._incomplete_value, dtype="<f8"))
+                self._incomplete_value = b""
         whole = len(view) // 8 * 8
         if whole:
-            self._take(np.frombuffer(view[:whole], dtype="<f8"))
+            self._check_values(np.frombuffer(view[:whole], dtype="<f8"))
         if whole < len(view):
-            self._rest = bytes(view[whole:])
+            self._incomplete_value = bytes(view[whole:])
 
     def finish(self) -> NDArray[np.bool_]:
-        """Conclude after the last byte.
+        """Return the valid nodes, after the last byte.
 
         Returns
         -------
         ndarray of bool, shape (90, 90, 180)
-            The valid nodes: no channel negative and both directions strictly above the horizon.
+            Nodes where no channel is negative and both directions are strictly above the horizon.
 
         Raises
         ------
@@ -202,22 +202,22 @@ class MerlChecker:
             raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
         return valid.reshape(GRID_SHAPE)
 
-    def _take(self, values: NDArray[np.float64]) -> None:
-        """Record whole values, which may span channels."""
+    def _check_values(self, values: NDArray[np.float64]) -> None:
+        """Check values of one or several channels."""
         while values.size:
             channel, node = divmod(self._n_values, NODES)
             part = values[: NODES - node]
             values = values[part.size :]
-            self._inspect(part, channel, slice(node, node + part.size))
+            self._check_channel_values(part, channel, slice(node, node + part.size))
             self._n_values += part.size
 
-    def _inspect(self, values: NDArray[np.float64], channel: int, nodes: slice) -> None:
+    def _check_channel_values(self, values: NDArray[np.float64], channel: int, nodes: slice) -> None:
         limit = LARGEST_VALUE / SCALE[channel]
-        with np.errstate(invalid="ignore"):  # a signalling NaN warns in every comparison
+        with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
             largest, smallest = values.max(), values.min()
             if not (np.isfinite(largest) and np.isfinite(smallest)):
                 self._not_finite.record(~np.isfinite(values), channel, nodes.start)
-            if largest > limit:  # a NaN hides the true maximum, but then it is the fault to name
+            if largest > limit:  # false if the maximum is NaN, which is reported first
                 self._too_large.record((values > limit) & self._above[nodes], channel, nodes.start)
             octets = slice(nodes.start // 8, -(-nodes.stop // 8))
             self._measured[octets] &= _packed(values >= 0.0, nodes.start % 8, fill=True)
@@ -225,14 +225,14 @@ class MerlChecker:
 
 
 def _packed(flags: NDArray[np.bool_], lead: int, *, fill: bool) -> NDArray[np.uint8]:
-    """Pack flags into whole bytes, the first of them behind ``lead`` bits that hold ``fill``, as the last ones do."""
+    """Pack flags into bytes, with ``lead`` bits equal to ``fill`` before them and as many as needed after them."""
     padded = np.full(-(-(lead + flags.size) // 8) * 8, fill, dtype=np.bool_)
     padded[lead : lead + flags.size] = flags
     return np.packbits(padded)
 
 
-class _Fault:
-    """How often a fault occurs, and where first."""
+class _FaultCount:
+    """The number of values with one kind of fault, and the position of the first."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -252,17 +252,17 @@ class _Fault:
 
 
 def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArray[np.bool_], str]:
-    """Values of a whole file, once every check has passed.
+    """Check a whole file and return its values.
 
     Parameters
     ----------
     data : bytes-like
-        The file; read-only, used in place.
+        The file; read-only, used without a copy.
 
     Returns
     -------
     stored : ndarray, shape (3, 90, 90, 180)
-        The numbers as the file holds them; a read-only view.
+        The numbers as in the file; a read-only view.
     valid : ndarray of bool, shape (90, 90, 180)
         The valid nodes, read-only.
     sha256 : str
@@ -277,8 +277,8 @@ def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArr
     check_header(view)
     check_length(len(view))
     checker, digest = MerlChecker(), hashlib.sha256()
-    for start in range(0, len(view), _PIECE):
-        piece = view[start : start + _PIECE]
+    for start in range(0, len(view), _PIECE_SIZE):
+        piece = view[start : start + _PIECE_SIZE]
         checker.update(piece)
         digest.update(piece)
     valid = checker.finish()
@@ -288,14 +288,14 @@ def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArr
 
 
 def encode_values(values: ArrayLike, valid: ArrayLike | None = None) -> Iterator[bytes | memoryview]:
-    """Bytes of the file that holds these values [1/sr], in pieces.
+    """Yield the bytes of the file with the given values [1/sr], in pieces.
 
     Parameters
     ----------
     values : array_like, shape (3, 90, 90, 180)
-        The BRDF in 1/sr, negative where there is no value.
+        The BRDF in 1/sr; negative means no value.
     valid : array_like of bool, shape (90, 90, 180), optional
-        Nodes that carry a value; the others are stored as -1, whatever they hold.
+        Nodes that have a value; the others are stored as -1.
 
     Raises
     ------
@@ -306,14 +306,14 @@ def encode_values(values: ArrayLike, valid: ArrayLike | None = None) -> Iterator
 
 
 def encode_stored(stored: NDArray[np.float64]) -> Iterator[bytes | memoryview]:
-    """Bytes of the file that holds these numbers, shape (3, 90, 90, 180), as they are, in pieces."""
+    """Yield the bytes of the file with the given stored numbers, shape (3, 90, 90, 180), in pieces."""
     yield HEADER
     for channel in stored:
         yield np.ascontiguousarray(channel, dtype="<f8").data.cast("B")
 
 
 def _stored(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
-    """Numbers for the file: values [1/sr] divided by the scale, -1 where there is none."""
+    """Return the numbers to store: values [1/sr] divided by the scale, -1 where there is no value."""
     try:
         brdf = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,8 +1,8 @@
 """Analytic measurements: a microfacet material with known parameters, or a model, on the full MERL grid.
 
 The material is the sum of a GGX microfacet lobe (Walter et al. 2007) with height-correlated Smith shadowing
-and Schlick's Fresnel term, and of the diffuse term of Ashikhmin and Shirley (2000), which gives to the
-surface reflection what it takes and keeps the sum reciprocal and energy conserving.
+and Schlick's Fresnel term, and of the diffuse term of Ashikhmin and Shirley (2000), which decreases where the
+surface reflection increases. The sum is reciprocal and conserves energy.
 """
 
 from typing import Protocol
@@ -21,10 +21,10 @@ _Triple = tuple[float, float, float]
 
 
 class BivariateModel(Protocol):
-    """Anything that gives RGB values of the half and the difference angle, such as `dsbrdf.DSBRDF`."""
+    """A model with RGB values for each half and difference angle, such as `dsbrdf.DSBRDF`."""
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> NDArray[np.float64]:
-        """Values in 1/sr, shape (..., 3), of angles in radians."""
+        """Return values in 1/sr, shape (..., 3), at angles in radians."""
         ...
 
 
@@ -37,7 +37,7 @@ def synthetic_measurement(
     seed: int = 0,
     name: str = "synthetic",
 ) -> Measurement:
-    """Measurement of an analytic material.
+    """Return the measurement of an analytic material.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def synthetic_measurement(
     """
     if not 0.005 <= roughness <= 1.0:
         raise InvalidArgumentError(f"roughness must be in [0.005, 1], not {roughness:g}.")
-    albedo, reflectance = _colour("diffuse", diffuse), _colour("specular", specular)
+    albedo, reflectance = _checked_colour("diffuse", diffuse), _checked_colour("specular", specular)
     above = nodes_above_horizon()
     cos_in, cos_out = (
         cosine[above] for cosine in incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF)
@@ -77,16 +77,16 @@ def synthetic_measurement(
     )
     lobe = _ggx(cos_half, cos_in, cos_out, roughness)
     grazing = (1.0 - cos_diff) ** 5
-    matte = 28.0 / (23.0 * np.pi) * (1.0 - (1.0 - cos_in / 2) ** 5) * (1.0 - (1.0 - cos_out / 2) ** 5)
+    diffuse_term = 28.0 / (23.0 * np.pi) * (1.0 - (1.0 - cos_in / 2) ** 5) * (1.0 - (1.0 - cos_out / 2) ** 5)
     values = np.full((3, *above.shape), -1.0)
     for channel in range(3):
         fresnel = reflectance[channel] + (1.0 - reflectance[channel]) * grazing
-        values[channel, above] = fresnel * lobe + albedo[channel] * (1.0 - reflectance[channel]) * matte
+        values[channel, above] = fresnel * lobe + albedo[channel] * (1.0 - reflectance[channel]) * diffuse_term
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 
 def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
-    """Measurement whose every node holds the value of a model.
+    """Return a measurement with the values of a model at all nodes.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 
     InvalidArgumentError
         If the noise is out of its range.
     MeasurementFormatError
-        If the model's values are no acceptable measurement, such as NaN.
+        If the model's values are not an acceptable measurement, such as NaN.
     """
     rows = np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)
     above = nodes_above_horizon()
@@ -119,7 +119,7 @@ def _ggx(
     cos_out: NDArray[np.float64],
     alpha: float,
 ) -> NDArray[np.float64]:
-    """GGX distribution times the shadowing of both directions, over 4 cos_in cos_out."""
+    """Return the GGX distribution times the shadowing of both directions, divided by 4 cos_in cos_out."""
     square = alpha * alpha
     # 1 + (square - 1) cos^2 = sin^2 + square cos^2, without the cancellation at cos = 1.
     slope = (1.0 - cos_half) * (1.0 + cos_half) + square * cos_half**2
@@ -130,7 +130,7 @@ def _ggx(
 
 
 def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.float64]:
-    """Values times log-normal noise of mean 1 and the given standard deviation."""
+    """Return the values times log-normal noise with mean 1 and the given standard deviation."""
     if not 0.0 <= noise <= 1.0:
         raise InvalidArgumentError(f"noise must be in [0, 1], not {noise:g}.")
     if noise == 0.0:
@@ -140,7 +140,7 @@ def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.f
     return np.asarray(values * np.exp(np.sqrt(variance) * normal - variance / 2), dtype=np.float64)
 
 
-def _colour(name: str, colour: _Triple) -> NDArray[np.float64]:
+def _checked_colour(name: str, colour: _Triple) -> NDArray[np.float64]:
     values = np.asarray(colour, dtype=np.float64)
     if values.shape != (3,) or not ((values >= 0.0) & (values <= 1.0)).all():
         raise InvalidArgumentError(f"{name} must be three numbers (RGB) in [0, 1], not {colour}.")

@@ -1,8 +1,8 @@
-"""Where fits run: processes of this machine or of a Dask cluster."""
+"""Where fits run: in this process, in processes of this machine, or on a Dask cluster."""
 
 from dsbrdf.engines.batch import fit_files
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Fitted, Limits, Outcome
+from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask, Fitted, Outcome
 from dsbrdf.engines.local import LocalEngine
 
-__all__ = ["DaskEngine", "Engine", "Fault", "FitTask", "Fitted", "Limits", "LocalEngine", "Outcome", "fit_files"]
+__all__ = ["DaskEngine", "Engine", "Fault", "FitLimits", "FitTask", "Fitted", "LocalEngine", "Outcome", "fit_files"]

@@ -1,4 +1,4 @@
-"""Fitting many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
+"""Fits of many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
 
 import asyncio
 import json
@@ -6,46 +6,45 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Outcome
+from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome
+from dsbrdf.engines.fit_steps import compute, run_step
 from dsbrdf.engines.local import LocalEngine
-from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import from_json, save
+from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
-UNREADABLE = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
-"""Errors of the operating system that mean a wrong path, not a fault of the machine."""
-
-_PATIENCE = 15.0  # seconds that a cluster gets to answer and to have a worker
+_CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
 
 _Message = tuple[int, "float | FileFit"]
 
 
 @dataclass(frozen=True)
 class FileFit:
-    """What became of one file.
+    """The fit of one file, or why it failed.
 
     Attributes
     ----------
     file : Path
         The measurement.
     output : Path or None
-        The model's file; None where nothing was to be written.
+        The model's file; None if no folder was given.
     result : FitResult or None
-        The fit; None where it failed.
+        The fit; None if it failed.
     error : str or None
         One sentence that says why it failed.
     lost : bool
-        Whether it failed through no fault of the measurement: its process died, or the machine could not read it.
+        Whether it failed for a reason other than the measurement: its process died, or the disk could not be read.
     warnings : tuple of str
-        Sentences of the fit about its convergence.
+        Messages about the convergence of the fit.
     resumed : bool
         Whether the result was taken from an earlier run.
     """
@@ -59,24 +58,19 @@ class FileFit:
     resumed: bool = False
 
 
-def default_jobs() -> int:
-    """Return the number of CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def measurement_files(paths: Sequence[Path]) -> list[Path]:
     """Replace every folder by the ``.binary`` files in it.
 
     Raises
     ------
     InvalidArgumentError
-        If a folder holds none.
+        If a folder contains none.
     """
     files: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.binary")) if path.is_dir() else [path]
         if not inside:
-            raise InvalidArgumentError(f"{path} holds no .binary file; name a folder of measurements, or files")
+            raise InvalidArgumentError(f"{path} contains no .binary file; name a folder of measurements, or files")
         files += inside
     return files
 
@@ -91,10 +85,10 @@ def fit_files(
     force: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Generator[FileFit, None, None]:
-    """Fit files, several at once, in processes of their own.
+    """Fit files: a single one in this process, several at once in processes of their own.
 
-    Every model is written as soon as its fit is done, by this process, whole or not at all.  Closing the iterator
-    ends the processes.
+    Every model is written completely or not at all, as soon as its fit is done.  Closing the iterator ends the
+    processes.
 
     Parameters
     ----------
@@ -105,14 +99,15 @@ def fit_files(
     folder : Path, optional
         Where to write ``NAME.json`` for each file; made if it does not exist.
     jobs : int, optional
-        Fits that run at once; by default one for each CPU.  With a scheduler: measurements that are read at once.
+        Most fits at once; by default one for each processor core.  With a scheduler: most measurements read at once.
     scheduler : str, optional
-        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers fit; see `dsbrdf.engines.dask`.
+        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers compute the fits; see
+        `dsbrdf.engines.dask`.
     force : bool, optional
-        Fit again where the folder holds a fit already.  Otherwise a fit is kept that is younger than its
-        measurement and was made with the same options by the same version of the algorithm.
+        Fit every file again.  Otherwise a fit in the folder is kept if it is newer than its measurement and was made
+        with the same options by the same version of the algorithm.
     progress : callable, optional
-        Called with the number of files done, fractions included.
+        Called with the number of finished files, fractions included.
 
     Yields
     ------
@@ -126,25 +121,21 @@ def fit_files(
     OSError
         If an output cannot be written, or no worker of the cluster can be reached.
     MissingExtraError
-        If there is a scheduler and Dask is not installed.
+        If a scheduler is given and Dask is not installed.
     """
     if jobs is not None and jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
     outputs = _outputs(files, folder)
-    count = default_jobs() if jobs is None else jobs
+    known = (_known_result(*pair, options, force=force) for pair in zip(files, outputs, strict=True))
+    if len(files) == 1 and scheduler is None:
+        yield _written(next(known) or _fit_here(files[0], options, progress), outputs[0])
+        return
+    count = core_count() if jobs is None else jobs
     engine = LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count)
     done: dict[int, FileFit] = {}
     shares = [0.0] * len(files)
     yielded = 0
-
-    def to_fit() -> Iterator[tuple[int, Path, FileFit | None]]:
-        for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            known = _unreadable(file)
-            if known is None and output is not None and not force:
-                known = _earlier_fit(file, output, options)
-            yield number, file, known
-
-    with closing(_messages(engine, to_fit(), options)) as messages:
+    with closing(_messages(engine, zip(files, known, strict=True), options)) as messages:
         for number, message in messages:
             if isinstance(message, FileFit):
                 done[number] = _written(message, outputs[number])
@@ -157,13 +148,29 @@ def fit_files(
                 yielded += 1
 
 
-def _messages(
-    engine: Engine, files: Iterable[tuple[int, Path, FileFit | None]], options: FitOptions
-) -> Generator[_Message, None, None]:
-    """Fit the files of which nothing is known; closing the iterator, or an exception in it, ends the processes at once.
+def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
+    """Return the result of a file that need not be fitted: it cannot be opened, or an earlier fit can be kept."""
+    result = _unreadable(file)
+    if result is None and output is not None and not force:
+        result = _earlier_fit(file, output, options)
+    return result
 
-    The engine's event loop is in a thread of its own: it goes on while the caller does something else, and the caller
-    may have one itself.
+
+def _fit_here(file: Path, options: FitOptions, progress: OnProgress | None) -> FileFit:
+    """Fit a file in this process, which takes less time than to start another one."""
+    on_progress = progress or (lambda _: None)
+    result = _file_fit(file, run_step(compute, FitTask(file.stem, file, options), on_progress))
+    on_progress(1.0)
+    return result
+
+
+def _messages(
+    engine: Engine, files: Iterable[tuple[Path, FileFit | None]], options: FitOptions
+) -> Generator[_Message, None, None]:
+    """Yield the finished share or the result of each file, by its number; closing the iterator ends the processes.
+
+    The engine's event loop runs in a thread of its own, so that it does not stop while the caller works, and the caller
+    may have an event loop too.
     """
     messages: queue.SimpleQueue[_Message | BaseException | None] = queue.SimpleQueue()
     loop = asyncio.new_event_loop()
@@ -190,28 +197,28 @@ def _messages(
 
 async def _fit_all(
     engine: Engine,
-    files: Iterable[tuple[int, Path, FileFit | None]],
+    files: Iterable[tuple[Path, FileFit | None]],
     options: FitOptions,
-    tell: Callable[[_Message], None],
+    notify: Callable[[_Message], None],
 ) -> None:
-    async def fit_one(number: int, file: Path, begun: asyncio.Event) -> None:
-        async with engine.turn():
-            begun.set()
-            outcome = await engine.run(FitTask(file.stem, file, options), lambda share: tell((number, share)))
-        tell((number, _file_fit(file, outcome)))
+    async def fit_one(number: int, file: Path, started: asyncio.Event) -> None:
+        async with engine.slot():
+            started.set()
+            outcome = await engine.run(FitTask(file.stem, file, options), lambda share: notify((number, share)))
+        notify((number, _file_fit(file, outcome)))
 
     tasks: set[asyncio.Task[None]] = set()
     try:
-        for number, file, known in files:
+        for number, (file, known) in enumerate(files):
             if known is not None:
-                tell((number, known))
+                notify((number, known))
                 continue
             if not tasks:
                 await engine.start()
                 await _until_ready(engine)
-            begun = asyncio.Event()
-            tasks.add(asyncio.create_task(fit_one(number, file, begun)))
-            await begun.wait()
+            started = asyncio.Event()
+            tasks.add(asyncio.create_task(fit_one(number, file, started)))
+            await started.wait()
         await asyncio.gather(*tasks)
     finally:
         for task in tasks:
@@ -221,7 +228,7 @@ async def _fit_all(
 
 
 async def _until_ready(engine: Engine) -> None:
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _CLUSTER_TIMEOUT
     while True:
         try:
             return await engine.check()
@@ -243,16 +250,16 @@ def _file_fit(file: Path, outcome: Outcome) -> FileFit:
 
 
 def _unreadable(file: Path) -> FileFit | None:
-    """Tell at once of a file that cannot be opened."""
+    """Return the failure of a file that cannot be opened, without waiting for a process."""
     try:
-        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # a pipe without a writer would block
+        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
     except OSError as error:
-        return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, UNREADABLE))
+        return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
     return None
 
 
 def _written(item: FileFit, output: Path | None) -> FileFit:
-    """Write the model, if there is one and somewhere to write it."""
+    """Write the model to its output, if there are both, and return the result with the output named."""
     if item.result is None or output is None or item.resumed:
         return item
     save(item.result, output)
@@ -275,7 +282,7 @@ def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None
 
 
 def _earlier_fit(file: Path, output: Path, options: FitOptions) -> FileFit | None:
-    """Return the fit in ``output`` if it is the one that would be made now."""
+    """Return the fit in ``output`` if a new fit would give the same."""
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
             return None

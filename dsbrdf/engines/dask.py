@@ -1,33 +1,32 @@
 """Fits on the workers of a Dask cluster.
 
-The measurement is read and reduced in a child process of this machine, the fit runs in a child process of a worker,
-and only the profiles travel, some 0.3 MB. Workers have to have the same versions as this machine and must be allowed
-to start processes; the others of the cluster are not used. A worker that is lost takes its fits with it, and these run
-again on another one; when the scheduler comes back after it was lost, everything unfinished is sent once more.
+The measurement is read and reduced in a worker process of this machine, the fit runs in a child process of a Dask
+worker, and only the profiles are sent, about 0.3 MB. Dask workers need the same versions of the software as this
+machine and permission to start child processes; other workers of the cluster are not used. The fits of a worker that is
+lost run again on another one; after the connection to the scheduler was lost, all unfinished fits are sent again.
 
-A Dask cluster runs whatever it is sent by whoever can connect to it, unless TLS is set up in Dask's configuration.
+Anyone who can connect to a Dask cluster can run any code on it, unless TLS is set up in Dask's configuration.
 """
 
 import asyncio
 import importlib
 import logging
 import time
-from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from typing import Any
 
 from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError
-from dsbrdf.engines.engine import Fault, FitTask, Fitted, Limits, Outcome
-from dsbrdf.engines.fair_slots import Places
-from dsbrdf.engines.fit_task import Reduced, complete, fit_parcel, reduce
-from dsbrdf.engines.local import Children
-from dsbrdf.engines.worker_process import Child, start_fork_server
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask, Fitted, OnProgress, Outcome
+from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.fit_steps import ReducedMeasurement, complete_report, fit_payload, reduce_measurement
+from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 
-_TELL = 0.2  # seconds between two messages of a fit's progress, which cost worker, scheduler and this machine
-_LOST_WORKERS = 3  # that one fit may outlive before it is given up: as many as Dask allows a task
+_PROGRESS_INTERVAL = 0.2  # seconds between two progress messages of a fit; each costs time on three machines
+_MAX_LOST_WORKERS = 3  # a fit fails when it has lost more workers: the limit that Dask has for its tasks
 
 logger = logging.getLogger(__name__)
 
@@ -40,10 +39,10 @@ class DaskEngine:
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     helpers : int
-        Child processes of this machine at once, which read measurements.  So many fits are prepared ahead for workers
-        of other machines, which then need not wait; those of this machine would only have to share its cores.
-    limits : Limits, optional
-        Of each process, here and on the workers.
+        Most worker processes of this machine at once; they read measurements.  As many fits are prepared in advance if
+        Dask workers run on other machines, so that these need not wait.
+    limits : FitLimits, optional
+        Of each process, on this machine and on the Dask workers.
 
     Raises
     ------
@@ -51,61 +50,63 @@ class DaskEngine:
         If Dask distributed is not installed.
     """
 
-    def __init__(self, scheduler: str, helpers: int, limits: Limits | None = None) -> None:
+    def __init__(self, scheduler: str, helpers: int, limits: FitLimits | None = None) -> None:
         require("dask", "distributed", purpose="fits on a Dask cluster")
-        self._limits = limits or Limits()
-        self._children = Children(helpers, self._limits)
-        self._turns = Places()
+        self._limits = limits or FitLimits()
+        self._processes = WorkerProcesses(helpers, self._limits)
+        self._slots = FairSlots()
         self._helpers = helpers
-        self._cluster = Cluster(scheduler, self._make_room)
-        self._keeping: asyncio.Task[None] | None = None
+        self._cluster = Cluster(scheduler, self._resize_slots)
+        self._connection_task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Begin to look for the scheduler."""
+        """Begin to connect to the scheduler."""
         await asyncio.to_thread(start_fork_server)
         await asyncio.to_thread(importlib.import_module, "distributed")
-        # What it would say of a connection that is lost, in pages, is said here in a line.
+        # It logs a lost connection with pages of traces; `Cluster` logs one line instead.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-        self._keeping = asyncio.create_task(self._cluster.keep())
+        self._connection_task = asyncio.create_task(self._cluster.stay_connected())
 
-    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
-        """Wait until the cluster has a thread for one more fit, or one may be prepared meanwhile."""
-        return self._turns.one(whose)
+    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
+        """Wait until the cluster has a thread for one more fit, or until one more may be prepared in advance."""
+        return self._slots.slot(owner)
 
-    async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
-        """Compute `task`; a worker on which a cancelled call has begun frees its processor within a moment."""
-        reduced: Reduced | Fault = await self._children.run(reduce, task, tell=_ignore)
+    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
+        reduced: ReducedMeasurement | Fault = await self._processes.run(reduce_measurement, task, on_progress=_ignore)
         if isinstance(reduced, Fault):
             return reduced
-        outcome = await self._fit(reduced.packed, task.options, _rising(on_progress))
+        outcome = await self._fit(reduced.payload, task.options, _increasing(on_progress))
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._children.run(complete, outcome, task, reduced.sha256, tell=_ignore)
+        completed: Outcome = await self._processes.run(
+            complete_report, outcome, task, reduced.sha256, on_progress=_ignore
+        )
         return completed
 
     async def check(self) -> None:
-        """Raise RuntimeError if the scheduler is away, or has no worker that can run fits."""
+        """Raise RuntimeError if the scheduler cannot be reached or has no worker that can run fits."""
         fault = self._cluster.fault()
         if fault is not None:
             raise RuntimeError(fault)
 
     async def close(self) -> None:
-        """Leave the cluster; the calls of `run` have to be cancelled or over."""
-        if self._keeping is not None:
-            self._keeping.cancel()
-            await asyncio.wait([self._keeping])
-        await self._children.close()
+        """Disconnect from the cluster; all calls of `run` must have ended or been cancelled."""
+        if self._connection_task is not None:
+            self._connection_task.cancel()
+            await asyncio.wait([self._connection_task])
+        await self._processes.close()
 
-    def _make_room(self, threads: int, elsewhere: bool) -> None:
-        self._turns.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
+    def _resize_slots(self, threads: int, elsewhere: bool) -> None:
+        self._slots.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
 
-    async def _fit(self, packed: bytes, options: FitOptions, tell: Callable[[float], None]) -> Fitted | Fault:
+    async def _fit(self, payload: bytes, options: FitOptions, on_progress: OnProgress) -> Fitted | Fault:
         lost = 0
-        while lost <= _LOST_WORKERS:
-            async with self._cluster.threads.one() as worker:
+        while lost <= _MAX_LOST_WORKERS:
+            async with self._cluster.threads.slot() as worker:
                 try:
                     outcome: Fitted | Fault = await self._cluster.call(
-                        worker, tell, fit_on_worker, packed, options, self._limits
+                        worker, on_progress, fit_on_worker, payload, options, self._limits
                     )
                 except LostError as error:
                     logger.warning("a fit on the worker %s has to run again: %s", worker, error)
@@ -118,35 +119,36 @@ class DaskEngine:
         return Fault("system", "WorkerLost", f"{lost} workers of the Dask cluster were lost while they ran this fit.")
 
 
-def fit_on_worker(packed: bytes, options: FitOptions, limits: Limits) -> Outcome:
-    """Fit a parcel in a child process of the Dask worker that calls this, as long as anyone wants the result."""
+def fit_on_worker(payload: bytes, options: FitOptions, limits: FitLimits) -> Outcome:
+    """Fit a payload in a child process of the Dask worker that calls this; end it if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
 
     worker = get_worker()
     key = worker.get_current_task()
 
-    told = 0.0
+    last_sent = 0.0
 
-    def tell(share: float) -> None:
-        nonlocal told
+    def send_progress(share: float) -> None:
+        nonlocal last_sent
         now = time.monotonic()
-        if now - told < _TELL and share < 1.0:
+        if now - last_sent < _PROGRESS_INTERVAL and share < 1.0:
             return
-        told = now
+        last_sent = now
         worker.log_event(TOPIC, {"key": key, "share": share})
 
-    def wanted() -> bool:
-        # Dask leaves what runs alone when it is cancelled, when its client is gone and when the worker has to close.
+    def still_wanted() -> bool:
+        # Dask does not stop a running task when it is cancelled, its client has gone or the worker closes.
         state = worker.state.tasks.get(key)
         return state is not None and state.state == "executing" and worker.status not in (Status.closing, Status.closed)
 
-    outcome: Outcome = Child(fit_parcel, (packed, options), _share(limits, worker)).supervise(tell, wanted)
+    process = WorkerProcess(fit_payload, (payload, options), _with_memory_share(limits, worker))
+    outcome: Outcome = process.run(send_progress, still_wanted)
     return outcome
 
 
-def _share(limits: Limits, worker: Any) -> Limits:
-    """Keep the fits of a worker together within the memory that the worker was given."""
+def _with_memory_share(limits: FitLimits, worker: Any) -> FitLimits:
+    """Lower the memory limit to the fit's share of the worker's memory, which all of its threads use."""
     memory: int | None = worker.memory_manager.memory_limit
     if memory is None:
         return limits
@@ -154,18 +156,18 @@ def _share(limits: Limits, worker: Any) -> Limits:
     return replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
 
 
-def _rising(tell: Callable[[float], None]) -> Callable[[float], None]:
-    """Hold back shares that are not larger than all before: a fit that runs again begins anew."""
+def _increasing(on_progress: OnProgress) -> OnProgress:
+    """Pass on only shares that are larger than all before: a fit that runs again starts from 0."""
     highest = 0.0
 
-    def told(share: float) -> None:
+    def filtered(share: float) -> None:
         nonlocal highest
         if share > highest:
             highest = share
-            tell(share)
+            on_progress(share)
 
-    return told
+    return filtered
 
 
 def _ignore(_: float) -> None:
-    """Reading takes no time that would be worth telling."""
+    """Take no notice of the progress of reading, which takes little time."""

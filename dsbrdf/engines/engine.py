@@ -1,10 +1,10 @@
 """Where fits run.
 
-An engine takes tasks and gives outcomes; it knows nothing of rows, requests or output files. A task names a file of
-this machine; an engine that computes elsewhere sends the measurement's profiles there, not the file.
+An engine turns tasks into outcomes; it knows nothing of database rows, requests or output files. A task names a file
+on this machine; an engine that computes on other machines sends them the measurement's profiles, not the file.
 
-`dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both keep the same
-promises: the same document for the same task, a failure of one fit touches no other, and nothing outlives its engine.
+`dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both give the same
+document for the same task, a fit that fails does not affect the others, and no process outlives its engine.
 """
 
 import math
@@ -18,13 +18,16 @@ from dsbrdf.fitting.options import FitOptions
 
 Origin = Literal["input", "compute", "system"]
 
+OnProgress = Callable[[float], None]
+"""Called with the finished share of a fit, 0 to 1."""
+
 NOT_STARTED = "ProcessNotStarted"
-"""The type of the fault of a machine that cannot start a process just now; the fit itself has not been tried."""
+"""Type of the fault when no process could be started: the fit itself has not been tried."""
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What one fit may take.
+class FitLimits:
+    """Limits of one fit.
 
     Attributes
     ----------
@@ -40,7 +43,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class FitTask:
-    """One fit to be computed.
+    """One fit to compute.
 
     Attributes
     ----------
@@ -63,11 +66,11 @@ class Fitted:
     Attributes
     ----------
     document : str
-        Model and report as the library's JSON.
+        Model and report as JSON, see `dsbrdf.output.serialize`.
     metrics : dict
         Those of the report.
     warnings : tuple of str
-        Sentences of the fit about its convergence.
+        Messages about its convergence.
     """
 
     document: str
@@ -82,10 +85,10 @@ class Fault:
     Attributes
     ----------
     origin : {"input", "compute", "system"}
-        ``input``: the measurement or the options do not allow a fit. ``compute``: the computation broke, or
-        met its time or memory limit. ``system``: the process was lost to no fault of the fit.
+        ``input``: the measurement or the options do not allow a fit. ``compute``: the computation failed, or
+        reached its time or memory limit. ``system``: the process was lost for a reason outside of the fit.
     type : str
-        Stable name of the fault, for scripts.
+        Name of the fault, which stays the same between releases, for scripts.
     message : str
         One sentence.
     """
@@ -99,30 +102,30 @@ Outcome = Fitted | Fault
 
 
 class Engine(Protocol):
-    """The five calls that every engine has."""
+    """What every engine offers."""
 
     async def start(self) -> None:
-        """Get ready to run fits; an engine whose machines are away goes on looking for them by itself."""
+        """Get ready to run fits; an engine that cannot reach its machines keeps trying by itself."""
         ...
 
-    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
-        """Wait until a fit may be begun: as many are in flight as the engine has room for. `run` belongs inside.
+    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
+        """Wait until the engine has room for one more fit; call `run` inside the block.
 
-        First come, first served among the fits of one owner; owners take turns.
+        Owners take turns; the fits of one owner start in the order in which they were submitted.
         """
         ...
 
-    async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
-        """Compute `task`; `on_progress` gets the finished share, 0 to 1, which never falls.
+    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        """Compute a task; `on_progress` gets the finished share, 0 to 1, which never decreases.
 
-        Cancelling the awaiting task stops the computation and frees what it used.
+        Cancelling this call stops the computation and frees what it used.
         """
         ...
 
     async def check(self) -> None:
-        """Raise RuntimeError, with one sentence, unless fits can run now."""
+        """Raise RuntimeError with one sentence if no fit can run now."""
         ...
 
     async def close(self) -> None:
-        """Give back what `start` took; the calls of `run` have to be cancelled or over."""
+        """Release what `start` acquired; all calls of `run` must have ended or been cancelled."""
         ...

@@ -1,4 +1,4 @@
-"""Turns at places that take only so many at once."""
+"""A limited number of slots, given out fairly to those who wait."""
 
 import asyncio
 from collections import Counter, deque
@@ -6,48 +6,47 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 
 
-class Places:
-    """Places with a capacity each, which may change at any time.
+class FairSlots:
+    """Slots of one or several places, each with a capacity that may change at any time.
 
-    Those who wait for somebody are served in turns with those who wait for somebody else, and who of them comes first
-    is served first.
+    Owners take turns; the requests of one owner are served in the order in which they came.
 
-    All calls belong into one event loop.
+    All calls must be made in one event loop.
 
     Parameters
     ----------
     capacity : mapping of str to int, optional
-        How many each place takes.
+        Number of slots of each place.
     """
 
     def __init__(self, capacity: Mapping[str, int] | None = None) -> None:
         self._capacity = dict(capacity or {})
         self._taken: Counter[str] = Counter()
-        self._waiting: dict[str, deque[asyncio.Future[str]]] = {}  # in the order of their turns
+        self._waiting: dict[str, deque[asyncio.Future[str]]] = {}  # by owner; the next owner to be served comes first
 
     def resize(self, capacity: Mapping[str, int]) -> None:
-        """Change places and capacities; who holds a place that is gone keeps the hold until it ends."""
+        """Change the places and their capacities; a slot of a removed place stays taken until it is released."""
         self._capacity = dict(capacity)
         self._serve()
 
     @asynccontextmanager
-    async def one(self, whose: str = "") -> AsyncIterator[str]:
-        """Wait for a place on behalf of somebody and hold it during the block; the emptiest is taken."""
-        turn: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._waiting.setdefault(whose, deque()).append(turn)
+    async def slot(self, owner: str = "") -> AsyncIterator[str]:
+        """Wait for a slot, hold it during the block, and yield its place: the one with the most free slots."""
+        granted: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(owner, deque()).append(granted)
         self._serve()
         try:
-            place = await turn
+            place = await granted
         except asyncio.CancelledError:
-            if turn.done() and not turn.cancelled():  # it was given in the same moment
-                self._give_back(turn.result())
+            if granted.done() and not granted.cancelled():  # cancelled just after the slot was granted
+                self._release(granted.result())
             raise
         try:
             yield place
         finally:
-            self._give_back(place)
+            self._release(place)
 
-    def _give_back(self, place: str) -> None:
+    def _release(self, place: str) -> None:
         self._taken[place] -= 1
         if self._taken[place] <= 0:
             del self._taken[place]
@@ -55,11 +54,11 @@ class Places:
 
     def _serve(self) -> None:
         while self._waiting:
-            whose, waiting = next(iter(self._waiting.items()))
+            owner, waiting = next(iter(self._waiting.items()))
             if waiting and waiting[0].done():  # cancelled while it waited
                 waiting.popleft()
             elif not waiting:
-                del self._waiting[whose]
+                del self._waiting[owner]
             else:
                 free = {place: count - self._taken[place] for place, count in self._capacity.items()}
                 place = max(free, key=free.__getitem__, default=None)
@@ -67,4 +66,4 @@ class Places:
                     return
                 self._taken[place] += 1
                 waiting.popleft().set_result(place)
-                self._waiting[whose] = self._waiting.pop(whose)  # behind the others
+                self._waiting[owner] = self._waiting.pop(owner)  # behind the other owners

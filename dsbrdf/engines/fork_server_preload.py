@@ -1,4 +1,4 @@
-"""What the server that children are forked from does before the first of them: what all of them need is made once."""
+"""Imported once by the server from which worker processes are forked, so that every worker finds its imports done."""
 
 import atexit
 import os
@@ -7,8 +7,8 @@ import shutil
 from dsbrdf.data.grid import nodes_above_horizon
 from dsbrdf.engines.worker_process import SERVER_FOLDER
 
-nodes_above_horizon()
+nodes_above_horizon()  # the result is cached, and the workers share its memory
 
 if SERVER_FOLDER in os.environ:
-    # Who has started the server removes it, too, but not after a kill -9.
+    # The process that started the server removes the folder too, but cannot do so after a kill -9.
     atexit.register(shutil.rmtree, os.environ.pop(SERVER_FOLDER), ignore_errors=True)

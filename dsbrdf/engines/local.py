@@ -1,4 +1,4 @@
-"""Fits on this machine: one child process a fit."""
+"""Fits on this machine: one worker process a fit."""
 
 import asyncio
 import contextvars
@@ -7,48 +7,49 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
-from dsbrdf.engines.engine import FitTask, Limits, Outcome
-from dsbrdf.engines.fair_slots import Places
-from dsbrdf.engines.fit_task import compute
-from dsbrdf.engines.worker_process import Child, start_fork_server
+from dsbrdf.engines.engine import FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.fit_steps import compute
+from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 
 
-class Children:
-    """Child processes of this machine, so many at once; more wait.
+class WorkerProcesses:
+    """Worker processes of this machine, a limited number at once; further calls wait.
 
     Parameters
     ----------
     count : int
-    limits : Limits
-        Of each.
+        Most processes at once.
+    limits : FitLimits
+        Of each process.
     """
 
-    def __init__(self, count: int, limits: Limits) -> None:
+    def __init__(self, count: int, limits: FitLimits) -> None:
         self._limits = limits
         self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
 
-    async def run(self, work: Callable[..., Any], *arguments: Any, tell: Callable[[float], None]) -> Any:
-        """Call ``work(*arguments, report)`` in a new process; a cancelled call returns when the process is gone.
+    async def run(self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress) -> Any:
+        """Call ``step(*arguments, on_progress)`` in a new process; when cancelled, end the process before returning.
 
         Returns
         -------
         object
-            What `work` returns, or a `Fault`.
+            What `step` returns, or a `Fault`.
         """
         loop = asyncio.get_running_loop()
-        child = Child(work, arguments, self._limits)
+        process = WorkerProcess(step, arguments, self._limits)
 
-        def tell_loop(share: float) -> None:
-            loop.call_soon_threadsafe(tell, share)
+        def progress_in_loop(share: float) -> None:
+            loop.call_soon_threadsafe(on_progress, share)
 
-        context = contextvars.copy_context()  # what the caller has bound for its log lines
-        supervision = self._threads.submit(context.run, child.supervise, tell_loop)
+        context = contextvars.copy_context()  # carries the fields that the caller has bound for its log lines
+        supervision = self._threads.submit(context.run, process.run, progress_in_loop)
         ended = asyncio.wrap_future(supervision)
         try:
             return await asyncio.shield(ended)
         except asyncio.CancelledError:
-            if not supervision.cancel():  # it has a thread: it does not only wait for one
-                child.stop()
+            if not supervision.cancel():  # it runs already
+                process.stop()
                 await asyncio.wait([ended])
             raise
 
@@ -63,35 +64,35 @@ class LocalEngine:
     Parameters
     ----------
     workers : int
-        Fits that run at once; more wait.
-    limits : Limits, optional
-        Of each.
+        Most fits at once; further ones wait.
+    limits : FitLimits, optional
+        Of each fit.
     """
 
-    def __init__(self, workers: int, limits: Limits | None = None) -> None:
-        self._turns = Places({"here": workers})
-        self._children = Children(workers, limits or Limits())
+    def __init__(self, workers: int, limits: FitLimits | None = None) -> None:
+        self._slots = FairSlots({"here": workers})
+        self._processes = WorkerProcesses(workers, limits or FitLimits())
 
     async def start(self) -> None:
-        """Start what children are forked from."""
+        """Start the server from which worker processes are forked."""
         await asyncio.to_thread(start_fork_server)
 
-    def turn(self, whose: str = "") -> AbstractAsyncContextManager[object]:
-        """Wait for one of the workers."""
-        return self._turns.one(whose)
+    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
+        """Wait until a worker process may be started."""
+        return self._slots.slot(owner)
 
-    async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
-        """Compute `task` in a new process; a cancelled call returns when the process is gone."""
-        outcome: Outcome = await self._children.run(compute, task, tell=on_progress)
+    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        """Compute a task in a new process; when cancelled, end the process before returning."""
+        outcome: Outcome = await self._processes.run(compute, task, on_progress=on_progress)
         return outcome
 
     async def check(self) -> None:
-        """Start what children are forked from, if it has ended."""
+        """Start the fork server again if it has ended; raise RuntimeError if that is not possible."""
         try:
             await asyncio.to_thread(start_fork_server)
         except OSError as error:
             raise RuntimeError(f"No process can be started: {error}.") from error
 
     async def close(self) -> None:
-        """Release the threads; the calls of `run` have to be cancelled or over."""
-        await self._children.close()
+        """Release the threads; all calls of `run` must have ended or been cancelled."""
+        await self._processes.close()

@@ -1,4 +1,4 @@
-"""What a fit can be turned into: documents, tables, pictures and files of other programs."""
+"""Results of a fit for people and other programs: stored models, text, figures, exported files."""
 
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.serialize import load, save

@@ -1,11 +1,11 @@
-"""Pictures of a fit, in the style of Nishino 2009, Figure 1.
+"""Figures of a fit, in the style of Nishino 2009, Figure 1.
 
-Every function returns a `matplotlib.figure.Figure` that belongs to the caller alone: nothing here touches
-pyplot or any other global state, so figures may be made in any thread.  Matplotlib is the extra ``plot``.
+Every function returns a new `matplotlib.figure.Figure`.  Neither pyplot nor other global state is used, so figures may
+be made in any thread.  Matplotlib is the extra ``plot``.
 
 Profiles are mirrored to -90..90 degrees of theta_half, as in the paper.  They span orders of magnitude, so every
-slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on the
-linear axis of the paper.
+slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as
+in the paper.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
-"""The slices that are drawn unless told otherwise [rad]."""
+"""The slices that are drawn by default [rad]."""
 
-FORMATS = ("png", "svg", "pdf")
-"""What `render` can make."""
+IMAGE_FORMATS = ("png", "svg", "pdf")
+"""Formats of `encode_figure`."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LOBE_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
 DELTA_COLOUR = "#868e96"
 LINE_STYLES = ("-", "--", ":", "-.")
-CURVE = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
-HEIGHT = 3.4  # of a row of panels, in inches
+CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
+ROW_HEIGHT = 3.4  # of a row of panels, in inches
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
@@ -70,7 +70,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[f
         If matplotlib is not installed.
     """
     rows = _nearest_rows(theta_diff)
-    figure = _canvas(len(rows), height=HEIGHT)
+    figure = _empty_figure(len(rows), height=ROW_HEIGHT)
     figure.suptitle(profiles.name)
     _profiles_row(figure, profiles, model, rows)
     return figure
@@ -83,14 +83,14 @@ def lobes_figure(
     theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
     channel: str = "red",
 ) -> Figure:
-    """Individual lobes (coloured by component) under their sum (black) (Nishino 2009, Figure 1, row b).
+    """Individual lobes (coloured by component) and their sum (black) (Nishino 2009, Figure 1, row b).
 
     Parameters
     ----------
     profiles, model, theta_diff
         As for `profiles_figure`.
     channel : {"red", "green", "blue"}, optional
-        The colour channel, one at a time as in the paper.
+        The colour channel; the paper shows one at a time too.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def lobes_figure(
         If matplotlib is not installed.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = _canvas(len(rows), height=HEIGHT)
+    figure = _empty_figure(len(rows), height=ROW_HEIGHT)
     figure.suptitle(f"{profiles.name}, {channel} channel")
     _lobes_row(figure, profiles, model, rows, index)
     return figure
@@ -122,7 +122,7 @@ def overview_figure(
     Parameters, return value and errors are those of `lobes_figure`.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = _canvas(len(rows), height=2 * HEIGHT + 0.3)
+    figure = _empty_figure(len(rows), height=2 * ROW_HEIGHT + 0.3)
     figure.suptitle(profiles.name, fontsize=12)
     (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
     above.suptitle("(a) measured, mean over $\\phi_\\mathrm{diff}$ (squares), and fit (lines)", fontsize=10)
@@ -132,40 +132,39 @@ def overview_figure(
     return figure
 
 
-def render(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
-    """Encode a figure.
+def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
+    """Return the content of an image file with a figure.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
         From one of the functions above.
     image_format : {"png", "svg", "pdf"}, optional
-        The kind of file.
+        The format of the file.
     dpi : float, optional
-        Dots per inch of a png.
+        Resolution of a png, in dots per inch.
 
     Returns
     -------
     bytes
-        The content of the file.
 
     Raises
     ------
     InvalidArgumentError
         If the format is unknown.
     """
-    if image_format not in FORMATS:
-        raise InvalidArgumentError(f"a picture's format must be {_one_of(FORMATS)}, not {image_format!r}")
+    if image_format not in IMAGE_FORMATS:
+        raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
     buffer = BytesIO()
     figure.savefig(buffer, format=image_format, dpi=dpi)
     return buffer.getvalue()
 
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
-    """Panels of all channels, two for each slice, with their legend."""
-    pairs = _pairs(figure, len(rows))
+    """Draw all channels, in two panels for each slice, with a legend."""
+    pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
-        fitted = model.evaluate(CURVE, THETA_DIFF[row])
+        fitted = model.evaluate(CURVE_ANGLES, THETA_DIFF[row])
         data = [_measured(profiles, row, channel) for channel in range(3)]
         _set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
         for ax in pair:
@@ -176,26 +175,26 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
 
 
 def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int) -> None:
-    """Panels of the lobes of one channel, two for each slice, with their legend."""
+    """Draw the lobes of one channel, in two panels for each slice, with a legend."""
     lobes = [lobe for component in decompose(model) for lobe in _lobes(component, model)]
-    pairs = _pairs(figure, len(rows))
+    pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
-        fitted = model.evaluate(CURVE, THETA_DIFF[row])[:, channel]
+        fitted = model.evaluate(CURVE_ANGLES, THETA_DIFF[row])[:, channel]
         _set_limits(pair, row, fitted, points[1])
         for ax in pair:
             _draw_points(ax, *points, "black", "o", "measured")
             _draw_curve(ax, fitted, "black", label="fit, all lobes")
             for label, colour, style, lobe in lobes:
-                curve = lobe.evaluate(CURVE, THETA_DIFF[row])[:, channel]
+                curve = lobe.evaluate(CURVE_ANGLES, THETA_DIFF[row])[:, channel]
                 _draw_curve(ax, curve, colour, style=style, label=label)
         lowest = min((float(lobe.evaluate(0.0, THETA_DIFF[row])[channel]) for *_, lobe in lobes), default=0.0)
-        pair[1].set_ylim(bottom=min(0.0, 1.2 * lowest))  # a negative delta term is seen as well
+        pair[1].set_ylim(bottom=min(0.0, 1.2 * lowest))  # shows a negative delta term too
     _draw_legend(figure, pairs[0][0], columns=2 * len(rows))
 
 
 def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
-    """Legend label, colour, line style and model of each lobe, and of the delta term, if there is one."""
+    """Yield label, colour, line style and model of the delta term, if there is one, and of each lobe of a component."""
     if np.any(component.delta):
         yield "delta term", DELTA_COLOUR, LINE_STYLES[0], model.select((), with_delta=True)
     widths, rings = np.degrees(lobe_widths(model)[0]), np.any(model.center > 0.0, axis=(0, 1))
@@ -207,24 +206,24 @@ def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str,
 
 
 def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
-    """Nodes with data that a logarithmic axis can show: theta_half [rad] and mean over phi_diff [1/sr]."""
+    """Return theta_half [rad] and mean over phi_diff [1/sr] of the nodes with positive data."""
     mean = profiles.mean[channel, row]
     used = (profiles.weight[channel, row] > 0) & (mean > 0)
     return THETA_HALF[used], mean[used]
 
 
 def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Axes of a slice: all angles on a logarithmic scale, and four half widths of the peak on a linear one."""
+    """Set the axes of a slice: all angles on a logarithmic scale, four half widths of the peak on a linear one."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
-    total = fitted.reshape(CURVE.size, -1).sum(axis=1)
-    half_width = CURVE[np.flatnonzero(total >= 0.5 * total.max())[-1]]
-    reach = float(np.degrees(np.clip(4.0 * half_width, np.radians(3.0), np.pi / 2)))
-    everything, peak = pair
-    everything.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
-    everything.set_xticks(range(-90, 91, 30))
-    everything.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
-    peak.set(xlim=(-reach, reach), ylim=(0.0, 1.08 * top))
+    total = fitted.reshape(CURVE_ANGLES.size, -1).sum(axis=1)
+    half_width = CURVE_ANGLES[np.flatnonzero(total >= 0.5 * total.max())[-1]]
+    extent = float(np.degrees(np.clip(4.0 * half_width, np.radians(3.0), np.pi / 2)))
+    all_angles, peak = pair
+    all_angles.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
+    all_angles.set_xticks(range(-90, 91, 30))
+    all_angles.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
+    peak.set(xlim=(-extent, extent), ylim=(0.0, 1.08 * top))
     peak.set_title("the peak, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
@@ -232,11 +231,11 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
 
 
 def _draw_curve(ax: Axes, values: Array, colour: str, *, label: str, style: str = "-") -> None:
-    ax.plot(*_mirrored(CURVE, values), style, color=colour, linewidth=1.2, label=label)
+    ax.plot(*_mirrored(CURVE_ANGLES, values), style, color=colour, linewidth=1.2, label=label)
 
 
 def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
-    """Hollow markers, as many as the panel has room for."""
+    """Draw hollow markers, leaving out those that would overlap."""
     spacing = np.radians(ax.get_xlim()[1] / 36.0)
     kept: list[int] = []
     for node, angle in enumerate(theta_half):
@@ -254,19 +253,19 @@ def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker
 
 
 def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
-    """Both sides of theta_half = 0, in degrees."""
+    """Return a curve mirrored about theta_half = 0, in degrees."""
     degrees = np.degrees(theta_half)
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
 
 
 def _draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
-    """One legend under the panels, which all show the same kinds of line as ``ax``."""
+    """Draw one legend under the panels, with the lines of ``ax``, which are those of all panels."""
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
 
-def _canvas(slices: int, *, height: float) -> Figure:
-    """Return an empty figure as wide as two panels for each slice."""
+def _empty_figure(slices: int, *, height: float) -> Figure:
+    """Return an empty figure with the width of two panels for each slice."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -274,14 +273,14 @@ def _canvas(slices: int, *, height: float) -> Figure:
     return Figure(figsize=(5.5 * slices, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
 
 
-def _pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
-    """Two panels for each slice, side by side."""
+def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
+    """Return two panels for each slice, side by side."""
     axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
     return list(zip(axes[::2], axes[1::2], strict=True))
 
 
 def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
-    """Rows of the measurement's grid nearest to the slices asked for."""
+    """Return the rows of the grid that are nearest to the requested theta_diff."""
     angles = np.asarray(theta_diff, dtype=np.float64)
     if angles.ndim != 1 or not angles.size or not np.all((angles >= 0.0) & (angles <= np.pi / 2)):
         raise InvalidArgumentError("theta_diff must be one or more angles from 0 to pi/2 [rad]")

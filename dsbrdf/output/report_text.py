@@ -1,7 +1,7 @@
-"""What people and scripts read about a fit, as text and as JSON: metrics, lobes and components.
+"""The result of a fit as text and as JSON: metrics, lobes and components.
 
-The JSON content has the form that the HTTP service gives it.
-Angles are in degrees here and nowhere else in the library, because this is for display and for the wire.
+The JSON has the same form as in the HTTP service.  Angles are in degrees, because this is for display and for HTTP; the
+rest of the library uses radians.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,16 +17,16 @@ from dsbrdf.model.decomposition import Component, decompose, lobe_widths
 from dsbrdf.model.dsbrdf import DSBRDF
 
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 75.0)
-"""Where parameters are shown [degrees]."""
+"""theta_diff of the parameters that are printed [degrees]."""
 
 
 def metrics_line(metrics: Mapping[str, float | None]) -> str:
-    """Return the metrics in one line, those without a value left out."""
+    """Return one line with the metrics that have a value."""
     return ", ".join(f"{name} {value:.4g}" for name, value in metrics.items() if value is not None)
 
 
 def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return one line for each component document: lobes, half width, albedo and margin."""
+    """Return a table with a line for each component: lobes, half width, albedo and margin."""
     lines = [f"{'component':<16}{'lobes':<9}{'half width':>10}   {'albedo red, green, blue':<24}{'margin':>8}"]
     for component in components:
         lobes = ", ".join(str(lobe) for lobe in component["lobes"]) or "none"
@@ -40,7 +40,7 @@ def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
 def parameters_table(
     model: DSBRDF, *, channel: str = "red", theta_diff_deg: Sequence[float] = SHOWN_THETA_DIFF
 ) -> list[str]:
-    """Return the parameters of one channel at some theta_diff [degrees]: kappa, gamma and, of ring lobes, center."""
+    """Return a table of the parameters of one channel: kappa, gamma and, for ring lobes, center."""
     kappa, gamma, center, _ = model.parameters_at(np.radians(theta_diff_deg))
     column, rings = CHANNELS.index(channel), ring_lobes(model)
     head = "".join(f"{angle:>10.0f}°" for angle in theta_diff_deg)
@@ -57,12 +57,12 @@ def parameters_table(
 
 
 def ring_lobes(model: DSBRDF) -> NDArray[np.bool_]:
-    """Return which lobes are ring lobes, with a center of their own, shape (K,)."""
+    """Return which lobes are ring lobes, whose center is not 0, shape (K,)."""
     return np.asarray(np.any(model.center > 0.0, axis=(0, 1)))
 
 
 def lobes_phrase(model: DSBRDF) -> str:
-    """Return how many lobes of either kind a model has, in words."""
+    """Return the numbers of lobes and ring lobes in words, such as ``3 lobes + 1 ring lobe``."""
     rings = int(np.count_nonzero(ring_lobes(model)))
     centered = model.n_lobes - rings
     words = f"{centered} {'lobe' if centered == 1 else 'lobes'}"
@@ -70,9 +70,10 @@ def lobes_phrase(model: DSBRDF) -> str:
 
 
 def selection_table(report: FitReport) -> list[str]:
-    """Return how the numbers of lobes and of ring lobes were chosen; nothing where nothing was compared.
+    """Return a table of how the numbers of lobes and ring lobes were chosen; empty if they were given.
 
-    For each number of lobes: E_p, Williams' t of its difference to the largest, the critical value, and the verdict.
+    Each number of lobes has E_p, Williams' t of its difference to the largest number, the critical value and whether it
+    is enough.
     """
     lines = []
     if len(report.selection) > 1:
@@ -97,7 +98,7 @@ def selection_table(report: FitReport) -> list[str]:
 
 
 def bands_table(report: FitReport) -> list[str]:
-    """Return where the error is: one line for each channel and for each band of theta_diff with data."""
+    """Return a table of the errors of each channel and of each band of theta_diff with data."""
     rows = [(f"{row['channel']} channel", row) for row in report.by_channel]
     for row in report.by_theta_diff:
         low, high = np.degrees(row["theta_diff"])
@@ -110,7 +111,7 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def result_text(file: Path, result: FitResult) -> list[str]:
-    """Return the summary of one fit: metrics, components, parameters, and where the error and the lobes come from."""
+    """Return the report of one fit: metrics, components, parameters, choice of the number of lobes, errors."""
     lines = [headline(file, result)]
     for table in (
         components_table(component_documents(result.model)),
@@ -123,18 +124,18 @@ def result_text(file: Path, result: FitResult) -> list[str]:
 
 
 def headline(file: Path, result: FitResult) -> str:
-    """Return one line: the file, the number of lobes, the metrics and the time."""
+    """Return one line with the file, the number of lobes, the metrics and the time."""
     seconds = sum(result.report.timings.values())
     return f"{file.stem}: {lobes_phrase(result.model)}; {metrics_line(result.report.metrics)}; {seconds:.2f} s"
 
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
-    """Return the components of a model as JSON content, from narrow to wide."""
-    return [_component_document(component) for component in decompose(model)]
+    """Return the components of a model, from narrow to wide, as they are written to JSON."""
+    return [component_document(component) for component in decompose(model)]
 
 
 def lobes_document(model: DSBRDF) -> dict[str, Any]:
-    """Return parameters as JSON content: kappa, gamma and center_deg of shape (3, D, K), delta (3, D)."""
+    """Return the parameters as they are written to JSON: kappa, gamma, center_deg (3, D, K) and delta (3, D)."""
     return {
         "theta_diff_deg": _degrees(model.theta_diff),
         "kappa": model.kappa.tolist(),
@@ -145,7 +146,8 @@ def lobes_document(model: DSBRDF) -> dict[str, Any]:
     }
 
 
-def _component_document(component: Component) -> dict[str, Any]:
+def component_document(component: Component) -> dict[str, Any]:
+    """Return one component as JSON content."""
     width = component.half_width
     return {
         "label": component.label,
@@ -158,5 +160,5 @@ def _component_document(component: Component) -> dict[str, Any]:
 
 
 def _degrees(angles: NDArray[np.float64]) -> Any:
-    """Return angles in degrees, without the rounding error of the conversion."""
+    """Return angles in degrees, rounded so that 5 degrees are written as 5."""
     return np.round(np.degrees(angles), 10).tolist()

@@ -1,8 +1,8 @@
 """Models and reports <-> versioned JSON and .npz, without loss.
 
-Both formats hold the same: the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, where there is one,
-the report of its fit. JSON writes every number with as many digits as bring back the same bits. Reading
-trusts nothing: whatever is damaged raises one `ModelFormatError`.
+Both formats contain the same: the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report
+of its fit. JSON writes every number with enough digits to restore the same bits. Everything that is read is checked:
+damaged content raises a `ModelFormatError`.
 """
 
 import io
@@ -30,6 +30,7 @@ __all__ = [
     "load",
     "model_from_dict",
     "model_to_dict",
+    "read_model_file",
     "report_from_dict",
     "report_to_dict",
     "save",
@@ -42,25 +43,25 @@ VERSION = 1
 
 _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
 _MODEL_KEYS = (*_ARRAYS, "interpolation")
-_LARGEST_FILE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
+_MAX_FILE_SIZE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
 
 
 def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     """Write a model, or a fit's model with its report, to a ``.json`` or ``.npz`` file.
 
-    The file is written whole or not at all.
+    The file is written completely or not at all.
 
     Parameters
     ----------
     model : DSBRDF or FitResult
         What to write.
     path : path-like
-        Where to; its suffix chooses the format.
+        The file to write; its suffix determines the format.
 
     Raises
     ------
     InvalidArgumentError
-        If the suffix is neither ``.json`` nor ``.npz``, or the report holds what JSON cannot.
+        If the suffix is neither ``.json`` nor ``.npz``, or the report has a value that JSON cannot store.
     OSError
         If the file cannot be written.
     """
@@ -75,7 +76,7 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
     Parameters
     ----------
     path : path-like
-        The file; its suffix tells the format. `from_json` and `from_npz` give the report too.
+        The file; its suffix determines the format.
 
     Returns
     -------
@@ -90,18 +91,23 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
     OSError
         If the file does not exist or cannot be read.
     """
+    return read_model_file(path)[0]
+
+
+def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
+    """Read the model and the report, if any, in a ``.json`` or ``.npz`` file; errors are those of `load`."""
     suffix = _suffix(path)
     with Path(path).open("rb") as file:
-        content = file.read(_LARGEST_FILE + 1)
-    if len(content) > _LARGEST_FILE:
-        raise ModelFormatError(f"The file is longer than the {_LARGEST_FILE} bytes that a model can take.")
+        content = file.read(_MAX_FILE_SIZE + 1)
+    if len(content) > _MAX_FILE_SIZE:
+        raise ModelFormatError(f"The file is longer than the {_MAX_FILE_SIZE} bytes that a model may have.")
     if suffix == ".npz":
-        return from_npz(content)[0]
+        return from_npz(content)
     try:
         text = content.decode()
     except UnicodeDecodeError:
         raise ModelFormatError("The file is not a JSON text in UTF-8, as a stored model must be.") from None
-    return from_json(text)[0]
+    return from_json(text)
 
 
 def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
@@ -120,7 +126,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
     Raises
     ------
     InvalidArgumentError
-        If the report holds what JSON cannot, such as NaN.
+        If the report has a value that JSON cannot store, such as NaN.
     """
     document = {
         "format": FORMAT,
@@ -132,7 +138,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
 
 
 def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
-    """Model and report, if any, of a JSON text; the inverse of `to_json`.
+    """Return the model and the report, if any, of a JSON text; the inverse of `to_json`.
 
     Raises
     ------
@@ -153,12 +159,12 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
     """Return a model and its report as the bytes of a NumPy ``.npz`` file.
 
-    The arrays carry the names of the model's attributes; the report is JSON text. Nothing is pickled.
+    The arrays have the names of the model's attributes; the report is a JSON text. Nothing is pickled.
 
     Raises
     ------
     InvalidArgumentError
-        If the report holds what JSON cannot, such as NaN.
+        If the report has a value that JSON cannot store, such as NaN.
     """
     buffer = io.BytesIO()
     np.savez(
@@ -174,7 +180,7 @@ def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
 
 
 def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
-    """Model and report, if any, of the bytes of an ``.npz`` file; the inverse of `to_npz`.
+    """Return the model and the report, if any, of the bytes of an ``.npz`` file; the inverse of `to_npz`.
 
     Raises
     ------
@@ -202,7 +208,7 @@ def model_to_dict(model: DSBRDF) -> dict[str, Any]:
 
 
 def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
-    """Model of nested lists or arrays; the inverse of `model_to_dict`.
+    """Return the model of nested lists or arrays; the inverse of `model_to_dict`.
 
     Raises
     ------
@@ -226,7 +232,7 @@ def report_to_dict(report: FitReport) -> dict[str, Any]:
 
 
 def report_from_dict(content: Mapping[str, Any]) -> FitReport:
-    """Report of plain dicts and lists; the inverse of `report_to_dict`.
+    """Return the report of plain dicts and lists; the inverse of `report_to_dict`.
 
     Raises
     ------
@@ -258,7 +264,7 @@ def _dump(content: object) -> str:
     try:
         return json.dumps(content, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InvalidArgumentError(f"The report must hold plain, finite content: {error}.") from None
+        raise InvalidArgumentError(f"The report must contain only plain, finite values: {error}.") from None
 
 
 def _parse(text: str) -> Any:
@@ -271,22 +277,22 @@ def _parse(text: str) -> Any:
 
 
 def _refuse_constant(constant: str) -> None:
-    raise ModelFormatError(f"The stored model holds {constant}; every number must be finite.")
+    raise ModelFormatError(f"The stored model contains {constant}; every number must be finite.")
 
 
 def _unpack(data: bytes) -> dict[str, NDArray[Any]]:
-    """Arrays of an .npz file, of bounded size and without pickles."""
+    """Return the arrays of an .npz file, refusing pickles and large archives."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-        if size <= _LARGEST_FILE:
+        if size <= _MAX_FILE_SIZE:
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                 return {str(name): np.asarray(archive[name]) for name in archive.files}
-    except Exception:  # NumPy parses headers as Python and lets all that this can raise pass
+    except Exception:  # NumPy parses headers as Python code, which can raise anything
         raise ModelFormatError(
             "The data is not a readable .npz archive of plain arrays: it is damaged, cut off or of another kind."
         ) from None
-    raise ModelFormatError(f"The .npz archive unpacks to {size} bytes, more than a model can take.")
+    raise ModelFormatError(f"The .npz archive unpacks to {size} bytes, more than a model may have.")
 
 
 def _scalar(value: NDArray[Any] | None) -> Any:

@@ -1,10 +1,9 @@
-"""API keys: who may ask, and how much.
+"""API keys: who may send requests, and how many.
 
 A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret only: a secret of 32 random bytes cannot
 be guessed from it, so nothing slower is needed. The id is public, and it is the owner of what is stored with the key.
 """
 
-import asyncio
 import hashlib
 import hmac
 import re
@@ -12,20 +11,23 @@ import secrets
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from time import monotonic
+from typing import TYPE_CHECKING, ClassVar
 
-from service.access.rate_limit import Bucket
-from service.settings import Settings
 from service.storage.database import FILE_NAME, Database
-from service.storage.rows import Caller
+from service.storage.schema import Caller
+
+if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
+    from service.settings import Settings
 
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1 << 20
+_BURST_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class KeyLimits:
     """What a key may have; None stands for the server's default."""
 
     requests_per_second: float | None = None
@@ -48,8 +50,8 @@ class KeyRow:
     queued_fits: int | None
 
 
-def add_key(database: Database, name: str, limits: Limits) -> tuple[KeyRow, str]:
-    """Make a key; return its row and the key itself, which nobody can tell later on."""
+def add_key(database: Database, name: str, limits: KeyLimits) -> tuple[KeyRow, str]:
+    """Make a key; return its row and the key itself, which is not stored and cannot be shown again."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
     values = (limits.requests_per_second, limits.stored_mb, limits.queued_fits)
     row = KeyRow(key_id, name, time.time(), None, *values)
@@ -68,7 +70,7 @@ def all_keys(database: Database) -> list[KeyRow]:
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
-    """Make a key worthless, what is stored with it stays; return whether there was such a key."""
+    """Revoke a key, what is stored with it stays; return whether there was such a key."""
     with database.transaction() as db:
         query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
         return db.execute(query, (time.time(), key_id)).rowcount > 0
@@ -78,21 +80,48 @@ def has_active_key(folder: Path) -> bool:
     """Return whether a data folder, which need not exist, has a key that is not revoked."""
     if not (folder / FILE_NAME).exists():
         return False
-    database = Database(folder, beside=True)
+    database = Database(folder, exclusive=False)
     try:
         return any(row.revoked is None for row in all_keys(database))
     finally:
         database.close()
 
 
+class RateLimit:
+    """A token bucket: holds the requests that may come at once, and fills again at a steady rate.
+
+    Parameters
+    ----------
+    rate : float
+        Requests per second; as many as five seconds give may come at once, and one at least.
+    """
+
+    __slots__ = ("_filled", "_last", "_size", "rate")
+
+    def __init__(self, rate: float) -> None:
+        self.rate = rate
+        self._size = max(1.0, rate * _BURST_SECONDS)
+        self._filled = self._size
+        self._last = monotonic()
+
+    def take(self) -> float:
+        """Count one request and return 0, or return the time until the next one may come [s]."""
+        now = monotonic()
+        self._filled = min(self._size, self._filled + (now - self._last) * self.rate)
+        self._last = now
+        if self._filled >= 1.0:
+            self._filled -= 1.0
+            return 0.0
+        return (1.0 - self._filled) / self.rate
+
+
 @dataclass(frozen=True)
 class ActiveKey:
-    """A key that is let in, the requests that it may make at the moment, and what is set when it is revoked."""
+    """A key that is not revoked, and the requests that it may make at the moment."""
 
     secret_sha256: bytes
     caller: Caller
-    bucket: Bucket
-    revoked: asyncio.Event
+    rate_limit: RateLimit
 
 
 class Keys:
@@ -104,19 +133,18 @@ class Keys:
         The limits of keys that have none of their own.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: "Settings") -> None:
         self._settings = settings
         self._active: dict[str, ActiveKey] = {}
 
-    def load(self, database: Database) -> list[ActiveKey]:
-        """Read the keys again, and return those that have been revoked; what a key has used of its rate stays used."""
+    def load(self, database: Database) -> None:
+        """Read the keys again; the requests that a key has made still count."""
         columns = "id, secret_sha256, requests_per_second, stored_mb, queued_fits"
         rows = database.rows(f"SELECT {columns} FROM keys WHERE revoked IS NULL")  # noqa: S608
-        before, self._active = self._active, {row[0]: self._key(*row) for row in rows}
-        return [key for key_id, key in before.items() if key_id not in self._active]
+        self._active = {row[0]: self._key(*row) for row in rows}
 
     def find(self, text: bytes) -> ActiveKey | None:
-        """Return the key that `text` is, in a time that does not tell what is wrong with it."""
+        """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
@@ -125,12 +153,17 @@ class Keys:
         right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
         return key if right else None
 
-    def _key(self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, fits: Any) -> ActiveKey:
+    def allows(self, caller: Caller) -> bool:
+        """Return whether the key of a caller is still active; a caller without key is always allowed."""
+        return not caller.owner or caller.owner in self._active
+
+    def _key(
+        self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, queued_fits: int | None
+    ) -> ActiveKey:
         settings = self._settings
         rate = settings.key_requests_per_second if rate is None else rate
         stored_mb = settings.key_stored_mb if stored_mb is None else stored_mb
-        caller = Caller(key_id, stored_mb * _MB, settings.key_queued_fits if fits is None else fits)
+        queued_fits = settings.key_queued_fits if queued_fits is None else queued_fits
         known = self._active.get(key_id)
-        bucket = known.bucket if known is not None and known.bucket.rate == rate else Bucket(rate)
-        revoked = asyncio.Event() if known is None else known.revoked
-        return ActiveKey(bytes.fromhex(digest), caller, bucket, revoked)
+        rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
+        return ActiveKey(bytes.fromhex(digest), Caller(key_id, stored_mb * _MB, queued_fits), rate_limit)

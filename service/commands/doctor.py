@@ -1,4 +1,4 @@
-"""What may be wrong with an installation and a data folder: ``dsbrdf doctor`` looks, and changes nothing."""
+"""The command ``dsbrdf doctor``: check the installation and the data folder, without changing anything."""
 
 import asyncio
 import json
@@ -10,9 +10,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,24 +21,20 @@ from pydantic import ValidationError
 
 import dsbrdf
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Limits
+from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask
 from dsbrdf.engines.local import LocalEngine
-from service.commands.command_line import Parser, refuse, settings_of
-from service.http.problems import sentence
-from service.jobs.engine_factory import engine_of
+from service.app import make_engine
+from service.commands import Parser, data_folder, refuse
+from service.errors import CheckFailedError, validation_sentence
 from service.settings import Settings
 from service.storage.blobs import Blobs
 from service.storage.database import FILE_NAME
-from service.storage.schema import STEPS
+from service.storage.schema import VERSION
 
 _EXTRAS = {"service": "uvicorn", "client": "httpx", "plot": "matplotlib", "progress": "tqdm", "dask": "distributed"}
-_ANSWER = 10.0  # seconds that the scheduler may take
+_SCHEDULER_TIMEOUT = 10.0  # seconds
 _QUICK = dsbrdf.FitOptions(method="paper", n_lobes=1, em_iterations=3)
-_MOMENT = 1.0  # seconds
-
-
-class WrongError(Exception):
-    """Something is wrong; the message says what, and what would help."""
+_SECOND_LOOK_DELAY = 1.0  # seconds
 
 
 def checks(settings: Settings) -> Iterator[tuple[str, Callable[[], str]]]:
@@ -52,7 +49,7 @@ def checks(settings: Settings) -> Iterator[tuple[str, Callable[[], str]]]:
         yield "measurements", lambda: _measurements(folder)
     yield "child process", lambda: asyncio.run(_fit(settings))
     if settings.engine == "dask":
-        yield "scheduler", lambda: asyncio.run(_scheduler(engine_of(settings), settings.scheduler))
+        yield "scheduler", lambda: asyncio.run(_scheduler(make_engine(settings), settings.scheduler))
 
 
 def _python() -> str:
@@ -65,127 +62,122 @@ def _python() -> str:
 
 
 def _extras() -> str:
-    there = [extra for extra, module in _EXTRAS.items() if find_spec(module) is not None]
-    missing = [extra for extra in _EXTRAS if extra not in there]
+    installed = [extra for extra, module in _EXTRAS.items() if find_spec(module) is not None]
+    missing = [extra for extra in _EXTRAS if extra not in installed]
     rest = f"; not installed: {', '.join(missing)}" if missing else ""
-    return f"dsbrdf {dsbrdf.__version__} with {', '.join(there)}{rest}"
+    return f"dsbrdf {dsbrdf.__version__} with {', '.join(installed)}{rest}"
 
 
 def _writable(folder: Path) -> str:
-    if not folder.exists():
-        return f"{folder} does not exist yet; the service makes it"
-    if (folder / "blobs").exists():
-        Blobs(folder).check()
-        return f"{folder} can be written to"
-    return f"{folder} holds nothing of a service yet"
+    if not (folder / "blobs").exists():
+        return f"{folder} does not exist yet or is empty; the service makes what it needs"
+    Blobs(folder).check()
+    return f"{folder} can be written to"
 
 
 def _space(folder: Path, least_mb: int) -> str:
-    there = next(path for path in (folder, *folder.resolve().parents) if path.exists())
-    free = shutil.disk_usage(there).free >> 20
+    existing = next(path for path in (folder, *folder.resolve().parents) if path.exists())
+    free = shutil.disk_usage(existing).free >> 20
     if free < least_mb:
-        raise WrongError(f"{free} MB are free; the service wants {least_mb} MB: free some, or dsbrdf purge")
+        raise CheckFailedError(f"{free} MB are free; the service wants {least_mb} MB: free some, or dsbrdf purge")
     return f"{free} MB are free"
 
 
 def _database(folder: Path) -> str:
-    with closing(_connection(folder)) as db:
-        (version,) = db.execute("PRAGMA user_version").fetchone()
-        if version > len(STEPS):
-            raise WrongError(f"schema version {version} is of a newer release; this one knows {len(STEPS)}")
-        faults = [row[0] for row in db.execute("PRAGMA integrity_check(3)")]
-        if faults != ["ok"]:
-            raise WrongError(f"{'; '.join(faults)}: restore the folder from a copy")
-        older = "" if version == len(STEPS) else f", which the next start of the service brings to {len(STEPS)}"
-        (fits,) = db.execute("SELECT count(*) FROM fits").fetchone()
-    return f"intact, schema version {version}{older}, {fits} fits"
+    ((version,),) = _rows(folder, "PRAGMA user_version")
+    if version != VERSION:
+        raise CheckFailedError(f"schema version {version} is of another release; this one knows {VERSION}")
+    faults = [fault for (fault,) in _rows(folder, "PRAGMA integrity_check(3)")]
+    if faults != ["ok"]:
+        raise CheckFailedError(f"{'; '.join(faults)}: restore the folder from a copy")
+    ((fits,),) = _rows(folder, "SELECT count(*) FROM fits")
+    return f"intact, schema version {version}, {fits} fits"
 
 
 def _measurements(folder: Path) -> str:
-    """Compare every file with its row; what may be coming or going in this moment is looked at again."""
+    """Compare every file with its row; what looks wrong is checked again, as it may be changing at the moment."""
     blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _rows(folder) if (fault := blobs.damage(sha256))}
-    strays = set(blobs.all()) - _rows(folder)
+    faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
+    strays = set(blobs.all()) - _stored(folder)
     if faults or strays:
-        time.sleep(_MOMENT)
-    still = _rows(folder)
+        time.sleep(_SECOND_LOOK_DELAY)
+    still = _stored(folder)
     faults = {sha256: fault for sha256, fault in faults.items() if sha256 in still}
     strays = (strays & set(blobs.all())) - still
     if faults:
         sha256, fault = next(iter(faults.items()))
-        raise WrongError(
+        raise CheckFailedError(
             f"{len(faults)} of {len(still)} files are damaged or missing, first {sha256} ({fault}): upload that "
             "measurement again"
         )
     if strays:
-        raise WrongError(
+        raise CheckFailedError(
             f"{len(strays)} files have no row, first {min(strays)}: the next start of the service drops them"
         )
     return f"{len(still)} files are what their rows say"
 
 
-def _rows(folder: Path) -> set[str]:
-    with closing(_connection(folder)) as db:
-        return {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
+def _stored(folder: Path) -> set[str]:
+    return {sha256 for (sha256,) in _rows(folder, "SELECT DISTINCT sha256 FROM measurements")}
 
 
-def _connection(folder: Path) -> sqlite3.Connection:
-    """Open the database for reading only."""
+def _rows(folder: Path, query: str) -> list[tuple[Any, ...]]:
+    """Return what `query` selects from the database, which is opened for reading only."""
     uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
-    return sqlite3.connect(uri, uri=True, timeout=10.0)
+    with closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as db:
+        return db.execute(query).fetchall()
 
 
 async def _fit(settings: Settings) -> str:
-    engine = LocalEngine(1, Limits(settings.fit_seconds, settings.fit_memory_mb))
+    engine = LocalEngine(1, FitLimits(settings.fit_seconds, settings.fit_memory_mb))
     await engine.start()
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "generated.binary"
             dsbrdf.write_merl(path, synthetic_measurement())
-            async with engine.turn():
+            async with engine.slot():
                 outcome = await engine.run(FitTask("doctor", path, _QUICK), lambda _: None)
     finally:
         await engine.close()
     if isinstance(outcome, Fault):
-        raise WrongError(f"a generated measurement could not be fitted: {outcome.message}")
+        raise CheckFailedError(f"a generated measurement could not be fitted: {outcome.message}")
     return "a generated measurement was fitted in a process of its own"
 
 
 async def _scheduler(engine: Engine, address: str) -> str:
     await engine.start()
     try:
-        deadline = asyncio.get_running_loop().time() + _ANSWER
-        while True:
-            try:
+        deadline = asyncio.get_running_loop().time() + _SCHEDULER_TIMEOUT
+        while asyncio.get_running_loop().time() < deadline:
+            with suppress(RuntimeError):
                 await engine.check()
-            except RuntimeError:
-                if asyncio.get_running_loop().time() > deadline:
-                    raise
-                await asyncio.sleep(0.2)
-            else:
-                return f"{address} answers and has workers"
+                break
+            await asyncio.sleep(0.2)
+        await engine.check()
+        return f"{address} answers and has workers"
     finally:
         await engine.close()
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     parser = Parser(
         prog="dsbrdf doctor",
         description="Look for what may be wrong with the installation and the service's folder; "
         "a server may run meanwhile.",
     )
-    parser.add_common()
-    arguments = parser.parse_args(words)
+    parser.add_data_dir()
+    parser.add_json()
+    arguments = parser.parse_args(argv)
     try:
-        settings = settings_of(arguments)
+        settings = Settings(data_dir=data_folder(arguments))
     except ValidationError as error:
-        return refuse(sentence(error.errors()))
+        return refuse(validation_sentence(error.errors()))
     found = []
     for name, check in checks(settings):
         try:
             fine, detail = True, check()
-        except (WrongError, OSError, sqlite3.Error, RuntimeError, ImportError) as error:
+        except (CheckFailedError, OSError, sqlite3.Error, RuntimeError, ImportError) as error:
             fine, detail = False, str(error)
         found.append({"check": name, "fine": fine, "detail": detail})
         if not arguments.json:

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf keys``: add, list and revoke API keys, beside a running server too."""
+"""The command ``dsbrdf keys``: add, list and revoke API keys, also while a server runs."""
 
 import argparse
 import json
@@ -10,34 +10,28 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
-from pathlib import Path
 
-from pydantic import ValidationError
-
-from service.access.keys import KeyRow, Limits, add_key, all_keys, revoke_key
-from service.commands.command_line import Parser, refuse, settings_of
-from service.http.problems import sentence
+from service.access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
+from service.commands import Parser, data_folder, refuse
+from service.errors import DataFolderError
 from service.storage.database import FILE_NAME, Database
-from service.storage.schema import DataFolderError
 
-_LONGEST_NAME = 100
+_MAX_NAME = 100
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
-    arguments = _parser().parse_args(words)
+    arguments = _parser().parse_args(argv)
+    folder = data_folder(arguments)
     try:
-        folder = settings_of(arguments).data_dir
         if arguments.run is not _add and not (folder / FILE_NAME).exists():
             return refuse(f"{folder} is no data folder of a service; --data-dir names one")
-        database = Database(folder, beside=True)
+        database = Database(folder, exclusive=False)
         try:
             run: Callable[[Database, argparse.Namespace], int] = arguments.run
             return run(database, arguments)
         finally:
             database.close()
-    except ValidationError as error:
-        return refuse(sentence(error.errors()))
     except (DataFolderError, OSError) as error:
         return refuse(str(error))
     except sqlite3.Error as error:
@@ -46,7 +40,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _add(database: Database, arguments: argparse.Namespace) -> int:
-    limits = Limits(arguments.requests_per_second, arguments.stored_mb, arguments.queued_fits)
+    limits = KeyLimits(arguments.requests_per_second, arguments.stored_mb, arguments.queued_fits)
     row, key = add_key(database, arguments.name, limits)
     sys.stderr.write(f"dsbrdf: the key {row.id} of {row.name!r} is shown this once\n")
     print(key)
@@ -68,18 +62,14 @@ def _list(database: Database, arguments: argparse.Namespace) -> int:
 
 def _revoke(database: Database, arguments: argparse.Namespace) -> int:
     if not revoke_key(database, arguments.id):
-        # What was given is not repeated: it could be a whole key.
-        return refuse("there is no key with this id; dsbrdf keys list tells the ids")
+        # The argument is not repeated: it could be a whole key.
+        return refuse("there is no key with this id; dsbrdf keys list shows the ids")
     return 0
 
 
 def _document(row: KeyRow) -> dict[str, object]:
-    times = {name: None if at is None else _time(at).isoformat() for name, at in _times(row).items()}
-    return asdict(row) | times
-
-
-def _times(row: KeyRow) -> dict[str, float | None]:
-    return {"created": row.created, "revoked": row.revoked}
+    revoked = None if row.revoked is None else _time(row.revoked).isoformat()
+    return {**asdict(row), "created": _time(row.created).isoformat(), "revoked": revoked}
 
 
 def _time(seconds: float) -> datetime:
@@ -91,8 +81,8 @@ def _day(seconds: float | None) -> str:
 
 
 def _name(text: str) -> str:
-    if not 0 < len(text) <= _LONGEST_NAME or not text.isprintable() or text.isspace():
-        raise argparse.ArgumentTypeError(f"a name has 1 to {_LONGEST_NAME} printable characters")
+    if not 0 < len(text) <= _MAX_NAME or not text.isprintable() or text.isspace():
+        raise argparse.ArgumentTypeError(f"a name has 1 to {_MAX_NAME} printable characters")
     return text
 
 
@@ -121,12 +111,12 @@ def _parser() -> Parser:
     add.add_argument("--queued-fits", type=_count, metavar="N", help="most fits that may wait or run")
     listing = commands.add_parser("list", help="print the keys, without their secrets")
     listing.set_defaults(run=_list)
-    listing.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    listing.add_json()
     revoke = commands.add_parser("revoke", help="refuse a key from now on; what is stored with it stays")
     revoke.set_defaults(run=_revoke)
-    revoke.add_argument("id", metavar="ID", help="as the list tells it")
+    revoke.add_argument("id", metavar="ID", help="as the list shows it")
     for command in (add, listing, revoke):
-        command.add_argument("--data-dir", type=Path, metavar="DIR", help="the service's folder")
+        command.add_data_dir()
     return parser
 
 

@@ -1,7 +1,7 @@
-"""Retention: ``dsbrdf purge`` removes what is old, beside a running server too.
+"""The command ``dsbrdf purge``: remove what is older than a given age, also while a server runs.
 
-Fits go when they ended longer ago than that, measurements when they were stored longer ago and no remaining fit of
-their owner uses them, files with the last row of any owner. A server that runs notices and drops what it has in memory.
+Fits are removed when they ended longer ago than that, measurements when they were stored longer ago and no remaining
+fit of their owner uses them, files with the last row of any owner. A running server notices and empties its cache.
 """
 
 import argparse
@@ -14,17 +14,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from service.commands.command_line import Parser, refuse, settings_of
-from service.http.problems import sentence
+from service.commands import Parser, data_folder, refuse
+from service.errors import DataFolderError
 from service.storage.blobs import Blobs
 from service.storage.database import FILE_NAME, Database
-from service.storage.schema import DataFolderError
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
-_AT_ONCE = 50  # rows in a transaction, so that a server waits for a moment at most
+_ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
 _OLD_FITS = "FROM fits WHERE status NOT IN ('accepted', 'running') AND coalesce(finished, created) < :before"
 # A fit that remains keeps its measurement; one that is old is about to go.
@@ -37,7 +34,7 @@ _OLD_MEASUREMENTS = (
 
 @dataclass(frozen=True)
 class Purged:
-    """What has gone, or would go: rows of fits and of measurements, and bytes of files."""
+    """What was removed, or would be: rows of fits and of measurements, and bytes of files."""
 
     fits: int
     measurements: int
@@ -47,12 +44,9 @@ class Purged:
 def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
     """Remove what is older than the time `before` [s since 1970].
 
-    Raises
-    ------
-    DataFolderError
-        If the folder cannot be opened.
+    Raises DataFolderError if the folder cannot be opened.
     """
-    database, blobs = Database(folder, beside=True), Blobs(folder)
+    database, blobs = Database(folder, exclusive=False), Blobs(folder)
     try:
         if dry_run:
             return _counted(database, before)
@@ -77,14 +71,14 @@ def _counted(database: Database, before: float) -> Purged:
 
 
 def _remove_fits(database: Database, before: float) -> int:
-    query = f"DELETE FROM fits WHERE rowid IN (SELECT rowid {_OLD_FITS} LIMIT {_AT_ONCE})"  # noqa: S608
+    query = f"DELETE FROM fits WHERE rowid IN (SELECT rowid {_OLD_FITS} LIMIT {_ROWS_PER_TRANSACTION})"  # noqa: S608
     with database.transaction() as db:
         return db.execute(query, {"before": before}).rowcount
 
 
 def _remove_measurements(database: Database, blobs: Blobs, before: float) -> list[int]:
     """Remove some old measurements; return for each how many bytes it has freed."""
-    query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_AT_ONCE}"
+    query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     freed = []
     with database.transaction() as db:
         for rowid, sha256, size in db.execute(query, {"before": before}).fetchall():
@@ -101,7 +95,7 @@ def _rows_of(db: sqlite3.Connection, sha256: str) -> int:
     return int(number)
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     parser = Parser(
         prog="dsbrdf purge",
@@ -109,16 +103,15 @@ def main(words: Sequence[str] | None = None) -> int:
         "a server may run meanwhile.",
     )
     parser.add_argument("--older-than", type=_age, required=True, metavar="AGE", help="such as 30d, 12h or 45m")
-    parser.add_argument("--dry-run", action="store_true", help="only tell what would be removed")
-    parser.add_common()
-    arguments = parser.parse_args(words)
+    parser.add_argument("--dry-run", action="store_true", help="only report what would be removed")
+    parser.add_data_dir()
+    parser.add_json()
+    arguments = parser.parse_args(argv)
+    folder = data_folder(arguments)
     try:
-        folder = settings_of(arguments).data_dir
         if not (folder / FILE_NAME).exists():
             return refuse(f"{folder} is no data folder of a service; --data-dir names one")
         purged = purge(folder, time.time() - arguments.older_than, dry_run=arguments.dry_run)
-    except ValidationError as error:
-        return refuse(sentence(error.errors()))
     except (DataFolderError, OSError) as error:
         return refuse(str(error))
     if arguments.json:

@@ -1,207 +1,185 @@
-"""Parts of the OpenAPI document that FastAPI cannot derive: raw bodies, problems, examples."""
+"""Parts of the OpenAPI document, for routes to declare to FastAPI: responses, problems, headers, links, raw bodies.
+
+What is true of every operation is added here too: the problems that can occur anywhere, the API key, `X-Request-ID`.
+"""
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
-from service.http import examples
-from service.http.problems import KINDS, MEDIA_TYPE
-from service.wire.points import ANGLES, DIRECTIONS, NPY
-from service.wire.schemas import OptionsDocument, Progress
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
+from pydantic import BaseModel
 
-COMPONENTS = "#/components/schemas/"
-_BINARY = {"type": "string", "contentMediaType": "application/octet-stream", "maxLength": 34_992_012}
+from service.http import problems as table
+from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem, Progress
 
-_KEPT = "example:"
-
+JSON = "application/json"
+BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]
 
+_REFERENCE = "#/components/schemas/{model}"
+_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, Progress)  # FastAPI does not find these itself
+_EXAMPLE_MARK = "example:"
+_WITHOUT_KEY = "/health/"
+_KEY = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "An API key, made with `dsbrdf keys add`. From the machine itself no key is needed, unless the "
+    "service is set to require one; a key that is sent is always checked.",
+}
+_EVERYWHERE = ("bad-request", "internal", "overloaded", "shutting-down")
+_BEHIND_A_KEY = ("unauthorized", "rate-limited")
+BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
+UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
 
-def example(content: dict[str, Any], description: str, status: int = 200, schema: str | None = None) -> Responses:
-    """Return a JSON response with an example; `schema` names its type unless it is that of the route."""
-    shown = {"example": _kept(content)} | ({} if schema is None else {"schema": _ref(schema)})
-    return {status: {"description": description, "content": {"application/json": shown}}}
-
-
-def submitted() -> Responses:
-    """Return the answers to a submission."""
-    known = example(examples.FIT, "The same request was made before; its fit has ended.", 200, "FitDocument")
-    later = example(examples.RUNNING_FIT, "The fit has not ended; ask again at `Location`.", 202, "FitDocument")
-    return example(examples.FIT, "The fit has ended.", 201) | known | later
-
-
-def fit_submission() -> dict[str, Any]:
-    """Return parameters and bodies of a submission."""
-    properties = OptionsDocument.model_json_schema()["properties"]
-    parameters = [_option(name, schema) for name, schema in properties.items()]
-    prefer = {
-        "name": "Prefer",
-        "in": "header",
-        "required": False,
-        "description": "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait.",
-        "schema": {"type": "string"},
-        "example": "wait=10",
-    }
-    document = {"schema": _ref("FitRequest"), "example": examples.SUBMISSION}
-    raw = {"schema": _BINARY}
-    return {
-        "parameters": [*parameters, prefer, _encoding()],
-        "requestBody": {
-            "required": True,
-            "description": "A MERL file, or a reference to a stored measurement.",
-            "content": {"application/octet-stream": raw, "application/json": document},
-        },
-    }
+# name -> (description, pattern)
+_HEADERS = {
+    "X-Request-ID": ("Names the request in the service's log; one that the client sends is kept.", "^[A-Za-z0-9._-]+$"),
+    "Location": ("Where the fit or the measurement is.", "^/v1/"),
+    "Retry-After": ("Time after which to ask again [s].", "^[0-9]+$"),
+    "ETag": ("Strong validator of the content, for `If-None-Match`.", '^"[0-9a-f]+"$'),
+    "Link": ('The next page, `rel="next"`; not on the last one.', 'rel="next"$'),
+    "WWW-Authenticate": ("How to send a key.", "^Bearer"),
+    "Accept-Ranges": ("A part of the file can be asked for with `Range`.", "^bytes$"),
+    "Content-Range": ("The part that is sent, and the size of the whole.", "^bytes "),
+    "Content-Length": ("Size of the file [bytes].", "^[0-9]+$"),
+    "Content-Disposition": ("A name for the file.", "^attachment"),
+    "Accept-Post": ("The types of body that are supported.", "/"),
+    "Accept-Encoding": ("The encodings of a body that are supported.", "gzip"),
+}
+_HEADERS_OF_PROBLEMS = {401: ("WWW-Authenticate",), 416: ("Content-Range",)} | dict.fromkeys(
+    (429, 503, 507), ("Retry-After",)
+)
+_OPTIONAL_HEADERS_OF_PROBLEMS = {409: ("Retry-After",), 415: ("Accept-Post", "Accept-Encoding")}
 
 
-def _option(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return an option as a query parameter: `none` for null, and a list with commas."""
-    none = {"type": "string", "const": "none"}
-    choices = [none if choice.get("type") == "null" else choice for choice in schema.get("anyOf", ())]
-    default = "none" if schema["default"] is None else schema["default"]
-    return {
-        "name": name,
-        "in": "query",
-        "style": "form",
-        "explode": False,
-        "description": "Option of a raw upload.",
-        "schema": {**schema, "default": default} | ({"anyOf": choices} if choices else {}),
-    }
+def response(
+    description: str,
+    example: Any = None,
+    *,
+    status: int = 200,
+    model: type[BaseModel] | None = None,
+    content: dict[str, Any] | None = None,
+    headers: Sequence[str] = (),
+    optional_headers: Sequence[str] = (),
+    links: dict[str, Any] | None = None,
+) -> Responses:
+    """Return a response that is no problem; with an `example` its content is JSON of `model` or of the route's."""
+    described: dict[str, Any] = {"description": description, "headers": _headers(headers, optional_headers)}
+    if example is not None:
+        content = {JSON: {"example": kept(example)} | ({} if model is None else {"schema": reference(model)})}
+    if content is not None:
+        described["content"] = content
+    if links is not None:
+        described["links"] = links
+    return {status: described}
 
 
-def raw_upload() -> dict[str, Any]:
-    """Return the body of an upload."""
-    return {
-        "parameters": [_encoding()],
-        "requestBody": {
-            "required": True,
-            "description": "A MERL file.",
-            "content": {"application/octet-stream": {"schema": _BINARY}},
-        },
-    }
-
-
-def point_query() -> dict[str, Any]:
-    """Return the parameters that name points."""
-    angle = {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 90}}
-    vector = {"type": "array", "items": {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}}
-    shown = {"theta_half_deg": [10], "theta_diff_deg": [30]}
-    unit = "Unit vectors x,y,z on the upper hemisphere; repeat for several points."
-    return {
-        "parameters": [
-            {
-                "name": name,
-                "in": "query",
-                "required": False,
-                "explode": True,
-                "description": "Angles in degrees; repeat for several points." if name in ANGLES else unit,
-                "schema": angle if name in ANGLES else vector,
-                **({"example": shown[name]} if name in shown else {}),
-            }
-            for name in (*ANGLES, *DIRECTIONS)
-        ]
-    }
-
-
-def point_batch() -> dict[str, Any]:
-    """Return the body of a batch of points."""
-    either = {"oneOf": [_ref("AnglesRequest"), _ref("DirectionsRequest")]}
-    shown = {"angles": {"value": examples.ANGLES}, "directions": {"value": examples.DIRECTIONS}}
-    return {
-        "requestBody": {
-            "required": True,
-            "description": "Points, in degrees or as unit vectors.",
-            "content": {"application/json": {"schema": either, "examples": shown}, NPY: {"schema": _npy()}},
-        }
-    }
-
-
-def batch_answer() -> Responses:
-    """Return the answer to a batch of points."""
-    content = {"application/json": {"example": examples.VALUES}, NPY: {"schema": _npy()}}
-    return {200: {"description": "One RGB triple for each point.", "content": content}}
-
-
-def binary(media_type: str, description: str) -> Responses:
-    """Return a response that is a file."""
-    schema = {"type": "string", "contentMediaType": media_type}
-    return {200: {"description": description, "content": {media_type: {"schema": schema}}}}
-
-
-def events() -> Responses:
-    """Return the response that is a stream of events."""
-    data = {"type": "string", "contentMediaType": "application/json", "contentSchema": _ref("Progress")}
-    event = {
-        "type": "object",
-        "properties": {"event": Progress.model_json_schema()["properties"]["status"], "data": data},
-        "required": ["event", "data"],
-    }
-    content = {"text/event-stream": {"itemSchema": event, "example": examples.EVENTS}}
-    return {200: {"description": "Events until the fit has ended.", "content": content}}
-
-
-def export() -> Responses:
-    """Return the response that is a model's file."""
-    binary_file = {"schema": {"type": "string", "contentMediaType": "application/octet-stream"}}
-    json_file = {"schema": {"type": "object"}, "example": _kept(examples.STORED_MODEL)}
-    content = {"application/octet-stream": binary_file, "application/json": json_file}
-    return {200: {"description": "The file: JSON for `json`, bytes for the other formats.", "content": content}}
-
-
-def health(status: str) -> Responses:
-    """Return the answer of a health check."""
-    return example({"status": status, "version": examples.FIT["library"]}, f"The service is {status}.")
-
-
-def _kept(content: dict[str, Any]) -> str:
-    """Return an example as text, because FastAPI drops what is null from the document."""
-    return _KEPT + json.dumps(content)
-
-
-def restore_examples(node: Any) -> None:
-    """Put the examples that `_kept` has wrapped back in place."""
-    if isinstance(node, list):
-        for part in node:
-            restore_examples(part)
-    elif isinstance(node, dict):
-        for key, value in node.items():
-            if isinstance(value, str) and value.startswith(_KEPT):
-                node[key] = json.loads(value.removeprefix(_KEPT))
-            else:
-                restore_examples(value)
-
-
-def problems(*kinds: str) -> Responses:
-    """Return the responses for problems of these kinds."""
+def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
+    """Return the responses for problems of these kinds, and of those that can occur at every operation."""
     responses: Responses = {}
-    add_problems(responses, *kinds)
+    for kind in (*kinds, *_EVERYWHERE, *(_BEHIND_A_KEY if behind_a_key else ())):
+        status, title, detail = table.KINDS[kind]
+        headers = _headers(_HEADERS_OF_PROBLEMS.get(status, ()), _OPTIONAL_HEADERS_OF_PROBLEMS.get(status, ()))
+        described = responses.setdefault(status, {"description": title, "headers": headers, "content": {}})
+        content = described["content"].setdefault(table.MEDIA_TYPE, {"schema": reference(Problem), "examples": {}})
+        if title not in described["description"]:
+            described["description"] += f"; or: {title}"
+        content["examples"][kind] = {"value": table.document(kind, detail, "/v1/fits")}
     return responses
 
 
-def add_problems(responses: dict[Any, Any], *kinds: str) -> None:
-    """Add the problems of these kinds to responses, by statuses of the type that the first one has."""
-    as_text = any(isinstance(status, str) for status in responses)
-    for kind in kinds:
-        status, title = KINDS[kind]
-        entry = responses.setdefault(str(status) if as_text else status, {"description": title})
-        content = entry.setdefault("content", {}).setdefault(MEDIA_TYPE, {"schema": _ref("Problem"), "examples": {}})
-        if title not in entry["description"]:
-            entry["description"] += f"; or: {title}"
-        content["examples"][kind] = {"value": examples.problem(kind, status, title)}
+def links(*operations: str, **values: Any) -> dict[str, Any]:
+    """Return the links of a response to operations that take `values` of it as parameters."""
+    return {operation: {"operationId": operation, "parameters": values} for operation in operations}
 
 
-def _encoding() -> dict[str, Any]:
-    return {
-        "name": "Content-Encoding",
-        "in": "header",
-        "required": False,
-        "description": "The body may be compressed.",
-        "schema": {"type": "string", "enum": ["identity", "gzip", "x-gzip", "zstd"]},
-    }
+def body(description: str, content: dict[str, Any]) -> dict[str, Any]:
+    """Return a request body that the service reads itself; `content` by media type."""
+    return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
-def _npy() -> dict[str, Any]:
-    return {"type": "string", "contentMediaType": NPY}
+def header_parameter(name: str, description: str, example: str | None = None, **schema: Any) -> dict[str, Any]:
+    """Return a request header that the service reads itself."""
+    shown = {} if example is None else {"example": example}
+    schema = {"type": "string", **schema}
+    return {"name": name, "in": "header", "required": False, "description": description, "schema": schema, **shown}
 
 
-def _ref(name: str) -> dict[str, str]:
-    return {"$ref": COMPONENTS + name}
+def reference(model: type[BaseModel]) -> dict[str, str]:
+    """Return the schema that refers to a model's."""
+    return {"$ref": _REFERENCE.format(model=model.__name__)}
+
+
+def file(media_type: str, **schema: Any) -> dict[str, Any]:
+    """Return the content of a binary body or response."""
+    return {"schema": {"type": "string", "contentMediaType": media_type, **schema}}
+
+
+def kept(example: Any) -> str:
+    """Return an example as text, because FastAPI removes what is null from the document."""
+    return _EXAMPLE_MARK + json.dumps(example)
+
+
+def operation_id(route: APIRoute) -> str:
+    """Return the name of a route's operation, which links lead to and generated clients have: its function's."""
+    return route.name
+
+
+def install(app: FastAPI) -> None:
+    """Make `app` describe itself completely."""
+
+    def describe() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = describe  # type: ignore[method-assign]
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+    components = document.setdefault("components", {})
+    schemas = components.setdefault("schemas", {})
+    for model in _REFERENCED:
+        schema = model.model_json_schema(ref_template=_REFERENCE)
+        schemas.update(schema.pop("$defs", {}))
+        schemas[model.__name__] = schema
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    components["securitySchemes"] = {"key": _KEY}
+    for path, methods in document["paths"].items():
+        for operation in methods.values():
+            operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
+            # FastAPI adds this of its own accord; a bad id in the path is answered with 404 here.
+            if "HTTPValidationError" in str(operation["responses"].get("422")):
+                del operation["responses"]["422"]
+    _restore_examples(document["paths"])
+    return document
+
+
+def _restore_examples(node: Any) -> None:
+    """Replace the texts that `kept` has made by the examples."""
+    if isinstance(node, list):
+        for part in node:
+            _restore_examples(part)
+    elif isinstance(node, dict):
+        for key, value in node.items():
+            if isinstance(value, str) and value.startswith(_EXAMPLE_MARK):
+                node[key] = json.loads(value.removeprefix(_EXAMPLE_MARK))
+            else:
+                _restore_examples(value)
+
+
+def _headers(names: Sequence[str], optional: Sequence[str]) -> dict[str, Any]:
+    described = {}
+    for name in ("X-Request-ID", *names, *optional):
+        description, pattern = _HEADERS[name]
+        schema = {"type": "string", "pattern": pattern}
+        described[name] = {"description": description, "required": name not in optional, "schema": schema}
+    return described
+
+
+NOT_MODIFIED = response("What the client has is current.", status=304, headers=["ETag"])

@@ -1,23 +1,52 @@
-"""Responses: JSON documents with strong ETags, pages with links, and the waiting that a request prefers."""
+"""Responses: JSON documents with strong ETags, files, links to the next page, and the headers that every one has."""
 
 import hashlib
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Annotated
 from urllib.parse import urlencode
 
+from fastapi import Header
 from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from service.http.problems import ProblemError
+from service.errors import RangeNotSatisfiableError
 
 JSON = "application/json"
+IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
+
+_SECURITY_HEADERS = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"vary", b"Authorization"),
+)
+# Of the headers that a response may give itself: the page of the documentation has a policy of its own.
+_DEFAULT_HEADERS = (
+    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"),
+    # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
+    (b"cache-control", b"private, no-cache"),
+)
 _PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
+
+
+def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
+    """Return the headers of a response with those that tell browsers and caches what they must not do with it.
+
+    Nothing in it may run, be framed, be read by a page of another site, or be shown to someone who has not asked with
+    the same key.
+    """
+    complete = [*headers, *_SECURITY_HEADERS]
+    given = {name for name, _ in complete}
+    complete += [header for header in _DEFAULT_HEADERS if header[0] not in given]
+    return complete
 
 
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
@@ -26,39 +55,27 @@ def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str
 
 
 def tagged_reply(
-    request: Request,
-    content: bytes,
-    tag: str | None = None,
-    media_type: str = JSON,
-    headers: Mapping[str, str] | None = None,
+    content: bytes, if_none_match: str, media_type: str = JSON, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return `content` with a strong ETag, or 304 if the client has it; the tag is by default its hash."""
-    etag = f'"{tag or hashlib.sha256(content).hexdigest()[:32]}"'
-    every = {**(headers or {}), "ETag": etag}
-    if not_modified(request, etag):
-        return Response(None, 304, every)
-    return Response(content, 200, every, media_type)
+    """Return `content` with its hash as a strong ETag, or 304 if the client has it."""
+    etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    tagged = {**(headers or {}), "ETag": etag}
+    if is_current(etag, if_none_match):
+        return Response(None, 304, tagged)
+    return Response(content, 200, tagged, media_type)
 
 
-def not_modified(request: Request, etag: str) -> bool:
-    """Return whether the client already has what `etag` names."""
-    candidates = request.headers.get("if-none-match", "")
-    return candidates.strip() == "*" or etag in (part.strip().removeprefix("W/") for part in candidates.split(","))
+def is_current(etag: str, if_none_match: str) -> bool:
+    """Return whether `etag` is among those of an ``If-None-Match`` header: what the client has is current."""
+    return if_none_match.strip() == "*" or etag in (
+        part.strip().removeprefix("W/") for part in if_none_match.split(",")
+    )
 
 
 class OpenFileResponse(FileResponse):
     """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
 
-    Parameters
-    ----------
-    path : Path
-    headers : mapping
-    media_type : str
-
-    Raises
-    ------
-    FileNotFoundError
-        If it has been deleted already.
+    Raises FileNotFoundError if it has been deleted already.
     """
 
     def __init__(self, path: Path, headers: Mapping[str, str], media_type: str) -> None:
@@ -79,14 +96,11 @@ class OpenFileResponse(FileResponse):
 
 
 def check_range(request: Request, size: int) -> None:
-    """Make sure that a ``Range`` is one that a file of `size` bytes can be sent by (RFC 9110, section 14.2).
+    """Check that a file of `size` bytes has the range of bytes that the request asks for (RFC 9110, section 14.2).
 
-    What is not one range of bytes is taken out of the request, as if it had not been there.
+    A ``Range`` that is not one range of bytes is removed from the request, which means that it is ignored.
 
-    Raises
-    ------
-    ProblemError
-        If the range begins beyond the end.
+    Raises RangeNotSatisfiableError if the range begins beyond the end.
     """
     found = _RANGE.fullmatch(request.headers.get("range", ""))
     first, last = (found[1], found[2]) if found else ("", "")
@@ -96,7 +110,7 @@ def check_range(request: Request, size: int) -> None:
         request.scope["headers"] = [header for header in request.scope["headers"] if header[0] != b"range"]
     elif (first and int(first) >= size) or (not first and int(last) == 0):
         detail = f"The range begins beyond the end of the file, which has {size} bytes."
-        raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
+        raise RangeNotSatisfiableError(detail, {"Content-Range": f"bytes */{size}"})
 
 
 def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict[str, str]:
@@ -108,10 +122,10 @@ def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:
-    """Return the time to wait that ``Prefer`` asks for (RFC 7240); what it says of other things is ignored.
+    """Return the time to wait that ``Prefer`` asks for (RFC 7240) [s]; other preferences are ignored.
 
-    Of a preference that is given more than once the first counts. ``respond-async`` beside ``wait`` changes nothing:
-    the answer does not wait for the fit any longer either way.
+    Of a preference that is given more than once the first counts. With ``wait``, ``respond-async`` changes nothing:
+    it says what to do when that time is over, which happens anyway.
     """
     preferences: dict[str, str] = {}
     for preference in _PREFERENCE.findall(",".join(request.headers.getlist("prefer"))):

@@ -1,7 +1,7 @@
 """The life of a fit: accepted, running, then succeeded, failed or cancelled.
 
-The store's row is the truth; what is here is what a running process needs besides: the tasks that wait for a
-free slot or for the engine, their progress, and who wants to hear of a change.
+The state of a fit is in the store; here is what a running process needs besides: the tasks that wait for a free slot
+or for the engine, their progress, and who waits for a change.
 """
 
 import asyncio
@@ -9,7 +9,7 @@ import hashlib
 import json
 import logging
 import sqlite3
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
@@ -20,59 +20,52 @@ import dsbrdf
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
 from service.operations.metrics import Metrics
 from service.settings import Settings
-from service.storage.rows import Caller, FitKey, FitRow
+from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.wire.fit_options import from_wire, to_wire
+from service.wire.fit_options import from_wire
 
 logger = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_PAUSE = 5.0  # seconds between attempts at what the machine does not allow just now: to write, to start a process
-_LAST_PATIENCE = 1.0  # seconds that a write may wait for others when the service is about to end
-_OF_THE_DISK = (OSError, sqlite3.DatabaseError)
-_LONGEST_END = 5.0  # seconds that who cancels a fit waits until its process has ended
-_LEAST_CHANGE = 0.01  # of progress, that is worth telling
-_LOST_PAUSE = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
-# A fit that runs whenever the service breaks off may be the cause: beyond the first number it waits, ever
-# longer, so that there is a service that can be asked to cancel it; at the second one it is given up.
+_RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
+_FINAL_BUSY_TIMEOUT = 1.0  # seconds that a write may wait for others when the service is about to end
+_DISK_ERRORS = (OSError, sqlite3.DatabaseError)
+_MAX_CANCEL_WAIT = 5.0  # seconds that who cancels a fit waits until its process has ended
+_MIN_PROGRESS_STEP = 0.01  # a smaller change of the progress notifies nobody
+_MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
+_LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
+# A fit that runs whenever the service is killed may be the cause: after the first number of interruptions it waits
+# longer each time, so that the service can be asked to cancel it; after the second number it fails.
 _INTERRUPTIONS_FORGIVEN = 8
-_REST = 1.0  # seconds; twice as many with each further interruption
-_INTERRUPTIONS_ALLOWED = 100  # with the longest rest before most of them: the better part of an hour of breaking off
-_LONGEST_REST = 30.0  # seconds
+_FIRST_DELAY = 1.0  # seconds; twice as many with each further interruption
+_INTERRUPTIONS_ALLOWED = 100  # with the longest delay before most of them, this takes most of an hour
+_MAX_DELAY = 30.0  # seconds
 
 
-def fit_identity(measurement: str, options: dsbrdf.FitOptions) -> str:
-    """Return the id of a fit: a hash of the measurement, the options and the algorithm's version."""
-    parts = {"measurement": measurement, "options": to_wire(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
+    """Return the id of a fit: a hash of the measurement, the options on the wire and the algorithm's version."""
+    parts = {"measurement": measurement, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
 @dataclass
-class _Live:
+class _RunningFit:
     """An unfinished fit in this process."""
 
     task: "asyncio.Task[None]"
     progress: float = 0.0
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Wake everyone who waits for a change."""
         self.changed.set()
         self.changed = asyncio.Event()
 
 
 class Jobs:
-    """Runs fits and tells of them.
-
-    Parameters
-    ----------
-    store : Store
-    engine : Engine
-    settings : Settings
-    metrics : Metrics
-    """
+    """Runs fits, and lets requests wait for them or follow them."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store
@@ -80,49 +73,44 @@ class Jobs:
         self._settings = settings
         self._metrics = metrics
         self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._live: dict[FitKey, _Live] = {}
-        self._in_order = asyncio.Lock()  # a row and its task are made, or given up, without another change between
+        self._running: dict[FitKey, _RunningFit] = {}
+        self._changes_lock = asyncio.Lock()  # a row and its task change together
 
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
         for row in await run_in_threadpool(self._store.resume):
             self._begin(row.key, row.interruptions)
 
-    def let_go(self) -> None:
-        """Let everyone who waits for a fit or follows one have its present state: the service is about to end."""
-        self._store.database.patience = _LAST_PATIENCE
+    def release_waiters(self) -> None:
+        """Give everyone who waits for a fit or follows one its present state: the service is about to end."""
+        self._store.database.busy_timeout = _FINAL_BUSY_TIMEOUT
         if not self._stopping.done():
             self._stopping.set_result(None)
-        for live in self._live.values():
-            live.tell()
+        for running in self._running.values():
+            running.notify()
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
-        self.let_go()
-        tasks = [live.task for live in self._live.values()]
+        self.release_waiters()
+        tasks = [running.task for running in self._running.values()]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         try:
-            await run_in_threadpool(self._store.hand_over)
-        except _OF_THE_DISK as error:
+            await run_in_threadpool(self._store.requeue_running)
+        except _DISK_ERRORS as error:
             logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
-    async def submit(self, caller: Caller, measurement: str, options: dsbrdf.FitOptions) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or find the same one.
+    async def submit(self, caller: Caller, measurement: str, options: dict[str, Any]) -> tuple[FitRow, bool]:
+        """Accept a fit of a stored measurement with all `options` in their wire form, or find the same one.
 
-        Returns
-        -------
-        FitRow
-            Its row, which is durable.
-        bool
-            Whether it is computed because of this call.
+        Return its row, which is durable, and whether it is computed because of this call.
         """
         key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
-        async with self._in_order:
+        async with self._changes_lock:
             row, new = await run_in_threadpool(
-                self._store.add_fit, caller, key.id, measurement, to_wire(options), versions, self._settings.queue_limit
+                self._store.add_fit, caller, key.id, measurement, options, versions, self._settings.queue_limit
             )
             if new and not self._stopping.done():
                 self._begin(key)
@@ -130,9 +118,9 @@ class Jobs:
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
         """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
-        live = self._live.get(key)
-        if live is not None and seconds > 0:
-            ends = (live.task, self._stopping, *ends)
+        running = self._running.get(key)
+        if running is not None and seconds > 0:
+            ends = (running.task, self._stopping, *ends)
             await asyncio.wait(ends, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         return await run_in_threadpool(self._store.fit, key)
 
@@ -140,14 +128,14 @@ class Jobs:
         """Return the finished share of a fit, 0 to 1."""
         if row.status == "succeeded":
             return 1.0
-        live = self._live.get(row.key)
-        return 0.0 if live is None else live.progress
+        running = self._running.get(row.key)
+        return 0.0 if running is None else running.progress
 
-    async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
-        """Yield the fit's row now and at every change, until it has ended, has been deleted, or the service ends."""
+    async def watch(self, key: FitKey, *ends: "asyncio.Future[None]") -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at every change, until it has ended or is deleted, or until one of `ends`."""
         while True:
-            live = self._live.get(key)
-            changed = None if live is None else live.changed
+            running = self._running.get(key)
+            changed = None if running is None else running.changed
             row = await run_in_threadpool(self._store.fit, key)
             if row is None:
                 return
@@ -155,44 +143,49 @@ class Jobs:
             if row.ended or self._stopping.done():
                 return
             if changed is not None:
-                await changed.wait()
+                change = asyncio.create_task(changed.wait())
+                events: list[asyncio.Future[Any]] = [change, *ends]
+                await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
+                change.cancel()
+                if any(end.done() for end in ends):
+                    return
             else:  # the row is ahead of, or behind, this process by one step
-                await asyncio.sleep(0.05)
+                await asyncio.sleep(_MIN_POLL_INTERVAL)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        async with self._in_order:
+        async with self._changes_lock:
             row = await run_in_threadpool(self._store.cancel_fit, key)
-            live = self._live.get(key)
-            if row is not None and live is not None:
-                live.task.cancel()
-        if row is not None and live is not None:
-            await asyncio.wait([live.task], timeout=_LONGEST_END)
+            running = self._running.get(key)
+            if row is not None and running is not None:
+                running.task.cancel()
+        if row is not None and running is not None:
+            await asyncio.wait([running.task], timeout=_MAX_CANCEL_WAIT)
         return row
 
     def _begin(self, key: FitKey, interruptions: int = 0) -> None:
-        previous = self._live.get(key)
-        task = asyncio.create_task(self._live_through(key, previous.task if previous else None, interruptions))
-        self._live[key] = live = _Live(task)
+        previous = self._running.get(key)
+        task = asyncio.create_task(self._run(key, previous.task if previous else None, interruptions))
+        self._running[key] = running = _RunningFit(task)
 
         def forget(_: "asyncio.Task[None]") -> None:
-            if self._live.get(key) is live:
-                del self._live[key]
-            live.tell()
+            if self._running.get(key) is running:
+                del self._running[key]
+            running.notify()
 
         task.add_done_callback(forget)
 
-    async def _live_through(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
+    async def _run(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
         bind_contextvars(fit=str(key))
         if previous is not None:  # cancelled, and asked for again before its process had ended
-            await _to_its_end(asyncio.wait([previous]))
+            await _run_to_end(asyncio.wait([previous]))
         try:
             if interruptions >= _INTERRUPTIONS_ALLOWED:
-                reason = f"The service has broken off {interruptions} times while it ran this fit."
-                await _written(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
+                reason = f"The service was killed {interruptions} times while it ran this fit."
+                await _write(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
                 return
             if interruptions > _INTERRUPTIONS_FORGIVEN:
-                await asyncio.sleep(min(_REST * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _LONGEST_REST))
+                await asyncio.sleep(min(_FIRST_DELAY * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _MAX_DELAY))
             while not await self._attempt(key):
                 pass
         except Exception:
@@ -202,28 +195,30 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._engine.turn(key.owner):
-            row = await _written(self._store.start_fit, key)
+        async with self._engine.slot(key.owner):
+            row = await _write(self._store.start_fit, key)
             if row is None:
                 return True
-            self._tell(key, 0.0)
+            self._set_progress(key, 0.0)
             if row.started is not None and row.attempts == 1:
-                self._metrics.took("waiting", max(0.0, row.started - row.created))  # clocks are set back, too
+                self._metrics.record_time(
+                    "waiting", max(0.0, row.started - row.created)
+                )  # a clock may have been set back
             with self._metrics.timing("fitting"):
                 outcome = await self._compute(row)
             if isinstance(outcome, Fault) and outcome.origin == "system":
-                await asyncio.sleep(_LOST_PAUSE)
+                await asyncio.sleep(_LOST_DELAY)
                 if self._stopping.done():  # its process was ended together with this one: the next one runs it
                     return True
-            return await _written(self._record, row, outcome)
+            return await _write(self._record, row, outcome)
 
     async def _compute(self, row: FitRow) -> Outcome:
-        """Run the fit of a row, with a file that is what it should be; wait as long as no process can be started."""
+        """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
             damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
             try:
                 task = FitTask(str(row.key), self._store.blobs.path(row.measurement), from_wire(row.options))
-                outcome = await self._engine.run(task, lambda share: self._tell(row.key, share))
+                outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
                 found = await damage
             except OSError as error:
                 outcome, found = Fault("system", NOT_STARTED, f"The fit could not be started: {error}."), None
@@ -236,8 +231,8 @@ class Jobs:
                 return Fault("system", "MeasurementDamaged", message)
             if not (isinstance(outcome, Fault) and outcome.type == NOT_STARTED):
                 return outcome
-            logger.warning("%s Trying again in %g s.", outcome.message, _PAUSE)
-            await asyncio.sleep(_PAUSE)
+            logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
+            await asyncio.sleep(_RETRY_DELAY)
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
@@ -253,28 +248,28 @@ class Jobs:
         logger.warning("the fit has failed: %s", outcome.message)
         return True
 
-    def _tell(self, key: FitKey, share: float) -> None:
-        live = self._live.get(key)
-        if live is not None and (share == 0.0 or share - live.progress >= _LEAST_CHANGE):
-            live.progress = share
-            live.tell()
+    def _set_progress(self, key: FitKey, share: float) -> None:
+        running = self._running.get(key)
+        if running is not None and (share == 0.0 or share - running.progress >= _MIN_PROGRESS_STEP):
+            running.progress = share
+            running.notify()
 
 
-async def _written(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call `write` in a thread, again and again while the disk does not take it: a computed fit is not thrown away.
+async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost.
 
-    A cancelled call returns when the thread has come to its end, so that nothing is written later than one thinks.
+    A cancelled call returns when the thread has ended, so that nothing is written after it.
     """
     while True:
         try:
-            return await _to_its_end(run_in_threadpool(write, *args, **kwargs))
-        except _OF_THE_DISK as error:
-            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _PAUSE)
-            await asyncio.sleep(_PAUSE)
+            return await _run_to_end(run_in_threadpool(write, *args, **kwargs))
+        except _DISK_ERRORS as error:
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
+            await asyncio.sleep(_RETRY_DELAY)
 
 
-async def _to_its_end(work: Coroutine[Any, Any, T]) -> T:
-    """Await `work`; a cancelled call returns when it has ended all the same."""
+async def _run_to_end(work: Coroutine[Any, Any, T]) -> T:
+    """Await `work` to its end, even if this call is cancelled meanwhile."""
     task = asyncio.create_task(work)
     try:
         return await asyncio.shield(task)

@@ -1,4 +1,4 @@
-"""The models of finished fits, the last used ones kept in memory: evaluating one costs a look-up."""
+"""The models of finished fits: those used last stay in memory, so that a request for values reads nothing."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -6,16 +6,16 @@ from functools import cached_property
 
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf import DSBRDF, Decomposition, FitReport, InvalidArgumentError, decompose
+from dsbrdf import DSBRDF, Decomposition, FitReport, decompose
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json
-from service.http.problems import ProblemError
-from service.storage.rows import FitKey
+from service.errors import FitNotFinishedError, FitNotFoundError, FitWithoutResultError, NotFoundError, ProblemError
+from service.storage.schema import FitKey
 from service.storage.store import Store
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedFit:
     """A fit's model and report."""
 
     model: DSBRDF
@@ -23,16 +23,15 @@ class Loaded:
 
     @cached_property
     def decomposition(self) -> Decomposition:
-        """The model's components; they take some milliseconds once."""
+        """The model's components, computed at the first use."""
         return decompose(self.model)
 
 
-class Models:
-    """Models by fit, in the order of their last use.
+class ModelCache:
+    """The models used last, by fit.
 
     Parameters
     ----------
-    store : Store
     size : int
         How many to keep.
     """
@@ -40,46 +39,38 @@ class Models:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._kept: OrderedDict[FitKey, Loaded] = OrderedDict()
+        self._models: OrderedDict[FitKey, LoadedFit] = OrderedDict()
         self._deletions = 0
 
-    async def get(self, key: FitKey) -> Loaded:
+    async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit.
 
-        Raises
-        ------
-        ProblemError
-            If there is no such fit, or it has no result.
+        Raises ProblemError if there is no such fit, or it has no result.
         """
-        loaded = self._kept.get(key)
+        loaded = self._models.get(key)
         if loaded is not None:
-            self._kept.move_to_end(key)
+            self._models.move_to_end(key)
             return loaded
         deletions = self._deletions
         loaded = await run_in_threadpool(self._load, key)
-        if deletions != self._deletions:  # perhaps of this fit, after it was read
+        if deletions != self._deletions:  # perhaps this fit was deleted after it was read
             return loaded
-        self._kept[key] = loaded
-        while len(self._kept) > self._size:
-            self._kept.popitem(last=False)
+        self._models[key] = loaded
+        while len(self._models) > self._size:
+            self._models.popitem(last=False)
         return loaded
 
-    async def part(self, key: FitKey, label: str | None) -> DSBRDF:
+    async def component(self, key: FitKey, label: str | None) -> DSBRDF:
         """Return the model of a fit, or of one of its components.
 
-        Raises
-        ------
-        ProblemError
-            As `get`, or if there is no such label.
+        Raises ProblemError: as `get`, or if there is no such label.
         """
         if label is None:
             return (await self.get(key)).model
         decomposition = await self.decomposition(key)
-        try:
-            return decomposition[label]
-        except InvalidArgumentError:
-            detail = f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}."
-            raise ProblemError("not-found", detail) from None
+        if label not in LABELS:
+            raise NotFoundError(f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
+        return decomposition[label]
 
     async def decomposition(self, key: FitKey) -> Decomposition:
         """Return the components of a fit; raises as `get`."""
@@ -89,35 +80,24 @@ class Models:
     def forget(self, key: FitKey) -> None:
         """Drop a model whose fit is deleted."""
         self._deletions += 1
-        self._kept.pop(key, None)
+        self._models.pop(key, None)
 
     def forget_all(self) -> None:
         """Drop every model, since fits may have been deleted by another process."""
         self._deletions += 1
-        self._kept.clear()
+        self._models.clear()
 
-    def _load(self, key: FitKey) -> Loaded:
+    def _load(self, key: FitKey) -> LoadedFit:
         document = self._store.result(key)
         if document is None:
-            raise self._problem(key)
-        return Loaded(*from_json(document))
+            raise self._reason(key)
+        return LoadedFit(*from_json(document))
 
-    def _problem(self, key: FitKey) -> ProblemError:
+    def _reason(self, key: FitKey) -> ProblemError:
+        """Return the error for a fit without model."""
         row = self._store.fit(key)
         if row is None:
-            return no_such_fit(key.id)
+            return FitNotFoundError(key.id)
         if not row.ended:
-            detail = f"The fit is {row.status}; its model exists when it has succeeded."
-            return ProblemError("fit-not-finished", detail, {"Retry-After": "1"})
-        return ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")
-
-
-def no_such_fit(fit_id: str) -> ProblemError:
-    """Return the problem of an unknown fit."""
-    return ProblemError("not-found", f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists those that there are.")
-
-
-def no_such_measurement(sha256: str) -> ProblemError:
-    """Return the problem of an unknown measurement."""
-    detail = f"There is no measurement {sha256[:64]!r}; upload it with POST /v1/measurements or POST /v1/fits."
-    return ProblemError("not-found", detail)
+            return FitNotFinishedError(f"The fit is {row.status}; its model exists when it has succeeded.")
+        return FitWithoutResultError(f"The fit {row.status} and has no model; its document says why.")

@@ -20,12 +20,12 @@ from structlog.typing import EventDict, Processor
 from service.settings import Settings
 
 _SECRETS = re.compile(r"(\bdsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
-# What would end a line or steer a terminal.
+# Characters that would end a line or control a terminal.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
-_OF_UVICORN = "color_message"  # the message once more, with colours
+_OF_UVICORN = "color_message"  # a copy of the message with colours
 
 
 def configure(settings: Settings) -> None:

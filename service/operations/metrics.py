@@ -9,14 +9,14 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from service.storage.database import Database
-from service.storage.rows import Status
+from service.storage.schema import Status
 
 Stage = Literal["upload", "waiting", "fitting", "evaluating"]
 
@@ -46,19 +46,11 @@ class Metrics:
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
         self._requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
-        self._request_seconds = Histogram(
-            "dsbrdf_request_seconds",
-            "Time from a request's head to the end of its answer [s].",
-            ("method", "route"),
-            buckets=_SECONDS,
-            registry=registry,
-        )
+        timed: dict[str, Any] = {"buckets": _SECONDS, "registry": registry}
+        request_seconds = "Time from a request's head to the end of its answer [s]."
+        self._request_seconds = Histogram("dsbrdf_request_seconds", request_seconds, ("method", "route"), **timed)
         stage_seconds = Histogram(
-            "dsbrdf_stage_seconds",
-            "Time that a part of the work takes [s].",
-            ("stage",),
-            buckets=_SECONDS,
-            registry=registry,
+            "dsbrdf_stage_seconds", "Time that a part of the work takes [s].", ("stage",), **timed
         )
         self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
@@ -70,28 +62,25 @@ class Metrics:
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is its route's template or `NO_ROUTE`."""
         known = self._known.get((method, route, status))
-        if known is None:  # the look-up of labels costs more than counting
+        if known is None:  # looking labels up takes longer than counting
             label = method if method in _METHODS else "other"
-            known = (
-                self._requests.labels(label, route, str(status)),
-                self._request_seconds.labels(label, route),
-            )
+            known = self._requests.labels(label, route, str(status)), self._request_seconds.labels(label, route)
             if label == method:
                 self._known[method, route, status] = known
         counter, histogram = known
         counter.inc()
         histogram.observe(seconds)
 
-    def took(self, stage: Stage, seconds: float) -> None:
-        """Note how long a part of the work took."""
+    def record_time(self, stage: Stage, seconds: float) -> None:
+        """Record how long a stage of the work took."""
         self._stages[stage].observe(seconds)
 
     @contextmanager
     def timing(self, stage: Stage) -> Iterator[None]:
-        """Note how long the block takes, if it goes well."""
+        """Record how long the block takes, unless it raises."""
         begin = perf_counter()
         yield
-        self.took(stage, perf_counter() - begin)
+        self.record_time(stage, perf_counter() - begin)
 
     def collect_from(self, database: Database) -> None:
         """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
@@ -103,7 +92,7 @@ class Metrics:
 
 
 class _Stored(Collector):
-    """What the database knows better than a counter that starts at zero with the process."""
+    """Gauges of what is stored, read from the database: counters would start at zero with the process."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -115,8 +104,8 @@ class _Stored(Collector):
         try:
             numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
             ((stored_bytes,),) = self._database.rows(files)
-        except sqlite3.Error as error:  # what has been counted is wanted all the more
-            logger.warning("the metrics are without those of the database: %s", error)
+        except sqlite3.Error as error:  # the other metrics are still of use
+            logger.warning("the metrics lack those of the database: %s", error)
             return
         for state in get_args(Status):
             states.add_metric((state,), numbers.get(state, 0))

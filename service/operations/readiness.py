@@ -1,4 +1,4 @@
-"""Whether the service can take work: each part is asked, within a time limit, and at most once a second."""
+"""Whether the service can take work: each part is checked within a time limit, at most once a second."""
 
 import asyncio
 import logging
@@ -16,7 +16,7 @@ from service.settings import Settings
 from service.storage.store import Store
 
 LIMIT = 3.0  # seconds that a part may take to answer
-_FRESH = 1.0  # seconds that its answer is believed, so that asking costs the service nothing
+_FRESH = 1.0  # seconds for which the answer of a part is used again
 
 T = TypeVar("T")
 
@@ -24,14 +24,7 @@ logger = logging.getLogger(__name__)
 
 
 class Readiness:
-    """Asks the store, the folder of measurements, the disk and the engine.
-
-    Parameters
-    ----------
-    store : Store
-    engine : Engine
-    settings : Settings
-    """
+    """Checks the store, the folder of measurements, the disk and the engine."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
         self._stopping = False
@@ -43,11 +36,11 @@ class Readiness:
         )
 
     def stop(self) -> None:
-        """Be not ready from now on."""
+        """Report from now on that the service is not ready."""
         self._stopping = True
 
     async def fault(self) -> str | None:
-        """Return in a sentence or more what is wrong; None if the service is ready."""
+        """Return one or more sentences about what is wrong; None if the service is ready."""
         if self._stopping:
             return "The service is shutting down."
         faults = await asyncio.gather(*(part.fault() for part in self._parts))
@@ -55,7 +48,7 @@ class Readiness:
 
 
 class _Part:
-    """One thing to ask; a question that hangs is not asked again beside itself."""
+    """One part and its check; a check that hangs is not started a second time."""
 
     def __init__(self, name: str, check: Callable[[], Awaitable[None]]) -> None:
         self._name = name
@@ -76,7 +69,7 @@ class _Part:
         try:
             await self._check()
         except (OSError, sqlite3.Error, RuntimeError) as error:
-            # Whoever asks is told what is wrong, the log also where.
+            # The client gets the reason; the log also names the part.
             logger.warning("%s is not ready: %s", self._name, error)
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             return f"{self._name} is not ready: {reason.rstrip('.')}."
@@ -90,5 +83,5 @@ def _check_space(store: Store, least_mb: int) -> None:
 
 
 async def _in_thread(check: Callable[[], None]) -> None:
-    # A disk that hangs must not hold up the end of the service.
+    # A disk that hangs must not delay the end of the service.
     await anyio.to_thread.run_sync(check, abandon_on_cancel=True)

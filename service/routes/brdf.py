@@ -1,4 +1,4 @@
-"""BRDF values of a fit and of its components."""
+"""BRDF values of a fit and of its components, and the components themselves."""
 
 import re
 from collections.abc import Callable, Coroutine
@@ -7,159 +7,201 @@ from urllib.parse import parse_qsl
 
 from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf import InvalidArgumentError
 from dsbrdf.model.decomposition import LABELS
-from service.access.authentication import fit_of
-from service.context import Context, context_of
-from service.http import examples, openapi
-from service.http.problems import ProblemError, sentence
+from service.errors import NotAcceptableError, TooLargeError, UnsupportedMediaTypeError
+from service.http import openapi
 from service.http.request_body import receive_small
-from service.routes.fits import FitId
-from service.wire.points import NPY, Points, from_angles, from_directions, from_npy, from_query
-from service.wire.schemas import AnglesRequest, DirectionsRequest, Values
-from service.wire.values_stream import JSON, values_reply
+from service.http.responses import IfNoneMatch, tagged_reply
+from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
+from service.storage.schema import FitKey
+from service.wire import examples
+from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, component_list, parse_document
+from service.wire.values import (
+    ANGLES,
+    DIRECTIONS,
+    JSON,
+    NPY,
+    Points,
+    from_angles,
+    from_directions,
+    from_npy,
+    from_query,
+    values_reply,
+)
 
 
 class _DirectRoute(APIRoute):
-    """A route whose function is called with the request and its path parameters as they are.
+    """A route whose function gets its dependencies and path parameters without FastAPI's validation.
 
-    FastAPI describes it like any other. Having nothing solved and validated takes a third off a GET; an id or a
-    label that nothing can have is one that is not found.
+    FastAPI describes it like any other. Without solving and validating, a GET takes a third less time; an id or a
+    label that nothing can have is not found.
     """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return what answers a request."""
+        """Return the function that answers a request."""
 
         async def answer(request: Request) -> Response:
-            response: Response = await self.endpoint(request, **request.path_params)
+            context, caller = await context_of(request), await caller_of(request)
+            fit = await fit_key(caller, request.path_params["fit_id"])
+            labels = {"label": request.path_params["label"]} if "label" in request.path_params else {}
+            response: Response = await self.endpoint(request, context, fit, **labels)
             return response
 
         return answer
 
 
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
+components = APIRouter(prefix="/v1/fits/{fit_id}/lobes", tags=["lobes"])
 Label = Annotated[
     str,
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
 ]
 
-_MOST_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
-_JSON_BYTES_A_POINT = 160  # six numbers with all their digits
-_NPY_BYTES_A_POINT = 48
-_DIRECTIONS_FIRST = re.compile(rb'\s*\{\s*"omega_')
-_ASKED = openapi.example(examples.VALUES, "One RGB triple for each point.") | openapi.problems(
+_MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
+_JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
+_NPY_BYTES_PER_POINT = 48
+_STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
+
+
+def _point_parameter(name: str, description: str, items: dict[str, Any], **example: Any) -> dict[str, Any]:
+    schema = {"type": "array", "items": items}
+    return {"name": name, "in": "query", "explode": True, "description": description, "schema": schema, **example}
+
+
+_ANGLE = {"type": "number", "minimum": 0, "maximum": 90}
+_VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
+_IN_DEGREES = "Angles in degrees; repeat for several points."
+_UNIT_VECTORS = "Unit vectors x,y,z on the upper hemisphere; repeat for several points."
+_QUERY = {
+    "parameters": [
+        _point_parameter(ANGLES[0], _IN_DEGREES, _ANGLE, example=[10]),
+        _point_parameter(ANGLES[1], _IN_DEGREES, _ANGLE, example=[30]),
+        *(_point_parameter(name, _UNIT_VECTORS, _VECTOR) for name in DIRECTIONS),
+    ]
+}
+_BATCH = openapi.body(
+    "Points, in degrees or as unit vectors.",
+    {
+        JSON: {
+            "schema": {"oneOf": [openapi.reference(AnglesRequest), openapi.reference(DirectionsRequest)]},
+            "examples": {"angles": {"value": examples.ANGLES}, "directions": {"value": examples.DIRECTIONS}},
+        },
+        NPY: openapi.file(NPY),
+    },
+)
+_TRIPLES = "One RGB triple for each point."
+_GET_RESPONSES = openapi.response(_TRIPLES, examples.VALUES) | openapi.problems(
     "not-found", "fit-not-finished", "invalid-argument"
 )
-_POSTED = openapi.batch_answer() | openapi.problems(
-    "not-found", "not-acceptable", "fit-not-finished", "too-large", "unsupported-media-type", "invalid-argument"
+_POST_RESPONSES = openapi.response(
+    _TRIPLES, content={JSON: {"example": examples.VALUES}, NPY: openapi.file(NPY)}
+) | openapi.problems(
+    "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
 
 
 @router.get(
-    "/brdf",
-    response_model=Values,
-    summary="Values at some points",
-    responses=_ASKED,
-    openapi_extra=openapi.point_query(),
+    "/brdf", response_model=Values, summary="Values at some points", responses=_GET_RESPONSES, openapi_extra=_QUERY
 )
-async def get_values(request: Request, fit_id: FitId) -> Response:
+async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values; parameters repeat for several points."""
-    return await _asked(request, fit_id, None)
+    return await _values_of_query(request, context, fit, None)
 
 
 @router.get(
     "/lobes/{label}/brdf",
     response_model=Values,
     summary="A component's values at some points",
-    responses=_ASKED,
-    openapi_extra=openapi.point_query(),
+    responses=_GET_RESPONSES,
+    openapi_extra=_QUERY,
 )
-async def get_component_values(request: Request, fit_id: FitId, label: Label) -> Response:
+async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values; the three components' values add up to the fit's."""
-    return await _asked(request, fit_id, label)
+    return await _values_of_query(request, context, fit, label)
 
 
 @router.post(
-    "/brdf",
-    response_model=Values,
-    summary="Values at many points",
-    responses=_POSTED,
-    openapi_extra=openapi.point_batch(),
+    "/brdf", response_model=Values, summary="Values at many points", responses=_POST_RESPONSES, openapi_extra=_BATCH
 )
-async def post_values(request: Request, fit_id: FitId) -> Response:
+async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
 
     A .npy array holds (n, 2) half and difference angles in degrees, or (n, 6) or (n, 2, 3) directions;
     the answer is (n, 3) float64. JSON may have 100,000 points, .npy a million.
     """
-    return await _posted(request, fit_id, None)
+    return await _values_of_batch(request, context, fit, None)
 
 
 @router.post(
     "/lobes/{label}/brdf",
     response_model=Values,
     summary="A component's values at many points",
-    responses=_POSTED,
-    openapi_extra=openapi.point_batch(),
+    responses=_POST_RESPONSES,
+    openapi_extra=_BATCH,
 )
-async def post_component_values(request: Request, fit_id: FitId, label: Label) -> Response:
+async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
-    return await _posted(request, fit_id, label)
+    return await _values_of_batch(request, context, fit, label)
 
 
-async def _asked(request: Request, fit_id: str, label: str | None) -> Response:
-    context = context_of(request)
-    model = await context.models.part(fit_of(request, fit_id), label)
+@components.get(
+    "",
+    response_model=ComponentList,
+    summary="The components of a fit",
+    responses=openapi.response("The components, from narrow to wide.", examples.COMPONENTS, headers=["ETag"])
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found", "fit-not-finished"),
+)
+async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+    """Return the three components with their lobes, albedo, half width and how clear the label is."""
+    document = component_list(await context.models.decomposition(fit))
+    return tagged_reply(document.model_dump_json().encode(), if_none_match)
+
+
+async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
+    model = await context.models.component(fit, label)
     points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
     return await values_reply(model, points, JSON, context.metrics)
 
 
-async def _posted(request: Request, fit_id: str, label: str | None) -> Response:
-    context = context_of(request)
-    media_type = _wanted_type(request)
-    model = await context.models.part(fit_of(request, fit_id), label)
-    points = await _batch(request, context)
+async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
+    media_type = _accepted_type(request)
+    model = await context.models.component(fit, label)
+    points = await _batch(request, context.settings.max_points)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
-        raise ProblemError("too-large", detail)
+        raise TooLargeError(detail)
     return await values_reply(model, points, media_type, context.metrics)
 
 
-async def _batch(request: Request, context: Context) -> Points:
+async def _batch(request: Request, max_points: int) -> Points:
     """Return the points in the body."""
     media_type = request.headers.get("content-type", JSON).partition(";")[0].strip().lower()
-    most = context.settings.max_points
     if media_type == NPY:
-        body = await receive_small(request, most * _NPY_BYTES_A_POINT + 4096)
+        body = await receive_small(request, max_points * _NPY_BYTES_PER_POINT + 4096)
         return await run_in_threadpool(from_npy, body)
     if media_type == JSON:
-        most = min(most, _MOST_JSON_POINTS)
-        text = bytes(await receive_small(request, most * _JSON_BYTES_A_POINT + 4096))
-        if text.count(b",") > 6 * most:
-            raise ProblemError("too-large", f"A JSON body may have {most} points; send more of them as {NPY}.")
+        max_points = min(max_points, _MAX_JSON_POINTS)
+        text = bytes(await receive_small(request, max_points * _JSON_BYTES_PER_POINT + 4096))
+        if text.count(b",") > 6 * max_points:
+            raise TooLargeError(f"A JSON body may have {max_points} points; send more of them as {NPY}.")
         return await run_in_threadpool(_from_json, text)
     detail = f"The content type {media_type[:60]!r} is not supported; send {JSON} or {NPY}."
-    raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{JSON}, {NPY}"})
+    raise UnsupportedMediaTypeError(detail, {"Accept-Post": f"{JSON}, {NPY}"})
 
 
 def _from_json(body: bytes) -> Points:
-    # Which of the two documents is meant shows in the message for one that is neither.
-    directions = _DIRECTIONS_FIRST.match(body)
-    try:
-        if directions:
-            vectors = DirectionsRequest.model_validate_json(body, strict=True)
-            return from_directions(vectors.omega_in, vectors.omega_out)
-        angles = AnglesRequest.model_validate_json(body, strict=True)
-    except ValidationError as error:
-        raise InvalidArgumentError(sentence(error.errors())) from None
+    if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
+        vectors = parse_document(DirectionsRequest, body, strict=True)
+        return from_directions(vectors.omega_in, vectors.omega_out)
+    angles = parse_document(AnglesRequest, body, strict=True)
     return from_angles(angles.theta_half_deg, angles.theta_diff_deg)
 
 
-def _wanted_type(request: Request) -> str:
+def _accepted_type(request: Request) -> str:
     """Return which of JSON and .npy ``Accept`` prefers; what is said of a type itself goes before any range."""
     ranges: dict[str, float] = {}
     for entry in ",".join(request.headers.getlist("accept")).split(","):
@@ -174,7 +216,7 @@ def _wanted_type(request: Request) -> str:
 
     json, npy = weight(JSON, 0.5), weight(NPY, 0.25)  # a type that is named counts more; JSON is the default
     if not (json or npy):
-        raise ProblemError("not-acceptable", f"The values can be had as {JSON} or {NPY}; accept one of them.")
+        raise NotAcceptableError(f"The values are available as {JSON} or {NPY}; accept one of them.")
     return NPY if npy > json else JSON
 
 

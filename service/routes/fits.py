@@ -1,36 +1,71 @@
 """Fits: submit, look up, follow, cancel and delete."""
 
 import asyncio
-from collections.abc import AsyncIterable
-from contextlib import suppress
-from typing import Annotated
+from collections.abc import AsyncIterable, AsyncIterator, Coroutine
+from contextlib import asynccontextmanager, suppress
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf import FitOptions, InvalidArgumentError
-from service.access.authentication import caller_of, fit_of, over_quota, owner_of
-from service.context import Context, context_of
-from service.http import examples, openapi
-from service.http.problems import ProblemError, sentence
+from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.errors import InvalidArgumentError
+from service.access.authentication import invalid_key
+from service.errors import FitNotFoundError, RequestTimeoutError, UnsupportedMediaTypeError
+from service.http import openapi
+from service.http.openapi import BINARY, JSON
 from service.http.request_body import receive_measurement, receive_small
-from service.http.responses import json_reply, next_page, preferred_wait, tagged_reply
-from service.jobs.model_cache import no_such_fit, no_such_measurement
-from service.storage.quota import QueueQuotaError, StorageQuotaError
-from service.storage.rows import Caller, FitKey, FitRow
-from service.storage.store import MissingMeasurementError, QueueFullError
-from service.wire.conversions import fit_document, fit_progress, fit_summary
-from service.wire.option_parsing import parse_options, parse_query
-from service.wire.schemas import FIT_ID, FitDocument, FitList, FitRequest, Page, Progress, Waiting
+from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
+from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
+from service.storage.schema import Caller, FitKey, FitRow
+from service.wire import examples
+from service.wire.fit_options import OPTIONS_SCHEMA, from_query, from_wire, to_wire
+from service.wire.schemas import (
+    FitDocument,
+    FitList,
+    FitRequest,
+    Page,
+    Progress,
+    Waiting,
+    fit_document,
+    fit_progress,
+    fit_summary,
+    parse_document,
+)
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
-FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[examples.FIT_ID])]
 
-_LARGEST_JSON = 1 << 16
-_RAW = "application/octet-stream"
+_MAX_JSON = 1 << 16
+_FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
+_LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
+_PREFER = openapi.header_parameter(
+    "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait.", "wait=10"
+)
+CONTENT_ENCODING = openapi.header_parameter(
+    "Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip", "zstd"]
+)
+
+
+def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return an option as a query parameter: `none` for null, and a list with commas."""
+    none = {"type": "string", "const": "none"}
+    choices = [none if choice["type"] == "null" else choice for choice in schema.get("anyOf", ())]
+    default = "none" if schema["default"] is None else schema["default"]
+    schema = {**schema, "default": default} | ({"anyOf": choices} if choices else {})
+    explained = {"style": "form", "explode": False, "description": "Option of a raw upload."}
+    return {"name": name, "in": "query", **explained, "schema": schema}
+
+
+_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
+_SUBMISSION_BODY = openapi.body(
+    "A MERL file, or a reference to a stored measurement.",
+    {
+        BINARY: openapi.file(BINARY, maxLength=FILE_SIZE),
+        JSON: {"schema": openapi.reference(FitRequest), "example": examples.SUBMISSION},
+    },
+)
 
 
 @router.post(
@@ -38,19 +73,26 @@ _RAW = "application/octet-stream"
     status_code=201,
     response_model=FitDocument,
     summary="Fit a measurement",
-    responses=openapi.submitted()
-    | openapi.problems(
-        "bad-encoding",
-        "not-found",
-        "measurement-too-large",
-        "unsupported-media-type",
-        "measurement-format",
-        "queue-full",
-        "disk-full",
-    ),
-    openapi_extra=openapi.fit_submission(),
+    responses=openapi.response("The fit has ended.", examples.FIT, status=201, headers=["Location"], links=_LINKS)
+    | openapi.response(
+        "The same request was made before; its fit has ended.",
+        examples.FIT,
+        model=FitDocument,
+        headers=["Location"],
+        links=_LINKS,
+    )
+    | openapi.response(
+        "The fit has not ended; ask again at `Location`.",
+        examples.RUNNING_FIT,
+        status=202,
+        model=FitDocument,
+        headers=["Location", "Retry-After"],
+        links=_LINKS,
+    )
+    | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
+    openapi_extra={"parameters": [*_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
 )
-async def submit_fit(request: Request) -> Response:
+async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Fit the MERL file that is the body, or a stored measurement.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
@@ -58,34 +100,35 @@ async def submit_fit(request: Request) -> Response:
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
     `Location` tells where to ask again.
     """
-    context = context_of(request)
-    media_type = request.headers.get("content-type", _RAW).partition(";")[0].strip().lower()
-    if media_type == _RAW:
-        options = parse_query(request.query_params.multi_items())
+    media_type = request.headers.get("content-type", BINARY).partition(";")[0].strip().lower()
+    if media_type == BINARY:
+        options = to_wire(from_query(request.query_params.multi_items()))
         with context.metrics.timing("upload"):
-            row, _ = await receive_measurement(request, context.store)
+            row, _ = await receive_measurement(request, caller, context.store)
         measurement = row.sha256
-    elif media_type == "application/json":
+    elif media_type == JSON:
         measurement, options = await _stored_submission(request)
     else:
-        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {_RAW}, or JSON."
-        raise ProblemError("unsupported-media-type", detail, {"Accept-Post": f"{_RAW}, application/json"})
-    fit, new = await _submit(context, caller_of(request), measurement, options)
+        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {BINARY}, or JSON."
+        raise UnsupportedMediaTypeError(detail, {"Accept-Post": f"{BINARY}, {JSON}"})
+    fit, new = await context.jobs.submit(caller, measurement, options)
     wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
-    return await _answer(request, fit, new, wait)
+    return await _submitted(request, context, caller, fit, new, wait)
 
 
 @router.get(
     "",
     response_model=FitList,
     summary="List the fits",
-    responses=openapi.example(examples.FIT_LIST, "Fits, newest first.") | openapi.problems("invalid-argument"),
+    responses=openapi.response("Fits, newest first.", examples.FIT_LIST, optional_headers=["Link"])
+    | openapi.problems("invalid-argument"),
 )
-async def list_fits(request: Request, page: Annotated[Page, Query()]) -> Response:
+async def list_fits(
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
-    context = context_of(request)
     before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.fits, owner_of(request), page.limit, before)
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit, before)
     items = [fit_summary(row, context.jobs.progress(row)) for row in rows]
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
     return json_reply(FitList(items=items), headers=headers)
@@ -95,118 +138,143 @@ async def list_fits(request: Request, page: Annotated[Page, Query()]) -> Respons
     "/{fit_id}",
     response_model=FitDocument,
     summary="Look a fit up",
-    responses=openapi.example(examples.FIT, "The fit.") | openapi.problems("not-found", "invalid-argument"),
+    responses=openapi.response(
+        "The fit.",
+        examples.FIT,
+        headers=["ETag"],
+        optional_headers=["Retry-After"],
+        links=openapi.links("get_values", "get_components", "export_fit", "delete_fit", fit_id="$response.body#/id"),
+    )
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found", "invalid-argument"),
 )
-async def get_fit(request: Request, fit_id: FitId, waiting: Annotated[Waiting, Query()]) -> Response:
+async def get_fit(
+    request: Request,
+    context: TheContext,
+    caller: TheCaller,
+    fit: TheFit,
+    waiting: Annotated[Waiting, Query()],
+    if_none_match: IfNoneMatch = "",
+) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
-    context = context_of(request)
-    row = await _wait(request, fit_of(request, fit_id), min(waiting.wait, context.settings.max_wait))
-    if row is None:
-        raise no_such_fit(fit_id)
+    row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
-    return tagged_reply(request, document.model_dump_json().encode(), headers=headers)
+    return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=headers)
 
 
 @router.delete(
     "/{fit_id}",
     response_model=FitDocument,
     summary="Cancel or delete a fit",
-    responses=openapi.example(examples.CANCELLED_FIT, "The fit was unfinished and is cancelled.")
-    | {204: {"description": "The fit had ended and is deleted."}}
-    | openapi.problems("not-found"),
+    responses=openapi.response("The fit was unfinished and is cancelled.", examples.CANCELLED_FIT)
+    | openapi.response("The fit had ended and is deleted.", status=204)
+    | openapi.problems("not-found", "disk-full"),
 )
-async def delete_fit(request: Request, fit_id: FitId) -> Response:
+async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     """Cancel an unfinished fit (200, it stays in the list), or delete one that has ended (204)."""
-    context = context_of(request)
-    fit = fit_of(request, fit_id)
     row = await context.jobs.cancel(fit)
     if row is not None:
         return json_reply(await _document(context, row))
     if not await run_in_threadpool(context.store.remove_fit, fit):
-        raise no_such_fit(fit_id)
+        raise FitNotFoundError(fit.id)
     context.models.forget(fit)
     return Response(status_code=204)
 
 
-async def _known_fit(request: Request, fit_id: FitId) -> FitKey:
+async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     """Look the fit up before the stream begins, while the answer can still be 404."""
-    fit = fit_of(request, fit_id)
-    if await run_in_threadpool(context_of(request).store.fit, fit) is None:
-        raise no_such_fit(fit_id)
+    if await run_in_threadpool(context.store.fit, fit) is None:
+        raise FitNotFoundError(fit.id)
     return fit
+
+
+_EVENT = {
+    "type": "object",
+    "properties": {
+        "event": Progress.model_json_schema()["properties"]["status"],
+        "data": {"type": "string", "contentMediaType": JSON, "contentSchema": openapi.reference(Progress)},
+    },
+    "required": ["event", "data"],
+}
 
 
 @router.get(
     "/{fit_id}/events",
     response_class=EventSourceResponse,
     summary="Follow a fit",
-    responses=openapi.events() | openapi.problems("not-found"),
+    responses=openapi.response(
+        "Events until the fit has ended.",
+        content={"text/event-stream": {"itemSchema": _EVENT, "example": examples.EVENTS}},
+    )
+    | openapi.problems("not-found"),
 )
-async def follow_fit(request: Request, fit: Annotated[FitKey, Depends(_known_fit)]) -> AsyncIterable[ServerSentEvent]:
+async def follow_fit(
+    context: TheContext, caller: TheCaller, fit: Annotated[FitKey, Depends(_existing_fit)]
+) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
-    context = context_of(request)
     with context.metrics.event_streams.track_inprogress():
-        async for row in context.jobs.watch(fit):
-            event: Progress = fit_progress(row, context.jobs.progress(row))
-            yield ServerSentEvent(data=event, event=row.status)
+        async with _task_of(revocation(context.keys, caller)) as revoked:
+            async for row in context.jobs.watch(fit, revoked):
+                event: Progress = fit_progress(row, context.jobs.progress(row))
+                yield ServerSentEvent(data=event, event=row.status)
 
 
-async def _stored_submission(request: Request) -> tuple[str, FitOptions]:
+async def _stored_submission(request: Request) -> tuple[str, dict[str, Any]]:
     """Return measurement and options of a JSON body."""
     if request.query_params:
         raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
-    body = bytes(await receive_small(request, _LARGEST_JSON))
-    try:
-        document = FitRequest.model_validate_json(body)
-    except ValidationError as error:
-        raise InvalidArgumentError(sentence(error.errors())) from None
-    return document.measurement, parse_options(document.options)
+    document = parse_document(FitRequest, bytes(await receive_small(request, _MAX_JSON)))
+    return document.measurement, to_wire(from_wire(document.options))
 
 
-async def _submit(context: Context, caller: Caller, measurement: str, options: FitOptions) -> tuple[FitRow, bool]:
-    try:
-        return await context.jobs.submit(caller, measurement, options)
-    except MissingMeasurementError:
-        raise no_such_measurement(measurement) from None
-    except (QueueQuotaError, StorageQuotaError) as error:
-        raise over_quota(error) from None
-    except QueueFullError:
-        limit = context.settings.queue_limit
-        detail = f"{limit} fits are waiting already, as many as may; the measurement is stored, ask again later."
-        raise ProblemError("queue-full", detail, {"Retry-After": "10"}) from None
-
-
-async def _wait(request: Request, key: FitKey, seconds: float) -> FitRow | None:
-    """Return the fit's row when it has ended or after `seconds`; at once if the client goes, which frees its place."""
-    jobs = context_of(request).jobs
-    if not seconds:
-        return await jobs.wait(key, 0)
-    gone = asyncio.create_task(_departure(request))
-    try:
-        return await jobs.wait(key, seconds, gone)
-    finally:
-        gone.cancel()
-
-
-async def _departure(request: Request) -> None:
-    """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # of a body that nobody wants and that comes too slowly
-        while (await request.receive())["type"] != "http.disconnect":
-            pass
-
-
-async def _answer(request: Request, fit: FitRow, new: bool, wait: float) -> Response:
+async def _submitted(
+    request: Request, context: Context, caller: Caller, fit: FitRow, new: bool, wait: float
+) -> Response:
     """Return the fit when it has ended, or after `wait` seconds."""
-    context = context_of(request)
-    row = fit if fit.ended else await _wait(request, fit.key, wait)
-    if row is None:  # deleted meanwhile by someone else
-        raise no_such_fit(fit.id)
+    row = fit if fit.ended else await _wait(request, context, caller, fit.key, wait)
     headers = {"Location": f"/v1/fits/{row.id}"}
     document = await _document(context, row)
     if row.ended:
         return json_reply(document, 201 if new else 200, headers)
     return json_reply(document, 202, {**headers, "Retry-After": "1"})
+
+
+async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
+    """Return the fit's row when it has ended or after `seconds`.
+
+    The wait ends early when the client goes, which frees its place, and when its key is revoked.
+    """
+    if not seconds:
+        row = await context.jobs.wait(fit, 0)
+    else:
+        async with (
+            _task_of(_departure(request)) as gone,
+            _task_of(revocation(context.keys, caller)) as revoked,
+        ):
+            row = await context.jobs.wait(fit, seconds, gone, revoked)
+            if revoked.done():
+                raise invalid_key()
+    if row is None:
+        raise FitNotFoundError(fit.id)
+    return row
+
+
+@asynccontextmanager
+async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.Task[None]"]:
+    """Wait for an event in a task, which is cancelled at the end of the block."""
+    task = asyncio.create_task(event)
+    try:
+        yield task
+    finally:
+        task.cancel()
+
+
+async def _departure(request: Request) -> None:
+    """Return when the client has closed the connection."""
+    with suppress(RequestTimeoutError):  # of a body that is not read and arrives too slowly
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
 
 
 async def _document(context: Context, row: FitRow) -> FitDocument:

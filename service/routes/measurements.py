@@ -2,26 +2,39 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from service.access.authentication import owner_of
-from service.context import context_of
-from service.http import examples, openapi
-from service.http.problems import ProblemError
+from dsbrdf.data.merl_validation import FILE_SIZE
+from service.errors import MeasurementNotFoundError, UnsupportedMediaTypeError
+from service.http import openapi
+from service.http.openapi import BINARY
 from service.http.request_body import receive_measurement
-from service.http.responses import OpenFileResponse, check_range, json_reply, next_page, not_modified
-from service.jobs.model_cache import no_such_measurement
-from service.storage.rows import MeasurementRow
-from service.storage.store import MeasurementInUseError
-from service.wire.conversions import measurement_document
-from service.wire.schemas import SHA256, MeasurementDocument, MeasurementList, Page
+from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
+from service.routes.dependencies import Context, Sha256, TheCaller, TheContext
+from service.routes.fits import CONTENT_ENCODING
+from service.storage.schema import Caller, MeasurementRow
+from service.wire import examples
+from service.wire.schemas import MeasurementDocument, MeasurementList, Page, measurement_document
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
-Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[examples.SHA256])]
 
-_RAW = "application/octet-stream"
+_LINKS = openapi.links(
+    "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
+)
+_FIT_LINK = {
+    "submit_fit": {
+        "operationId": "submit_fit",
+        "requestBody": {
+            "measurement": "$response.body#/items/0/sha256",
+            "options": {"method": "paper", "n_lobes": 1},
+        },
+    }
+}
+_RANGE = openapi.header_parameter(
+    "Range", "One range of bytes; what is no such range is ignored (RFC 9110).", "bytes=0-11"
+)
 
 
 @router.post(
@@ -29,22 +42,30 @@ _RAW = "application/octet-stream"
     status_code=201,
     response_model=MeasurementDocument,
     summary="Upload a measurement",
-    responses=openapi.example(examples.MEASUREMENT, "The measurement is stored.", 201)
-    | openapi.example(examples.MEASUREMENT, "The measurement was stored before.", 200, "MeasurementDocument")
-    | openapi.problems(
-        "bad-encoding", "measurement-too-large", "unsupported-media-type", "measurement-format", "disk-full"
-    ),
-    openapi_extra=openapi.raw_upload(),
+    responses=openapi.response(
+        "The measurement is stored.", examples.MEASUREMENT, status=201, headers=["Location", "ETag"], links=_LINKS
+    )
+    | openapi.response(
+        "The measurement was stored before.",
+        examples.MEASUREMENT,
+        model=MeasurementDocument,
+        headers=["Location", "ETag"],
+        links=_LINKS,
+    )
+    | openapi.problems(*openapi.UPLOAD_PROBLEMS),
+    openapi_extra={
+        "parameters": [CONTENT_ENCODING],
+        **openapi.body("A MERL file.", {BINARY: openapi.file(BINARY, maxLength=FILE_SIZE)}),
+    },
 )
-async def upload_measurement(request: Request) -> Response:
+async def upload_measurement(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
-    media_type = request.headers.get("content-type", _RAW).partition(";")[0].strip().lower()
-    if media_type != _RAW:
-        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {_RAW}."
-        raise ProblemError("unsupported-media-type", detail, {"Accept-Post": _RAW})
-    context = context_of(request)
+    media_type = request.headers.get("content-type", BINARY).partition(";")[0].strip().lower()
+    if media_type != BINARY:
+        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {BINARY}."
+        raise UnsupportedMediaTypeError(detail, {"Accept-Post": BINARY})
     with context.metrics.timing("upload"):
-        row, new = await receive_measurement(request, context.store)
+        row, new = await receive_measurement(request, caller, context.store)
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(measurement_document(row), 201 if new else 200, headers)
 
@@ -53,14 +74,17 @@ async def upload_measurement(request: Request) -> Response:
     "",
     response_model=MeasurementList,
     summary="List the measurements",
-    responses=openapi.example(examples.MEASUREMENT_LIST, "Measurements, newest first.")
+    responses=openapi.response(
+        "Measurements, newest first.", examples.MEASUREMENT_LIST, optional_headers=["Link"], links=_FIT_LINK
+    )
     | openapi.problems("invalid-argument"),
 )
-async def list_measurements(request: Request, page: Annotated[Page, Query()]) -> Response:
+async def list_measurements(
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
-    store = context_of(request).store
-    rows = await run_in_threadpool(store.measurements, owner_of(request), page.limit, before)
+    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit, before)
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
     return json_reply(MeasurementList(items=[measurement_document(row) for row in rows]), headers=headers)
 
@@ -69,32 +93,52 @@ async def list_measurements(request: Request, page: Annotated[Page, Query()]) ->
     "/{sha256}",
     response_class=FileResponse,
     summary="Download a measurement",
-    responses=openapi.binary(_RAW, "The file, byte for byte as it was uploaded.") | openapi.problems("not-found"),
+    responses=openapi.response(
+        "The file, byte for byte as it was uploaded.",
+        content={BINARY: openapi.file(BINARY)},
+        headers=["ETag", "Accept-Ranges", "Content-Disposition"],
+    )
+    | openapi.response(
+        "The part of the file that was asked for.",
+        status=206,
+        headers=["ETag", "Content-Range", "Content-Disposition"],
+    )
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found", "range-not-satisfiable"),
+    openapi_extra={"parameters": [_RANGE]},
 )
-async def download_measurement(request: Request, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256, and a part of it can be had with `Range`."""
-    row = await _row(request, sha256)
+async def download_measurement(
+    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
+) -> Response:
+    """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it."""
+    row = await _row(context, caller, sha256)
     headers = _headers(row)
-    if not_modified(request, headers["ETag"]):
+    if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     check_range(request, row.size)
-    path = context_of(request).store.blobs.path(sha256)
     try:
-        return await run_in_threadpool(OpenFileResponse, path, headers, _RAW)
+        return await run_in_threadpool(OpenFileResponse, context.store.blobs.path(sha256), headers, BINARY)
     except FileNotFoundError:  # deleted since its row was read
-        raise no_such_measurement(sha256) from None
+        raise MeasurementNotFoundError(sha256) from None
 
 
 @router.head(
-    "/{sha256}", response_class=Response, summary="Ask for a measurement", responses=openapi.problems("not-found")
+    "/{sha256}",
+    response_class=Response,
+    summary="Ask for a measurement",
+    responses=openapi.response("The measurement is stored.", headers=["ETag", "Content-Length"])
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found"),
 )
-async def probe_measurement(request: Request, sha256: Sha256) -> Response:
+async def probe_measurement(
+    context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
+) -> Response:
     """Tell whether the measurement is stored, so that an upload can be spared."""
-    row = await _row(request, sha256)
+    row = await _row(context, caller, sha256)
     headers = _headers(row)
-    if not_modified(request, headers["ETag"]):
+    if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
-    return Response(None, 200, {**headers, "Content-Length": str(row.size)}, _RAW)
+    return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
 
 
 @router.delete(
@@ -102,25 +146,20 @@ async def probe_measurement(request: Request, sha256: Sha256) -> Response:
     status_code=204,
     response_class=Response,
     summary="Delete a measurement",
-    responses=openapi.problems("not-found", "measurement-in-use"),
+    responses=openapi.response("The measurement is deleted.", status=204)
+    | openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )
-async def delete_measurement(request: Request, sha256: Sha256) -> Response:
+async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
-    try:
-        store = context_of(request).store
-        removed = await run_in_threadpool(store.remove_measurement, owner_of(request), sha256)
-    except MeasurementInUseError as error:
-        detail = f"{str(error).capitalize()}; cancel them or wait until they have ended."
-        raise ProblemError("measurement-in-use", detail) from None
-    if not removed:
-        raise no_such_measurement(sha256)
+    if not await run_in_threadpool(context.store.remove_measurement, caller.owner, sha256):
+        raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)
 
 
-async def _row(request: Request, sha256: str) -> MeasurementRow:
-    row = await run_in_threadpool(context_of(request).store.measurement, owner_of(request), sha256)
+async def _row(context: Context, caller: Caller, sha256: str) -> MeasurementRow:
+    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     if row is None:
-        raise no_such_measurement(sha256)
+        raise MeasurementNotFoundError(sha256)
     return row
 
 

@@ -1,1 +1,5 @@
-"""The only wing that touches the disk."""
+"""What the service keeps on disk; no other wing touches the data folder.
+
+`store` rows, files and their life; `quotas` what a key may have; `database` connections, transactions and the lock;
+`schema` the tables and their rows; `blobs` the files of measurements.
+"""

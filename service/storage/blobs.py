@@ -68,7 +68,7 @@ class Blobs:
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
         self._temporary = folder / "tmp"
-        self._sound: dict[str, tuple[int, ...]] = {}  # what files looked like whose bytes were found to be right
+        self._verified: dict[str, tuple[int, ...]] = {}  # fingerprints of files whose bytes were found to be right
         self._blobs.mkdir(parents=True, exist_ok=True)
         self._temporary.mkdir(exist_ok=True)
 
@@ -87,7 +87,7 @@ class Blobs:
             target.parent.mkdir()
             _sync_folder(self._blobs)
         incoming.path.replace(target)
-        self._sound[sha256] = _look(target.stat())
+        self._verified[sha256] = _fingerprint(target.stat())
         _sync_folder(target.parent)
 
     def damage(self, sha256: str) -> str | None:
@@ -97,22 +97,25 @@ class Blobs:
         """
         try:
             with self.path(sha256).open("rb") as file:
-                look = _look(os.fstat(file.fileno()))
-                if self._sound.get(sha256) == look:
+                fingerprint = _fingerprint(os.fstat(file.fileno()))
+                if self._verified.get(sha256) == fingerprint:
                     return None
                 digest = hashlib.file_digest(file, "sha256")
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # it is not the file that is at fault
+            if error.errno in (
+                errno.EMFILE,
+                errno.ENFILE,
+            ):  # this process has too many open files; the measurement may be sound
                 raise
             return error.strerror or str(error)
         if digest.hexdigest() != sha256:
             return "its sha256 is another one"
-        self._sound[sha256] = look
+        self._verified[sha256] = fingerprint
         return None
 
     def remove(self, sha256: str) -> None:
         """Remove a measurement's file."""
-        self._sound.pop(sha256, None)
+        self._verified.pop(sha256, None)
         with suppress(FileNotFoundError):
             self.path(sha256).unlink()
 
@@ -136,8 +139,8 @@ class Blobs:
             probe.discard()
 
 
-def _look(status: os.stat_result) -> tuple[int, ...]:
-    """Return what changes when a file does."""
+def _fingerprint(status: os.stat_result) -> tuple[int, ...]:
+    """Return (inode, size, mtime), a fingerprint of the file's state."""
     return status.st_ino, status.st_size, status.st_mtime_ns
 
 

@@ -1,6 +1,6 @@
 """The SQLite database of a data folder, and the lock that keeps a second server out.
 
-A server holds the lock as long as it runs. Commands open the database beside it, for a transaction now and then.
+A server holds the lock as long as it runs. Commands open the database without it, while a server may run.
 """
 
 import fcntl
@@ -12,59 +12,47 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from service.storage.schema import DataFolderError, is_current, migrate
+from service.errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
+from service.storage.schema import VERSION, create_tables, version_of
 
 FILE_NAME = "dsbrdf.sqlite"
-_PATIENCE = 5.0  # seconds that a server's transaction waits for those of others; then its client is told to come again
-_PATIENCE_BESIDE = 30.0  # that a command's does
-
-
-class DataFolderInUseError(DataFolderError):
-    """Another process has opened the data folder."""
-
-
-class DatabaseBusyError(sqlite3.OperationalError):
-    """Other transactions have not let this one begin in time."""
-
-    sqlite_errorcode = sqlite3.SQLITE_BUSY
-
-
-class DatabaseLostError(OSError):
-    """The database's file has been removed or replaced: what is written now would be lost with this process."""
+_BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
+_COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
 
 
 class Database:
-    """Two connections for every thread of this process: one that writes, and one that reads and never waits for it.
+    """Two connections that all threads of this process share: one writes, one reads and never waits for the writer.
 
     Parameters
     ----------
     folder : Path
         Made if it does not exist, for its user alone.
-    beside : bool
-        Whether to go without the lock, so that a server may run or start meanwhile.
+    exclusive : bool
+        Whether to hold the lock, as a server does; a command goes without, so that a server may run or start.
 
     Raises
     ------
     DataFolderError
-        If another process holds the lock and it is needed, a newer release has written the database, or it is damaged.
+        If another process holds the lock and it is needed, another release has written the database, or it is
+        damaged.
 
     Attributes
     ----------
-    patience : float
-        Time that a transaction waits for its turn [s].
+    busy_timeout : float
+        Time that a transaction waits until it can begin [s].
     """
 
-    def __init__(self, folder: Path, *, beside: bool = False) -> None:
+    def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self.patience = _PATIENCE_BESIDE if beside else _PATIENCE
+        self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT
         self._path = folder.resolve() / FILE_NAME
-        self._lock, self._reading = threading.Lock(), threading.Lock()
-        self._open = ExitStack()
+        self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
+        self._resources = ExitStack()
         try:
-            if not beside:
-                self._open.enter_context(_lock(folder))
-            self._db, self._reader = self._connection(), self._connection()
-            self._bring_up_to_date(folder, locked=not beside)
+            if exclusive:
+                self._resources.enter_context(_lock(folder))
+            self._writer, self._reader = self._connection(), self._connection()
+            self._prepare(folder, locked=exclusive)
             self._reader.execute("PRAGMA query_only = ON")
             self._version = self._data_version()
             self._identity = _identity(self._path)
@@ -77,57 +65,55 @@ class Database:
 
     def close(self) -> None:
         """Close the connections and release the lock."""
-        with self._lock, self._reading:
-            self._open.close()
+        with self._writer_lock, self._reader_lock:
+            self._resources.close()
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         """Return what `query` selects."""
-        with self._reading:
+        with self._reader_lock:
             return self._reader.execute(query, values).fetchall()
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write all or nothing; durable when it ends.
 
-        Raises
-        ------
-        DatabaseBusyError, sqlite3.OperationalError
-            If its turn has not come within `patience`.
-        DatabaseLostError
-            If the file is not where it was.
+        Raises DatabaseBusyError, sqlite3.OperationalError if its turn has not come within `busy_timeout`. Raises
+        DatabaseLostError if the file is not where it was.
         """
-        deadline = time.monotonic() + self.patience
-        if not self._lock.acquire(timeout=self.patience):
+        deadline = time.monotonic() + self.busy_timeout
+        if not self._writer_lock.acquire(timeout=self.busy_timeout):
             raise DatabaseBusyError("other transactions take too long")
         try:
-            self._check_place()
-            self._db.execute(f"PRAGMA busy_timeout = {max(0, round(1000 * (deadline - time.monotonic())))}")
-            self._db.execute("BEGIN IMMEDIATE")
+            self._check_file()
+            self._writer.execute(f"PRAGMA busy_timeout = {max(0, round(1000 * (deadline - time.monotonic())))}")
+            self._writer.execute("BEGIN IMMEDIATE")
             try:
-                yield self._db
-                self._db.execute("COMMIT")
+                yield self._writer
+                self._writer.execute("COMMIT")
             except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
+                if self._writer.in_transaction:
+                    self._writer.execute("ROLLBACK")
                 raise
         finally:
-            self._lock.release()
+            self._writer_lock.release()
 
     def changed_by_others(self) -> bool:
         """Return whether another process has written since this was asked before, or since the database was opened."""
-        with self._lock:
+        with self._writer_lock:
             before, self._version = self._version, self._data_version()
         return self._version != before
 
     def _data_version(self) -> int:
-        (version,) = self._db.execute("PRAGMA data_version").fetchone()
+        (version,) = self._writer.execute("PRAGMA data_version").fetchone()
         return int(version)
 
     def _connection(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self._path, timeout=self.patience, isolation_level=None, check_same_thread=False)
-        return self._open.enter_context(closing(connection))
+        connection = sqlite3.connect(
+            self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False
+        )
+        return self._resources.enter_context(closing(connection))
 
-    def _check_place(self) -> None:
+    def _check_file(self) -> None:
         try:
             same = _identity(self._path) == self._identity
         except OSError:
@@ -138,29 +124,29 @@ class Database:
                 "service again"
             )
 
-    def _bring_up_to_date(self, folder: Path, *, locked: bool) -> None:
-        """Migrate; only who holds the lock may, since a server of an earlier release could be running."""
+    def _prepare(self, folder: Path, *, locked: bool) -> None:
+        """Set the connection up and create the tables; the latter only under the lock, as one process at a time."""
         for pragma in ("journal_mode = WAL", "synchronous = FULL"):
-            self._db.execute(f"PRAGMA {pragma}")
+            self._writer.execute(f"PRAGMA {pragma}")
         if locked:
-            migrate(self._db)
-        elif not is_current(self._db):
+            create_tables(self._writer)
+        elif version_of(self._writer) != VERSION:
             with _lock(folder):
-                migrate(self._db)
+                create_tables(self._writer)
 
 
 def _lock(folder: Path) -> IO[str]:
     """Return the open file that is the lock."""
-    guard = (folder / "lock").open("w")
+    file = (folder / "lock").open("w")
     try:
-        fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        guard.close()
+        file.close()
         raise DataFolderInUseError(f"the data folder {folder} is in use by another server") from None
-    return guard
+    return file
 
 
 def _identity(path: Path) -> tuple[int, int]:
-    """Return what stays the same as long as a file does."""
+    """Return (device, inode), which identify the file as long as it exists."""
     status = path.stat()
     return status.st_dev, status.st_ino

@@ -1,143 +1,161 @@
-"""Versions of the database schema: ``PRAGMA user_version`` counts the steps that have been applied.
+"""The tables of the database, and their rows as frozen dataclasses; times are seconds since 1970.
 
-Steps are only ever appended; a database of an earlier release is brought up to date when it is opened.
+``PRAGMA user_version`` holds the version of the tables, so that another release does not misread them.
 """
 
+import json
 import sqlite3
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
 
-STEPS = (
-    """
+from service.errors import DataFolderError
+
+VERSION = 1
+# `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
+# does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
+_TABLES = """
     CREATE TABLE measurements (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        sha256 TEXT NOT NULL UNIQUE,
-        size INTEGER NOT NULL,
-        valid_nodes INTEGER NOT NULL,
-        created REAL NOT NULL
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
+        valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
+        UNIQUE (owner, sha256), UNIQUE (owner, seq)
     ) STRICT;
-    CREATE TABLE fits (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        id TEXT NOT NULL UNIQUE,
-        measurement TEXT NOT NULL,
-        options TEXT NOT NULL,
-        algorithm TEXT NOT NULL,
-        library TEXT NOT NULL,
-        status TEXT NOT NULL
-            CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
-        attempts INTEGER NOT NULL DEFAULT 0,
-        metrics TEXT,
-        error TEXT,
-        created REAL NOT NULL,
-        started REAL,
-        finished REAL,
-        result TEXT,
-        CHECK ((status = 'succeeded') = (result IS NOT NULL)),
-        CHECK ((status = 'failed') = (error IS NOT NULL))
-    ) STRICT;
-    CREATE INDEX fits_by_status ON fits (status);
-    CREATE INDEX fits_by_measurement ON fits (measurement);
-    """,
-    # Rows get an owner: '' is who needs no key. Now `seq` counts the rows of each owner, so that the cursor of a page
-    # does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
-    """
-    CREATE TABLE owned_measurements (
-        owner TEXT NOT NULL,
-        seq INTEGER NOT NULL,
-        sha256 TEXT NOT NULL,
-        size INTEGER NOT NULL,
-        valid_nodes INTEGER NOT NULL,
-        created REAL NOT NULL,
-        UNIQUE (owner, sha256),
-        UNIQUE (owner, seq)
-    ) STRICT;
-    INSERT INTO owned_measurements SELECT '', seq, sha256, size, valid_nodes, created FROM measurements ORDER BY seq;
-    DROP TABLE measurements;
-    ALTER TABLE owned_measurements RENAME TO measurements;
     CREATE INDEX measurements_by_sha256 ON measurements (sha256);
-    CREATE TABLE owned_fits (
-        owner TEXT NOT NULL,
-        seq INTEGER NOT NULL,
-        id TEXT NOT NULL,
-        measurement TEXT NOT NULL,
-        options TEXT NOT NULL,
-        algorithm TEXT NOT NULL,
-        library TEXT NOT NULL,
-        status TEXT NOT NULL
-            CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
-        attempts INTEGER NOT NULL DEFAULT 0,
-        metrics TEXT,
-        error TEXT,
-        created REAL NOT NULL,
-        started REAL,
-        finished REAL,
-        result TEXT,
-        size INTEGER NOT NULL DEFAULT 0,
-        UNIQUE (owner, id),
-        UNIQUE (owner, seq),
-        CHECK ((status = 'succeeded') = (result IS NOT NULL)),
-        CHECK ((status = 'failed') = (error IS NOT NULL))
+    CREATE TABLE fits (
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, id TEXT NOT NULL, measurement TEXT NOT NULL,
+        options TEXT NOT NULL, algorithm TEXT NOT NULL, library TEXT NOT NULL,
+        status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
+        attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
+        metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
+        result TEXT, size INTEGER NOT NULL DEFAULT 0,
+        UNIQUE (owner, id), UNIQUE (owner, seq),
+        CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;
-    INSERT INTO owned_fits SELECT
-        '', seq, id, measurement, options, algorithm, library, status, attempts, metrics, error, created, started,
-        finished, result, coalesce(length(CAST(result AS BLOB)), 0) FROM fits ORDER BY seq;
-    DROP TABLE fits;
-    ALTER TABLE owned_fits RENAME TO fits;
     CREATE INDEX fits_by_status ON fits (status, owner);
     CREATE INDEX fits_by_measurement ON fits (measurement, owner);
     CREATE INDEX fits_by_size ON fits (owner, size);
     CREATE TABLE keys (
-        id TEXT NOT NULL PRIMARY KEY,
-        name TEXT NOT NULL,
-        secret_sha256 TEXT NOT NULL,
-        created REAL NOT NULL,
-        revoked REAL,
-        requests_per_second REAL,
-        stored_mb INTEGER,
-        queued_fits INTEGER
+        id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
+        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER
     ) STRICT;
-    """,
-    # How often the service has broken off while a fit ran: no fault of the fit, unless it happens again and again.
-    """
-    ALTER TABLE fits ADD COLUMN interruptions INTEGER NOT NULL DEFAULT 0;
-    """,
-)
+"""
+
+Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
+UNFINISHED: tuple[Status, ...] = ("accepted", "running")
+_REPEATABLE = ("compute", "system")  # origins of a failure after which the same request runs again
 
 
-class DataFolderError(RuntimeError):
-    """A data folder cannot be opened; the message says why."""
-
-
-def is_current(connection: sqlite3.Connection) -> bool:
-    """Return whether the database has the newest version."""
-    return _version(connection) == len(STEPS)
-
-
-def migrate(connection: sqlite3.Connection) -> None:
-    """Bring the database to the newest version, each step in a transaction of its own.
-
-    Raises
-    ------
-    DataFolderError
-        If the database was written by a newer release.
-    """
-    version = _version(connection)
-    if version > len(STEPS):
-        raise DataFolderError(
-            f"the database has schema version {version}, but this release knows versions up to {len(STEPS)}; "
-            "run the newer release that wrote it"
-        )
-    for number, step in enumerate(STEPS[version:], start=version + 1):
-        connection.execute("BEGIN IMMEDIATE")
-        try:
-            for statement in step.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {number}")
-            connection.execute("COMMIT")
-        except BaseException:
-            if connection.in_transaction:
-                connection.execute("ROLLBACK")
-            raise
-
-
-def _version(connection: sqlite3.Connection) -> int:
+def version_of(connection: sqlite3.Connection) -> int:
+    """Return the version of the tables; 0 if there are none yet."""
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     return int(version)
+
+
+def create_tables(connection: sqlite3.Connection) -> None:
+    """Create the tables in an empty database.
+
+    Raises DataFolderError if another release has written the database.
+    """
+    version = version_of(connection)
+    if version not in (0, VERSION):
+        raise DataFolderError(
+            f"the database has schema version {version}, but this release knows version {VERSION}; "
+            "run the release that wrote it"
+        )
+    if version == VERSION:
+        return
+    connection.executescript(f"BEGIN IMMEDIATE; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
+
+
+class FitKey(NamedTuple):
+    """What names a fit: the same request of two owners has the same id, and makes two fits."""
+
+    owner: str
+    id: str
+
+    def __str__(self) -> str:
+        return f"{self.owner}/{self.id}" if self.owner else self.id
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who asks, and how much they may have at once.
+
+    Attributes
+    ----------
+    owner : str
+        Id of the key that was sent; '' without one. Rows are seen by their owner only.
+    stored_bytes, queued_fits : int or None
+        Most bytes stored, and most unfinished fits; None is no bound.
+    """
+
+    owner: str = ""
+    stored_bytes: int | None = None
+    queued_fits: int | None = None
+
+
+@dataclass(frozen=True)
+class MeasurementRow:
+    """A stored measurement; `seq` counts the measurements of its owner."""
+
+    COLUMNS: ClassVar[str] = "owner, seq, sha256, size, valid_nodes, created"
+
+    owner: str
+    seq: int
+    sha256: str
+    size: int
+    valid_nodes: int
+    created: float
+
+
+@dataclass(frozen=True)
+class FitRow:
+    """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner.
+
+    `attempts` counts the processes that were begun for it, without those that ended because the service did;
+    `interruptions` those that ran when the service broke off.
+    """
+
+    COLUMNS: ClassVar[str] = (
+        "owner, seq, id, measurement, status, attempts, interruptions, created, started, finished,"
+        " options, algorithm, library, metrics, error"
+    )
+
+    owner: str
+    seq: int
+    id: str
+    measurement: str
+    status: Status
+    attempts: int
+    interruptions: int
+    created: float
+    started: float | None
+    finished: float | None
+    options: dict[str, Any]
+    algorithm: str
+    library: str
+    metrics: dict[str, float | None] | None
+    error: dict[str, str] | None
+
+    @classmethod
+    def from_values(cls, values: tuple[Any, ...]) -> "FitRow":
+        """Make a row of the values of `COLUMNS`."""
+        named = dict(zip(cls.COLUMNS.replace(",", "").split(), values, strict=True))
+        for name in ("options", "metrics", "error"):
+            named[name] = None if named[name] is None else json.loads(named[name])
+        return cls(**named)
+
+    @property
+    def key(self) -> FitKey:
+        """What names the fit."""
+        return FitKey(self.owner, self.id)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the fit is over, well or not."""
+        return self.status not in UNFINISHED
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether the same request computes it once more."""
+        failed_otherwise = self.error is not None and self.error["origin"] in _REPEATABLE
+        return self.status == "cancelled" or failed_otherwise

@@ -1,7 +1,7 @@
-"""The service's memory: SQLite rows and measurement files in one data folder; nothing else touches the disk.
+"""What the service keeps: SQLite rows and measurement files in one data folder, and how much of it each key may have.
 
 Every method is safe to call from any thread and returns when the change is durable. A fit's result and its
-state are written in one transaction. One server at a time may open a data folder, and commands beside it.
+state are written in one transaction. One server at a time may open a data folder, and commands while it runs.
 """
 
 import json
@@ -11,18 +11,23 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from service.errors import (
+    DataFolderError,
+    MeasurementInUseError,
+    MeasurementNotFoundError,
+    QueueFullError,
+)
 from service.storage.blobs import Blobs, Incoming
 from service.storage.database import Database
-from service.storage.quota import Uploads, check_queue, check_storage
-from service.storage.rows import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
-from service.storage.schema import DataFolderError
+from service.storage.quotas import Uploads, check_queue, check_storage
+from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
 
 _Row = TypeVar("_Row")
 
 _SELECT_FIT = f"SELECT {FitRow.COLUMNS} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {MeasurementRow.COLUMNS} FROM measurements"  # noqa: S608
-_SET_BACK = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
-_THE_FIT = "WHERE owner = ? AND id = ?"
+_REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
+_WHERE_FIT = "WHERE owner = ? AND id = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 _INSERT_FIT = (
     "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created)"  # noqa: S608
@@ -34,18 +39,6 @@ _INSERT_MEASUREMENT = (
 )
 
 
-class MissingMeasurementError(LookupError):
-    """A fit was asked for of a measurement that is not stored."""
-
-
-class QueueFullError(RuntimeError):
-    """As many fits are waiting as may wait."""
-
-
-class MeasurementInUseError(RuntimeError):
-    """A measurement cannot be removed while fits of it are unfinished."""
-
-
 class Store:
     """Rows and blobs below one folder.
 
@@ -53,23 +46,23 @@ class Store:
     ----------
     folder : Path
         Made if it does not exist.
-    beside : bool
-        Whether a server may have the folder open, now or meanwhile; then what it has not finished is left alone.
+    exclusive : bool
+        Whether no other process may serve the folder; otherwise what a server has not finished is left alone.
 
     Raises
     ------
     DataFolderError
-        If another server has the folder open, a newer release has written it, or the database is damaged.
+        If another server has the folder open, another release has written it, or the database is damaged.
     """
 
-    def __init__(self, folder: Path, *, beside: bool = False) -> None:
+    def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
         self.folder = folder
-        self.database = Database(folder, beside=beside)
+        self.database = Database(folder, exclusive=exclusive)
         self.blobs = Blobs(folder)
         self._uploads = Uploads(self.database)
         try:
-            if not beside:
-                self._drop_strays()
+            if exclusive:
+                self._remove_orphans()
         except sqlite3.DatabaseError as error:
             self.close()
             raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
@@ -82,12 +75,9 @@ class Store:
         self.database.close()
 
     def begin_upload(self, caller: Caller) -> Incoming:
-        """Return a new file for an upload, which takes its room of what the caller may store.
+        """Return a new file for an upload, and reserve room for it in what the caller may store.
 
-        Raises
-        ------
-        StorageQuotaError
-            If other uploads of the caller take all of that already.
+        Raises StorageQuotaError if other uploads of the caller take all of that already.
         """
         self._uploads.begin(caller)
         try:
@@ -97,7 +87,7 @@ class Store:
             raise
 
     def end_upload(self, caller: Caller, incoming: Incoming) -> None:
-        """Remove the file of an upload, unless it is kept, and give its room back."""
+        """Remove the file of an upload, unless it was stored, and free the room that was reserved for it."""
         try:
             incoming.discard()
         finally:
@@ -106,12 +96,9 @@ class Store:
     def add_measurement(
         self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
     ) -> tuple[MeasurementRow, bool]:
-        """Keep a received file; the flag says whether it is new to the caller.
+        """Store a received file; the flag says whether it is new to the caller.
 
-        Raises
-        ------
-        StorageQuotaError
-            If the caller would have stored more than it may.
+        Raises StorageQuotaError if the caller would have stored more than it may.
         """
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
@@ -124,25 +111,24 @@ class Store:
             # Placed even if the same bytes are there: they may have been damaged or lost since, and how long it takes
             # does not tell whether another owner has them.
             self.blobs.place(incoming, sha256)
-        return MeasurementRow.of(row), known is None
+        return MeasurementRow(*row), known is None
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
-        return self._one(MeasurementRow.of, f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256)
+        return self._one(
+            lambda row: MeasurementRow(*row), f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256
+        )
 
     def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`."""
-        return self._page(MeasurementRow.of, _SELECT_MEASUREMENT, owner, limit, before)
+        return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before)
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, its finished fits stay; return whether there was one.
 
         Its file goes with the last owner's row.
 
-        Raises
-        ------
-        MeasurementInUseError
-            If fits of it are unfinished.
+        Raises MeasurementInUseError if fits of it are unfinished.
         """
         with self.database.transaction() as db:
             query = (
@@ -150,7 +136,9 @@ class Store:
             )
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
-                raise MeasurementInUseError(f"{unfinished} unfinished fits use the measurement")
+                raise MeasurementInUseError(
+                    f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended."
+                )
             delete = "DELETE FROM measurements WHERE owner = ? AND sha256 = ?"
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
             # If the commit fails, the row stays without its file; if the file went after the commit, the same
@@ -171,59 +159,42 @@ class Store:
     ) -> tuple[FitRow, bool]:
         """Accept a fit, or find the same one; the flag says whether it has to be computed.
 
-        Parameters
-        ----------
-        caller : Caller
-            Whose fit it is, and how many it may have.
-        fit_id, measurement : str
-            Identities of the fit and of its measurement.
-        options : mapping
-            Options as on the wire.
-        versions : tuple of str
-            Of the algorithm and of the library.
-        queue_limit : int
-            How many fits may be waiting.
-
-        Raises
-        ------
-        MissingMeasurementError
-            If the caller has no such measurement.
-        QueueQuotaError, StorageQuotaError
-            If the caller has as many unfinished fits, or has stored as much, as it may.
-        QueueFullError
-            If too many fits are waiting.
+        `options` are in their wire form, `versions` those of algorithm and library; at most `queue_limit` fits may be
+        waiting. Raises MeasurementNotFoundError, QueueQuotaError, StorageQuotaError or QueueFullError.
         """
         key = (caller.owner, fit_id)
         with self.database.transaction() as db:
-            values = db.execute(f"{_SELECT_FIT} {_THE_FIT}", key).fetchone()
-            known = None if values is None else FitRow.of(values)
+            values = db.execute(f"{_SELECT_FIT} {_WHERE_FIT}", key).fetchone()
+            known = None if values is None else FitRow.from_values(values)
             if known is not None and not known.repeatable:
                 return known, False
             stored = "SELECT 1 FROM measurements WHERE owner = ? AND sha256 = ?"
             if db.execute(stored, (caller.owner, measurement)).fetchone() is None:
-                raise MissingMeasurementError(measurement)
+                raise MeasurementNotFoundError(measurement)
             check_queue(db, caller)
             check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
-                raise QueueFullError(f"{waiting} fits are waiting")
-            # A fit that runs once more starts anew, at the head of the list.
-            db.execute(f"DELETE FROM fits {_THE_FIT}", key)  # noqa: S608
+                raise QueueFullError(
+                    f"{waiting} fits are waiting already, as many as may; the measurement is stored, ask again later."
+                )
+            # A fit that runs again is a new row, at the head of the list.
+            db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608
             new = (caller.owner, *key, measurement, json.dumps(options), *versions, time.time())
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
-        return FitRow.of(row), True
+        return FitRow.from_values(row), True
 
     def fit(self, key: FitKey) -> FitRow | None:
         """Return a fit's row."""
-        return self._one(FitRow.of, f"{_SELECT_FIT} {_THE_FIT}", *key)
+        return self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
 
     def fits(self, owner: str, limit: int, before: int | None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`."""
-        return self._page(FitRow.of, _SELECT_FIT, owner, limit, before)
+        return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before)
 
     def result(self, key: FitKey) -> str | None:
         """Return the document of a fit that succeeded."""
-        query = f"SELECT result FROM fits {_THE_FIT} AND result NOT NULL"  # noqa: S608
+        query = f"SELECT result FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
         return self._one(lambda row: str(row[0]), query, *key)
 
     def start_fit(self, key: FitKey) -> FitRow | None:
@@ -252,24 +223,24 @@ class Store:
 
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
-        query = f"DELETE FROM fits {_THE_FIT} AND status NOT IN ('accepted', 'running')"  # noqa: S608
+        query = f"DELETE FROM fits {_WHERE_FIT} AND status NOT IN ('accepted', 'running')"  # noqa: S608
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
-    def hand_over(self) -> None:
-        """Set what runs back to accepted: this process is about to end, and the next one runs it."""
+    def requeue_running(self) -> None:
+        """Set running fits back to accepted: this process is about to end, and the next one runs them."""
         with self.database.transaction() as db:
-            db.execute(f"{_SET_BACK} WHERE status = 'running'")
+            db.execute(f"{_REQUEUE} WHERE status = 'running'")
 
     def resume(self) -> list[FitRow]:
-        """Set what an earlier process left running back to accepted: it broke off. Return all that wait.
+        """Set fits that a killed process left running back to accepted; return all accepted fits.
 
         The oldest come first, but those before that were interrupted less often: one of the others may be the cause.
         """
         with self.database.transaction() as db:
-            db.execute(f"{_SET_BACK}, interruptions = interruptions + 1 WHERE status = 'running'")
+            db.execute(f"{_REQUEUE}, interruptions = interruptions + 1 WHERE status = 'running'")
             rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY interruptions, rowid")
-            return [FitRow.of(row) for row in rows]
+            return [FitRow.from_values(row) for row in rows]
 
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""
@@ -277,17 +248,17 @@ class Store:
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
         with self.database.transaction() as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
-            db.execute(f"PRAGMA user_version = {version}")  # the same again is a write all the same
+            db.execute(f"PRAGMA user_version = {version}")  # writing the same value is a write too
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]
     ) -> FitRow | None:
         """Apply `change` to a fit that is in one of `states`."""
         marks = ", ".join("?" * len(states))
-        query = f"UPDATE fits SET {change} {_THE_FIT} AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
+        query = f"UPDATE fits SET {change} {_WHERE_FIT} AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
         with self.database.transaction() as db:
             rows = db.execute(query, (*values, *key, *states)).fetchall()
-        return FitRow.of(rows[0]) if rows else None
+        return FitRow.from_values(rows[0]) if rows else None
 
     def _one(self, make: Callable[[tuple[Any, ...]], _Row], query: str, *values: str) -> _Row | None:
         rows = self.database.rows(query, *values)
@@ -300,7 +271,7 @@ class Store:
         rows = self.database.rows(f"{query} WHERE owner = ?{older} ORDER BY seq DESC LIMIT ?", *values)
         return [make(row) for row in rows]
 
-    def _drop_strays(self) -> None:
+    def _remove_orphans(self) -> None:
         """Remove what an earlier process was writing when it ended: parts of files, files without row, and so on."""
         self.blobs.clear_temporary()
         files = set(self.blobs.all())

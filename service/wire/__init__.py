@@ -1,1 +1,4 @@
-"""Requests and answers as they are on the wire."""
+"""From bytes and text to the library's objects, and back.
+
+`schemas` the JSON documents; `fit_options`; `values` points in and values out; `examples` for the OpenAPI document.
+"""

@@ -1,20 +1,28 @@
 """Fit options on the wire: those of the library, with angles in degrees and names that end in ``_deg``.
 
-Names, types and defaults are taken from `dsbrdf.FitOptions`, so that they cannot drift apart.
+`OPTIONS_SCHEMA` declares the types, for the OpenAPI document and for the checks here; the ranges are the library's.
+The Python client uses this module too: it needs neither FastAPI nor pydantic.
 """
 
-from collections.abc import Mapping
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from dsbrdf import FitOptions
+from dsbrdf.data.grid import THETA_DIFF
+from dsbrdf.data.reduction import WEIGHTINGS
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES, METHODS, FitOptions
 
 _ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
 _DECIMALS = 9  # of a degree: takes off what the conversion to radians and back has added
 _WIRE_NAMES = {field.name: f"{field.name}_deg" if field.name in _ANGLES else field.name for field in fields(FitOptions)}
-WIRE_TYPES: dict[str, Any] = {_WIRE_NAMES[name]: hint for name, hint in get_type_hints(FitOptions).items()}
+_WORDS = {"none": None, "null": None, "true": True, "false": False}
+_NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,30})?(e[+-]?[0-9]{1,4})?")
 
 
 def to_wire(options: FitOptions) -> dict[str, Any]:
@@ -23,15 +31,30 @@ def to_wire(options: FitOptions) -> dict[str, Any]:
 
 
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
-    """Return the options for values under wire names and of the right types; what is not given keeps its default.
+    """Return the options for JSON values under wire names; what is not given is the default.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If a value is out of range.
+    Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
-    library = {name: _to_radians(name, values[wire]) for name, wire in _WIRE_NAMES.items() if wire in values}
-    return FitOptions(**library)
+    unknown = [name for name in values if name not in _PROPERTIES]
+    if unknown:
+        names = ", ".join(repr(name[:60]) for name in unknown[:5])
+        plural = "options" if len(unknown) > 1 else "option"
+        raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(_PROPERTIES)}.")
+    given = {name: values[wire] for name, wire in _WIRE_NAMES.items() if wire in values}
+    return FitOptions(**{name: _to_radians(name, _checked(_WIRE_NAMES[name], value)) for name, value in given.items()})
+
+
+def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
+    """Return the options for the parameters of a query; commas separate the items of a list, ``none`` means null.
+
+    Raises InvalidArgumentError: as `from_wire`, or if an option is given twice.
+    """
+    values: dict[str, Any] = {}
+    for name, text in items:
+        if name in values:
+            raise InvalidArgumentError(f"The option {name[:60]!r} is given more than once; give it once.")
+        values[name] = [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
+    return from_wire(values)
 
 
 def _to_degrees(name: str, value: Any) -> Any:
@@ -43,11 +66,99 @@ def _to_degrees(name: str, value: Any) -> Any:
 
 
 def _to_radians(name: str, value: Any) -> Any:
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list):
         return tuple(_to_radians(name, item) for item in value)
     if name in _ANGLES and isinstance(value, (int, float)):
-        return float(np.radians(value))
+        return float(np.radians(round(float(value), _DECIMALS)))
     return value
 
 
+def _from_text(text: str) -> Any:
+    """Return the JSON value that a text stands for; the text itself if it stands for none."""
+    word = text.strip().lower()
+    if word in _WORDS:
+        return _WORDS[word]
+    return json.loads(word) if _NUMBER.fullmatch(word) else text
+
+
+def _checked(name: str, value: Any) -> Any:
+    """Return a JSON value of a type that the option has, with integers for whole numbers however they are written."""
+    value = _whole(value)
+    choices = _PROPERTIES[name].get("anyOf", [_PROPERTIES[name]])
+    if any(_matches(value, choice) for choice in choices):
+        return value
+    expected = " or ".join(word for choice in choices for word in _described(choice))
+    raise InvalidArgumentError(f"{name} must be {expected}, not {str(value)[:60]!r}.")
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_whole(item) for item in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _matches(value: Any, schema: Mapping[str, Any]) -> bool:
+    """Return whether a value is of the type of a schema; its range is the library's concern."""
+    if schema["type"] == "array":
+        return isinstance(value, list) and all(_matches(item, {"type": "number"}) for item in value)
+    if isinstance(value, bool) or schema["type"] == "boolean":
+        return isinstance(value, bool) and schema["type"] == "boolean"
+    if isinstance(value, (int, float)):
+        right = schema["type"] == "number" or (schema["type"] == "integer" and isinstance(value, int))
+        return right and abs(value) <= sys.float_info.max  # and no NaN
+    if isinstance(value, str):
+        return value in schema.get("enum", ())
+    return value is None and schema["type"] == "null"
+
+
+def _described(schema: Mapping[str, Any]) -> list[str]:
+    """Return the kinds of value that a schema allows, in words."""
+    if "enum" in schema:
+        return [repr(value) for value in schema["enum"]]
+    words = {
+        "integer": "an integer",
+        "number": "a number",
+        "boolean": "true or false",
+        "null": "none",
+        "array": "a list of numbers",
+    }
+    return [words[schema["type"]]]
+
+
 DEFAULTS = to_wire(FitOptions())
+_AUTO = {"type": "string", "enum": ["auto"]}
+_NONE = {"type": "null"}
+_PROPERTIES: dict[str, dict[str, Any]] = {
+    "n_lobes": {"anyOf": [{"type": "integer", "minimum": 1, "maximum": MAX_LOBES}, _AUTO]},
+    "method": {"type": "string", "enum": [*METHODS]},
+    "ring_lobes": {"anyOf": [{"type": "integer", "minimum": 0, "maximum": MAX_RING_LOBES}, _AUTO]},
+    "knots_deg": {
+        "anyOf": [
+            {
+                "type": "array",
+                "items": {"type": "integer", "minimum": 0, "maximum": THETA_DIFF.size - 1},
+                "minItems": 2,
+                "maxItems": THETA_DIFF.size,
+                "uniqueItems": True,
+                "description": "Increasing, whole degrees; null places them where the data ask for it.",
+            },
+            _NONE,
+        ]
+    },
+    "horizon_cutoff_deg": {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 90}, _NONE]},
+    "mask": {"anyOf": [{"type": "number", "minimum": 0, "maximum": MAX_MASK}, _NONE]},
+    "weighting": {"type": "string", "enum": [*WEIGHTINGS]},
+    "robust": {"type": "boolean"},
+    "em_iterations": {"type": "integer", "minimum": 1, "maximum": MAX_EM_ITERATIONS},
+}
+OPTIONS_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "title": "FitOptions",
+    "description": "Options of a fit; what is not given is the default.",
+    "additionalProperties": False,
+    "properties": {name: {**schema, "default": DEFAULTS[name]} for name, schema in _PROPERTIES.items()},
+    # Algorithm 1 has neither ring lobes nor knots of its own choice.
+    "if": {"properties": {"method": {"const": "paper"}}, "required": ["method"]},
+    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}}},
+}
+"""JSON schema of the options; a test compares its ranges with those that the library checks."""

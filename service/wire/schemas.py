@@ -1,14 +1,23 @@
-"""Wire types: what the JSON documents hold. Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order."""
+"""The JSON documents as pydantic models, made from rows of the store and from models.
 
+Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order.
+"""
+
+from collections.abc import Iterable
+from dataclasses import asdict
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, create_model, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES
-from service.wire.fit_options import DEFAULTS, WIRE_TYPES
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.decomposition import Component
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.report_text import component_document, lobes_document
+from service.errors import validation_sentence
+from service.storage.schema import FitRow, MeasurementRow, Status
+from service.wire.fit_options import OPTIONS_SCHEMA
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
@@ -26,7 +35,7 @@ class _Input(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _name_what_is_unknown(cls, given: Any) -> Any:
+    def _refuse_unknown_members(cls, given: Any) -> Any:
         unknown = [] if not isinstance(given, dict) else [name for name in given if name not in cls.model_fields]
         if unknown:
             known = ", ".join(cls.model_fields)
@@ -36,36 +45,19 @@ class _Input(BaseModel):
         return given
 
 
-# The library checks the ranges; here they are told. A test holds the two against each other.
-_KNOTS: dict[str, Any] = {
-    "uniqueItems": True,
-    "description": "Increasing, whole degrees; null places them where the data ask for it.",
-}
-_RANGES: dict[str, Any] = {
-    "n_lobes": Annotated[int, Field(ge=1, le=MAX_LOBES)] | Literal["auto"],
-    "ring_lobes": Annotated[int, Field(ge=0, le=MAX_RING_LOBES)] | Literal["auto"],
-    "knots_deg": Annotated[
-        list[Annotated[int, Field(ge=0, le=THETA_DIFF.size - 1)]],
-        Field(min_length=2, max_length=THETA_DIFF.size, json_schema_extra=_KNOTS),
-    ]
-    | None,
-    "horizon_cutoff_deg": Annotated[float, Field(gt=0, le=90)] | None,
-    "mask": Annotated[float, Field(ge=0, le=MAX_MASK)] | None,
-    "em_iterations": Annotated[int, Field(ge=1, le=MAX_EM_ITERATIONS)],
-}
-# Algorithm 1 has neither ring lobes nor knots of its own choice.
-_RULES: dict[str, Any] = {
-    "if": {"properties": {"method": {"const": "paper"}}, "required": ["method"]},
-    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}}},
-}
-_option_fields: dict[str, Any] = {name: (_RANGES.get(name, hint), DEFAULTS[name]) for name, hint in WIRE_TYPES.items()}
-OptionsDocument = create_model(
-    "FitOptions",
-    __config__=ConfigDict(extra="forbid", json_schema_extra=_RULES),
-    __doc__="Options of a fit; what is not given is the default.",
-    **_option_fields,
-)
-_Options = Annotated[dict[str, Any], WithJsonSchema(OptionsDocument.model_json_schema())]
+_Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
+_Document = TypeVar("_Document", bound=_Input)
+
+
+def parse_document(kind: type[_Document], body: bytes, *, strict: bool = False) -> _Document:
+    """Return the document of a JSON body.
+
+    Raises InvalidArgumentError if the body is not such a document.
+    """
+    try:
+        return kind.model_validate_json(body, strict=strict)
+    except ValidationError as error:
+        raise InvalidArgumentError(validation_sentence(error.errors())) from None
 
 
 class FitRequest(_Input):
@@ -146,7 +138,7 @@ class FitSummary(BaseModel):
     """A fit without its lobes."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
-    status: Literal["accepted", "running", "succeeded", "failed", "cancelled"]
+    status: Status
     progress: Share
     measurement: Annotated[str, Field(pattern=SHA256)]
     options: _Options
@@ -213,7 +205,7 @@ class Progress(BaseModel):
     """A server-sent event of a fit."""
 
     id: str
-    status: Literal["accepted", "running", "succeeded", "failed", "cancelled"]
+    status: Status
     progress: Share
     error: FitFault | None
 
@@ -233,3 +225,29 @@ class Export(_Input):
         Literal["specular_spike", "specular_lobe", "diffuse"] | None,
         Field(description="One component instead of the whole fit."),
     ] = None
+
+
+def fit_summary(row: FitRow, progress: float) -> FitSummary:
+    """Return a fit's document without lobes."""
+    return FitSummary.model_validate({**asdict(row), "progress": progress})
+
+
+def fit_document(row: FitRow, progress: float, model: DSBRDF | None) -> FitDocument:
+    """Return a fit's document; `model` is that of a fit that succeeded."""
+    lobes = None if model is None else lobes_document(model)
+    return FitDocument.model_validate({**asdict(row), "progress": progress, "lobes": lobes})
+
+
+def fit_progress(row: FitRow, progress: float) -> Progress:
+    """Return the event that reports a fit's state."""
+    return Progress.model_validate({**asdict(row), "progress": progress})
+
+
+def measurement_document(row: MeasurementRow) -> MeasurementDocument:
+    """Return a measurement's document."""
+    return MeasurementDocument.model_validate(asdict(row))
+
+
+def component_list(decomposition: Iterable[Component]) -> ComponentList:
+    """Return the components' document."""
+    return ComponentList.model_validate({"items": [component_document(component) for component in decomposition]})

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from service.client import Client, ServiceError
+from service.client import AccessError, Client, LimitError, ServiceError
 from service.wire.fit_options import from_wire
-from tests.service.running import ENDLESS, Server
+from tests.support.guarded import Guarded
+from tests.support.server import ENDLESS, Server
 
 pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
@@ -22,7 +23,9 @@ def client(server: Server) -> Client:
     return Client(str(server.http.base_url))
 
 
-def test_a_fit_is_the_library_s_bit_for_bit(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
+def test_client_fit_equals_the_library_bit_for_bit(
+    client: Client, plastic: dsbrdf.Measurement, plastic_file: Path
+) -> None:
     expected = dsbrdf.fit(plastic, OPTIONS)
     with client:
         for source in (plastic_file, str(plastic_file), plastic_file.read_bytes(), plastic):
@@ -38,7 +41,7 @@ def test_a_fit_is_the_library_s_bit_for_bit(client: Client, plastic: dsbrdf.Meas
         np.testing.assert_array_equal(back.stored, plastic.stored)
 
 
-def test_progress_is_told(client: Client, plastic: dsbrdf.Measurement) -> None:
+def test_client_reports_progress(client: Client, plastic: dsbrdf.Measurement) -> None:
     seen: list[float] = []
     with client:
         client.fit(plastic, dsbrdf.FitOptions(method="paper", n_lobes=8, mask=0.31), progress=seen.append)
@@ -46,7 +49,7 @@ def test_progress_is_told(client: Client, plastic: dsbrdf.Measurement) -> None:
     assert seen[-1] == 1.0
 
 
-def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
+def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
     with client:
         for content in (b"", plastic_file.read_bytes()[:-1], plastic_file.read_bytes() + b"\0"):
             with pytest.raises(dsbrdf.MeasurementFormatError) as expected:
@@ -65,7 +68,7 @@ def test_errors_are_the_library_s(client: Client, plastic: dsbrdf.Measurement, p
         assert missing.value.problem["status"] == 404
 
 
-def test_fits_can_be_followed_listed_and_deleted(own_server: Callable[..., Server], plastic_file: Path) -> None:
+def test_client_waits_for_lists_and_deletes_fits(own_server: Callable[..., Server], plastic_file: Path) -> None:
     server = own_server(workers="1")
     with Client(str(server.http.base_url)) as client:
         first = client.submit(plastic_file, from_wire(ENDLESS))
@@ -82,9 +85,44 @@ def test_fits_can_be_followed_listed_and_deleted(own_server: Callable[..., Serve
             client.measurement(second.measurement)
 
 
-def test_a_service_that_is_not_there_is_named() -> None:
+def test_client_names_an_unreachable_service() -> None:
     with Client("http://127.0.0.1:9") as client:
         start = time.monotonic()
         with pytest.raises(ServiceError, match=r"127\.0\.0\.1:9 is not ready"):
             client.wait_until_ready(0.3)
         assert time.monotonic() - start < 10  # of the 30 s that it waits by itself
+
+
+def test_client_sends_its_key_and_raises_what_was_refused(
+    guarded: Guarded, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = str(guarded.server.http.base_url)
+    key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
+    with Client(url, key=key) as client:
+        sha256 = client.upload(data)
+        assert client.measurement(sha256).values.shape == (3, 90, 90, 180)
+        with pytest.raises(LimitError, match="unfinished") as limited:
+            client.submit(data)
+        assert limited.value.problem["status"] == 429
+        assert limited.value.retry_after == 5.0
+        with pytest.raises(ServiceError, match="There is no fit"):
+            client.get("0" * 32)
+    monkeypatch.setenv("DSBRDF_KEY", key)
+    with Client(url) as client:
+        assert list(client.fits()) == []
+    monkeypatch.setenv("DSBRDF_KEY", key[:-2])
+    with Client(url) as client:
+        for call in (lambda: client.upload(data), lambda: list(client.fits()), lambda: client.delete("0" * 32)):
+            with pytest.raises(AccessError, match="API key") as refused:
+                call()
+            assert refused.value.problem["status"] == 401
+            assert key[:-2] not in str(refused.value)
+    monkeypatch.delenv("DSBRDF_KEY")
+    with Client(url) as client, pytest.raises(AccessError, match="API key"):
+        client.upload(data)
+    small = guarded.new_key("small", stored_mb=1)["Authorization"].removeprefix("Bearer ")
+    with Client(url, key=small) as client, pytest.raises(LimitError, match="stored") as full:
+        client.upload(data)
+    assert full.value.retry_after is None
+    with pytest.raises(ValueError, match="key"):
+        Client(url, key="clé")

@@ -1,27 +1,54 @@
-"""Models for other programs: one file here for each format that is not the library's own."""
+"""Models for other programs: a table of the formats, and one file for each that is not the library's own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.export.merl_table import merl_table
+from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.serialize import to_json, to_npz
 
-__all__ = ["FORMATS", "export_model", "merl_table"]
+__all__ = ["FORMATS", "ExportFormat", "export_model", "merl_table"]
 
-FORMATS = ("json", "npz", "merl")
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """One kind of file.
+
+    Attributes
+    ----------
+    suffix : str
+        Of the file's name, without the dot.
+    media_type : str
+        For HTTP.
+    encode : callable
+        Returns the content of the file for a model and, if there is one, its report.
+    """
+
+    suffix: str
+    media_type: str
+    encode: Callable[[DSBRDF, FitReport | None], bytes]
+
+
+FORMATS = {
+    "json": ExportFormat("json", "application/json", lambda model, report: to_json(model, report).encode()),
+    "npz": ExportFormat("npz", "application/octet-stream", to_npz),
+    "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
+}
 
 
 def export_model(model: DSBRDF, file_format: str, report: FitReport | None = None) -> bytes:
-    """Return the content of a file that holds a model.
+    """Return the content of a file with a model.
 
     Parameters
     ----------
     model : DSBRDF
         A model, or one component of it.
     file_format : {"json", "npz", "merl"}
-        ``json`` and ``npz`` hold the parameters without loss, ``merl`` a table of values.
+        ``json`` and ``npz`` store the parameters without loss, ``merl`` a table of values.
     report : FitReport, optional
-        Kept by ``json`` and ``npz``.
+        Stored by ``json`` and ``npz``.
 
     Returns
     -------
@@ -32,12 +59,8 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     InvalidArgumentError
         If the format is unknown.
     MeasurementFormatError
-        If the model's values do not fit into a table.
+        If a value of the model cannot be stored in a table.
     """
-    if file_format == "json":
-        return to_json(model, report).encode()
-    if file_format == "npz":
-        return to_npz(model, report)
-    if file_format == "merl":
-        return merl_table(model)
-    raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
+    if file_format not in FORMATS:
+        raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
+    return FORMATS[file_format].encode(model, report)

@@ -1,0 +1,102 @@
+"""The baselines that the benchmarks compare with are as good as they can be, and scored like the library."""
+
+import numpy as np
+import pytest
+
+from benchmarks.alternatives import of_table
+from benchmarks.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
+from benchmarks.scoring import PAPER_RANGE, errors, n_numbers, of_profile
+from benchmarks.sparse import COORDINATES, interpolated, thinned
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_nodes
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.metrics import on_grid
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from tests.support.materials import glossy_plastic, polished_metal
+
+CUTOFF = float(np.radians(80.0))
+
+
+@pytest.fixture(scope="module")
+def plastic() -> Measurement:
+    return glossy_plastic()
+
+
+@pytest.fixture(scope="module")
+def metal() -> Measurement:
+    return polished_metal()
+
+
+def test_microfacet_derivative_is_that_of_its_values() -> None:
+    nodes = Nodes(*np.random.default_rng(0).uniform(0.1, 1.0, (4, 50)))
+    step = 1e-5
+    higher, lower = (microfacet(0.2 * np.exp(sign * step), nodes)[0] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(microfacet(0.2, nodes)[1], (higher - lower) / (2 * step), rtol=1e-7)
+
+
+@pytest.mark.parametrize("objective", ["plain", "log"])
+def test_one_lobe_is_recovered(metal: Measurement, objective: Objective) -> None:
+    model = fit_ggx(metal, 1, objective, CUTOFF)
+    assert model.alpha == pytest.approx([0.05], rel=1e-4)
+    np.testing.assert_allclose(model.f0[:, 0], (0.95, 0.64, 0.54), rtol=1e-3)
+    np.testing.assert_allclose(model.weight, 1.0, rtol=1e-3)
+    assert model.diffuse == pytest.approx(0.0, abs=1e-3)
+    assert errors(metal, model.row, CUTOFF).score().relative_rms < 1e-4
+    assert model.n_numbers == 10
+
+
+def test_two_lobes_over_a_diffuse_base_are_recovered(metal: Measurement) -> None:
+    rough = synthetic_measurement(roughness=0.4, diffuse=(0.0, 0.0, 0.0), specular=(0.04, 0.04, 0.04))
+    base = np.array([0.3, 0.2, 0.1])
+    values = 0.2 * metal.values + 0.7 * rough.values + base[:, None, None, None] / np.pi
+    model = fit_ggx(Measurement.from_values(values, nodes_above_horizon()), 2, "plain", CUTOFF)
+    order = np.argsort(model.alpha)
+    np.testing.assert_allclose(model.alpha[order], (0.05, 0.4), rtol=1e-3)
+    np.testing.assert_allclose(model.weight[:, order], [(0.2, 0.7)] * 3, rtol=1e-2)
+    np.testing.assert_allclose(model.diffuse, base, rtol=1e-2)
+
+
+def test_no_row_of_theta_half_is_left_out_of_the_fit(plastic: Measurement) -> None:
+    nodes, values = samples(plastic, CUTOFF, FINE_STRIDE)
+    assert values.shape == (3, nodes.half.size)
+    for i in np.flatnonzero(THETA_HALF >= np.radians(1.0)).tolist():
+        taken = np.count_nonzero(np.isclose(nodes.half, np.cos(THETA_HALF[i]), rtol=0, atol=1e-12))
+        assert abs(taken - np.count_nonzero(used_nodes(plastic, i, CUTOFF)) / FINE_STRIDE) < 1.0
+
+
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
+def test_scores_are_those_of_the_library(plastic: Measurement) -> None:
+    result = fit(plastic, FitOptions(method="paper", n_lobes=2))
+    found = errors(plastic, of_profile(on_grid(result.model)), CUTOFF)
+    expected = result.report.metrics
+    score = found.score()
+    assert (score.relative_rms, score.floor, score.excess, score.male) == pytest.approx(
+        tuple(expected[key] for key in ("relative_rms", "floor", "excess", "male")), rel=1e-9
+    )
+    assert found.score(PAPER_RANGE).relative_rms < score.relative_rms
+    assert n_numbers(result.model) == 18 + 3 * 18 * (2 + 2 + 1)
+
+
+def test_a_table_is_exact_where_the_measurement_is_bilinear_in_the_indices() -> None:
+    half, diff = np.arange(90.0)[:, None, None], np.arange(90.0)[:, None]
+    values = np.array([0.1, 0.2, 0.3])[:, None, None, None] * (1.0 + half) * (1.0 + 2.0 * diff) * np.ones(180)
+    measurement = Measurement.from_values(values, nodes_above_horizon())
+    predict, numbers = of_table(60)(measurement)
+    assert errors(measurement, predict, CUTOFF).score().relative_rms < 1e-5
+    assert 40 <= numbers <= 66
+
+
+@pytest.mark.parametrize("coordinate", COORDINATES, ids=["angle", "index"])
+def test_the_thinned_table_is_interpolated_as_numpy_does(plastic: Measurement, coordinate: np.ndarray) -> None:
+    sparse = thinned(plastic, 8)
+    assert np.flatnonzero(sparse.valid.any(axis=(1, 2))).tolist() == list(range(0, 89, 8))
+    predict = interpolated(sparse, coordinate)
+    values = plastic.values
+    for row, column in ((0, 0), (40, 0), (40, 90), (75, 179)):
+        kept = np.flatnonzero(sparse.valid[:, row, column])
+        expected = np.interp(coordinate, coordinate[kept], values[1, kept, row, column])
+        found = [predict(i)[1, row, column] for i in range(THETA_HALF.size)]
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert predict(8).shape == (3, THETA_DIFF.size, 180)

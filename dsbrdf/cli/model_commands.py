@@ -1,0 +1,98 @@
+"""Commands that read a stored model: ``dsbrdf eval``, ``decompose`` and ``export``."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from dsbrdf.cli.arguments import add_json_option, print_json
+from dsbrdf.cli.point_arguments import add_point_options, given_points
+from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.grid import CHANNELS
+from dsbrdf.errors import DSBRDFError
+from dsbrdf.model.decomposition import LABELS, decompose
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.report_text import component_documents, components_table, parameters_table
+from dsbrdf.output.serialize import load, read_model_file
+
+
+def configure(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the arguments of one of the commands to its parser."""
+    {"eval": _configure_eval, "decompose": _configure_decompose, "export": _configure_export}[command](parser)
+    parser.add_argument("model", type=Path, metavar="MODEL", help="a .json or .npz file from dsbrdf fit")
+    add_json_option(parser)
+    if command != "decompose":
+        parser.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
+
+
+def _configure_eval(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_eval)
+    add_point_options(parser)
+
+
+def _configure_decompose(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_decompose)
+    parser.add_argument("--channel", choices=CHANNELS, default="red", help="channel of the parameters in the text")
+
+
+def _configure_export(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_export)
+    parser.add_argument("--format", choices=FORMATS, required=True, help="merl is a table of values")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the file to write")
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    with _file_named_in_errors(arguments.model):
+        model = _component(load(arguments.model), arguments.component)
+    points = given_points(arguments)
+    if "omega_in" in points:
+        values = model.evaluate_directions(points["omega_in"], points["omega_out"])
+    else:
+        values = model.evaluate(*(np.radians(angles) for angles in points.values()))
+    if arguments.json:
+        print_json({name: array.tolist() for name, array in points.items()} | {"values": values.tolist()})
+        return 0
+    print("".join(f"{name:>24}" for name in points) + "".join(f"{channel:>14}" for channel in CHANNELS))
+    for *point, value in zip(*points.values(), values, strict=True):
+        left = "".join(f"{','.join(f'{number:.6g}' for number in np.ravel(part)):>24}" for part in point)
+        print(left + "".join(f"{number:>14.6g}" for number in value))
+    return 0
+
+
+def _decompose(arguments: argparse.Namespace) -> int:
+    with _file_named_in_errors(arguments.model):
+        model = load(arguments.model)
+    components = component_documents(model)
+    if arguments.json:
+        print_json({"items": components})
+        return 0
+    for line in (*components_table(components), "", *parameters_table(model, channel=arguments.channel)):
+        print(line)
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    with _file_named_in_errors(arguments.model):
+        model, report = read_model_file(arguments.model)
+    whole = arguments.component is None
+    content = export_model(_component(model, arguments.component), arguments.format, report if whole else None)
+    write_atomically(arguments.output, [content])
+    if arguments.json:
+        print_json({"output": str(arguments.output), "format": arguments.format, "bytes": len(content)})
+    return 0
+
+
+def _component(model: DSBRDF, label: str | None) -> DSBRDF:
+    return model if label is None else decompose(model)[label]
+
+
+@contextmanager
+def _file_named_in_errors(path: Path) -> Iterator[None]:
+    """Put the name of a file in front of the message of an error."""
+    try:
+        yield
+    except DSBRDFError as error:
+        raise type(error)(f"{path}: {error}") from error

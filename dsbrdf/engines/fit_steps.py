@@ -1,0 +1,131 @@
+"""The steps of one fit: a single one, or three of which the middle one can run on another machine.
+
+    compute:             file -> outcome
+
+    reduce_measurement:  file -> payload
+    fit_payload:         payload -> outcome
+    complete_report:     outcome, same file -> outcome
+
+Only the payload is sent to the other machine, not the file. Both ways give the same document to the last bit, apart
+from the timings.
+"""
+
+import logging
+import pickle  # nosec B403
+import time
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit, profiles_for, with_samples
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.output.serialize import from_json, to_json
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Payload:
+    """What is sent to another machine.
+
+    Attributes
+    ----------
+    fitted : Profiles
+        The profiles to fit.
+    unweighted : Profiles or None
+        The profiles that the metrics refer to, where they are others.
+    seconds : float
+        Time that the reduction took [s].
+    """
+
+    fitted: Profiles
+    unweighted: Profiles | None
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ReducedMeasurement:
+    """The encoded payload of a measurement, and the digest of the file from which it was made."""
+
+    payload: bytes
+    sha256: str
+
+
+def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
+    """Call one of the steps below; every failure of the fit is returned as a `Fault`, not raised."""
+    try:
+        return step(*arguments)
+    except DSBRDFError as error:
+        return Fault("input", type(error).__name__, str(error))
+    except MemoryError:
+        return Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+    except OSError as error:
+        logger.exception("a measurement could not be read")
+        reason = error.strerror or type(error).__name__
+        return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
+    except Exception as error:
+        logger.exception("a fit failed with an unexpected error")
+        message = f"The computation failed with {type(error).__name__}; the log has the details."
+        return Fault("compute", "InternalError", message)
+
+
+def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
+    """Fit the measurement of a task in one step."""
+    measurement = read_merl(task.path)
+    with _convergence_messages() as messages:
+        result = fit(measurement, task.options, progress=on_progress)
+    return _fitted(result, messages)
+
+
+def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
+    """Reduce the measurement of a task to the payload that a fit needs: about 0.3 MB, or 0.6 MB if it is weighted."""
+    measurement = read_merl(task.path)
+    begin = time.perf_counter()
+    fitted = profiles_for(measurement, task.options)
+    seconds = time.perf_counter() - begin
+    unweighted = profiles(measurement, horizon_cutoff=task.options.horizon_cutoff) if fitted.weighted else None
+    payload = _Payload(fitted, unweighted, seconds)
+    return ReducedMeasurement(zlib.compress(pickle.dumps(payload), 1), measurement.sha256)
+
+
+def fit_payload(payload: bytes, options: FitOptions, on_progress: OnProgress) -> Outcome:
+    """Fit a payload; the report lacks the metrics that need the samples."""
+    # Unpickling is safe here: whoever sends the payload also sends the code that reads it.
+    content: _Payload = pickle.loads(zlib.decompress(payload))  # noqa: S301  # nosec B301
+    with _convergence_messages() as messages:
+        result = fit(content.fitted, options, plain=content.unweighted, progress=on_progress)
+    timings = result.report.timings | {"profiles": content.seconds}
+    return _fitted(FitResult(result.model, replace(result.report, timings=timings)), messages)
+
+
+def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -> Outcome:
+    """Add the metrics that need the samples to the report of `fit_payload`; the file must not have changed."""
+    model, report = from_json(fitted.document)
+    if report is None:
+        raise ValueError("the document of a fit has a report")
+    measurement = read_merl(task.path)
+    if measurement.sha256 != sha256:
+        return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
+    return _fitted(with_samples(FitResult(model, report), measurement), fitted.warnings)
+
+
+@contextmanager
+def _convergence_messages() -> Iterator[list[str]]:
+    """Collect the messages of the convergence warnings that are raised in the block."""
+    messages: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConvergenceWarning)
+        yield messages
+    messages += [str(warning.message) for warning in caught if issubclass(warning.category, ConvergenceWarning)]
+
+
+def _fitted(result: FitResult, messages: "list[str] | tuple[str, ...]") -> Fitted:
+    return Fitted(to_json(result.model, result.report), dict(result.report.metrics), tuple(messages))

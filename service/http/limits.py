@@ -1,0 +1,156 @@
+"""Limits on heads, bodies and connections that uvicorn lacks: their number, slow clients, and what is not HTTP.
+
+A connection that is refused here has not reached the application; the response is a problem document all the same.
+"""
+
+import asyncio
+import resource
+from http import HTTPStatus
+
+from starlette.types import Message, Receive
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from service.errors import BadRequestError, OverloadedError, ProblemError, RequestTimeoutError
+from service.http.problems import problem_response
+from service.http.responses import with_security_headers
+from service.settings import Settings
+
+_CLOSE = {"Connection": "close"}
+
+
+class Connection(H11Protocol):
+    """One client's connection; `connection_class` gives it its limits."""
+
+    max_connections: int
+    header_timeout: float  # seconds that a request's head may take to arrive
+    idle_timeout: float  # seconds that a client may leave a response unread
+
+    _header_timer: asyncio.TimerHandle | None = None
+    _write_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Start the timer of the first request's head."""
+        super().connection_made(transport)
+        self._excess = len(self.connections) > self.max_connections
+        self._update_header_timer()
+
+    def data_received(self, data: bytes) -> None:
+        """Take the next bytes; an excess connection gets 503."""
+        if self._excess:
+            detail = f"{self.max_connections} connections are open, as many as may; try again later."
+            self._refuse(OverloadedError(detail, _CLOSE))
+            return
+        super().data_received(data)
+        self._update_header_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the timers."""
+        _cancel(self._header_timer)
+        _cancel(self._write_timer)
+        super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Start the timer of a client that does not read what has been sent."""
+        super().pause_writing()
+        self._write_timer = self.loop.call_later(self.idle_timeout, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Stop that timer: the client reads again."""
+        _cancel(self._write_timer)
+        super().resume_writing()
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer a request that is not HTTP with a problem document."""
+        if not self._idle() and self.cycle.response_started:
+            self.transport.close()  # in the middle of another response
+            return
+        detail = f"{msg.rstrip('.')}: what was sent is not HTTP/1.1, or its head is too long."
+        self._refuse(BadRequestError(detail, _CLOSE))
+
+    def _update_header_timer(self) -> None:
+        """Run the header timeout only between requests."""
+        if not self._idle():
+            _cancel(self._header_timer)
+            self._header_timer = None
+        elif self._header_timer is None:
+            self._header_timer = self.loop.call_later(self.header_timeout, self._on_header_timeout)
+
+    def _idle(self) -> bool:
+        """Return whether no request is being answered."""
+        return not self.cycle or self.cycle.response_complete
+
+    def _on_header_timeout(self) -> None:
+        self._header_timer = None
+        if self._idle():
+            detail = f"The request's head took longer than the {self.header_timeout:g} s that it may take."
+            self._refuse(RequestTimeoutError(detail, _CLOSE))
+
+    def _refuse(self, error: ProblemError) -> None:
+        """Send a problem document without the application, and close."""
+        if not self.transport.is_closing():
+            answer = problem_response(error, "/")
+            head = [f"HTTP/1.1 {answer.status_code} {HTTPStatus(answer.status_code).phrase}".encode()]
+            head += [name + b": " + value for name, value in with_security_headers(answer.raw_headers)]
+            self.transport.write(b"\r\n".join([*head, b"", bytes(answer.body)]))
+            self.transport.close()
+
+
+def connection_class(settings: Settings) -> type[Connection]:
+    """Return the class of connections with the limits of `settings`; it leaves descriptors for as many files."""
+    # Some are idle, and an excess request gets its response from `RequestLogMiddleware`.
+    most = 2 * settings.limit_concurrency
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    limits = {
+        "max_connections": most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2),
+        "header_timeout": settings.header_timeout,
+        "idle_timeout": settings.idle_timeout,
+    }
+    return type("Connection", (Connection,), limits)
+
+
+def _cancel(timer: asyncio.TimerHandle | None) -> None:
+    if timer is not None:
+        timer.cancel()
+
+
+class BodyTimeout:
+    """An ASGI `receive` that refuses a body that arrives too slowly.
+
+    Only the time spent waiting for the client counts, not what the service takes itself.
+
+    It is refused after `idle_timeout` seconds without a byte, or when its mean rate after that time is below `min_rate`
+    bytes per second; 0 allows any. `n_bytes` are the bytes received so far.
+    """
+
+    def __init__(self, receive: Receive, idle_timeout: float, min_rate: float) -> None:
+        self.n_bytes = 0
+        self._receive = receive
+        self._idle_timeout = idle_timeout
+        self._min_rate = min_rate
+        self._waited = 0.0
+        self._ended = False
+
+    async def __call__(self) -> Message:
+        """Return the next message; raise RequestTimeoutError if it takes too long."""
+        if self._ended:  # the next message is the end of the connection, which may take any time
+            return await self._receive()
+        loop = asyncio.get_running_loop()
+        begin = loop.time()
+        timeout = self._idle_timeout
+        if self._min_rate:
+            timeout = min(timeout, self._idle_timeout + self.n_bytes / self._min_rate - self._waited)
+        try:
+            async with asyncio.timeout(timeout):
+                message = await self._receive()
+        except TimeoutError:
+            raise self._too_slow() from None
+        self._waited += loop.time() - begin
+        self.n_bytes += len(message.get("body", b""))
+        self._ended = not message.get("more_body", False)
+        return message
+
+    def _too_slow(self) -> RequestTimeoutError:
+        self._ended = True
+        rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
+        detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
+        return RequestTimeoutError(detail, _CLOSE)

@@ -1,0 +1,138 @@
+"""The outermost middleware: every request gets an id, a line in the log, and is counted; every response has the id.
+
+It also bounds what requests may hold: their number, and the time that a body may take to arrive.
+"""
+
+import asyncio
+import logging
+import re
+import secrets
+from time import perf_counter
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from structlog.contextvars import bind_contextvars
+
+from service.errors import OverloadedError, ShuttingDownError
+from service.http.limits import BodyTimeout
+from service.http.problems import problem_response
+from service.http.responses import with_security_headers
+from service.operations.metrics import NO_ROUTE, Metrics
+from service.settings import Settings
+
+_ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+_SAFE_METHODS = ("GET", "HEAD")
+_HEALTH = "/health/"  # answered however busy the service is
+
+logger = logging.getLogger(__name__)
+
+
+class RequestLogMiddleware:
+    """Pure ASGI middleware, around everything else of the application.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        The rest of the application.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings, metrics: Metrics) -> None:
+        self._app = app
+        self._settings = settings
+        self._metrics = metrics
+        self._level_of_success = logging.INFO if settings.access_log else logging.DEBUG
+        self._in_progress = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, log it and count it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        exchange = _Exchange(scope, send)
+        bind_contextvars(request_id=exchange.request_id)
+        if exchange.has_body:
+            receive = exchange.body = BodyTimeout(
+                receive, self._settings.idle_timeout, self._settings.least_upload_rate
+            )
+        self._in_progress += 1
+        self._metrics.requests_in_progress.inc()
+        try:
+            await self._answer(scope, receive, exchange)
+        finally:
+            self._in_progress -= 1
+            self._metrics.requests_in_progress.dec()
+            self._log(scope, exchange)
+
+    async def _answer(self, scope: Scope, receive: Receive, exchange: "_Exchange") -> None:
+        path = scope["path"]
+        if self._in_progress > self._settings.limit_concurrency and not path.startswith(_HEALTH):
+            detail = f"{self._settings.limit_concurrency} requests are in progress, as many as may; ask again later."
+            await problem_response(OverloadedError(detail), path)(scope, receive, exchange.send)
+            return
+        try:
+            await self._app(scope, receive, exchange.send)
+        except asyncio.CancelledError:
+            # The server is stopping and has waited as long as it may; its task of this request ends here anyway.
+            if exchange.status is None:
+                detail = "The service is shutting down and cannot finish this request; ask again later."
+                await problem_response(ShuttingDownError(detail), path)(scope, receive, exchange.send)
+        except Exception:
+            # Answered with a problem document already, and logged then. An answer that broke off in the middle
+            # is the server's to log and to cut off.
+            if not exchange.complete:
+                raise
+
+    def _log(self, scope: Scope, exchange: "_Exchange") -> None:
+        seconds = perf_counter() - exchange.begin
+        method, status = scope["method"], exchange.status or 499  # the client went before there was an answer
+        route = getattr(scope.get("route"), "path", NO_ROUTE)
+        self._metrics.answered(method, route, status, seconds)
+        if exchange.body is not None:
+            self._metrics.uploaded_bytes.inc(exchange.body.n_bytes)
+        if status >= 500:
+            level = logging.ERROR if status == 500 else logging.WARNING
+        elif status < 400 and method in _SAFE_METHODS:
+            level = self._level_of_success
+        else:
+            level = logging.INFO
+        if logger.isEnabledFor(level):
+            client = scope.get("client")
+            about = {
+                "method": method,
+                "path": scope["path"],
+                "status": status,
+                "seconds": round(seconds, 6),
+                "client": client[0] if client else None,
+                "received_bytes": 0 if exchange.body is None else exchange.body.n_bytes,
+            }
+            logger.log(level, "request", extra=about)
+
+
+class _Exchange:
+    """One request and the state of its response."""
+
+    __slots__ = ("_send", "begin", "body", "complete", "has_body", "request_id", "status")
+
+    def __init__(self, scope: Scope, send: Send) -> None:
+        self.begin = perf_counter()
+        self.status: int | None = None
+        self.complete = False
+        self.has_body = False
+        self.body: BodyTimeout | None = None
+        self._send = send
+        given = b""
+        for name, value in scope["headers"]:
+            if name == b"x-request-id":
+                given = value
+            elif name in (b"content-length", b"transfer-encoding"):
+                self.has_body = True
+        self.request_id = given.decode() if _ACCEPTABLE_ID.fullmatch(given) else secrets.token_hex(8)
+
+    async def send(self, message: Message) -> None:
+        """Pass a part of the response on; its head gets the request's id."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            message["headers"] = with_security_headers(message.get("headers", ()))
+            message["headers"].append((b"x-request-id", self.request_id.encode()))
+        elif not message.get("more_body", False):
+            self.complete = True
+        await self._send(message)

@@ -1,0 +1,100 @@
+"""What the service says about itself: liveness, readiness, metrics, and the documentation as a page.
+
+All that the page loads comes from the service, so it works without the internet too.
+"""
+
+from importlib.resources import files
+
+from fastapi import APIRouter
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import PlainTextResponse, Response
+
+import dsbrdf
+from service.errors import NotFoundError, NotReadyError
+from service.http import openapi
+from service.http.responses import IfNoneMatch, json_reply, tagged_reply
+from service.operations.metrics import MEDIA_TYPE
+from service.routes.dependencies import TheContext
+from service.wire.schemas import Health
+
+router = APIRouter(tags=["health"])
+page = APIRouter(include_in_schema=False)
+
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+_SWAGGER_UI = files("fastapi_offline") / "static"
+# Addresses in the page are relative: they hold behind a proxy that adds a prefix.
+_PAGE, _SCRIPT = (files("service") / "page" / name for name in ("docs.html", "docs.js"))
+_FILES = {
+    "page.js": (_SCRIPT, "text/javascript"),
+    "swagger-ui-bundle.js": (_SWAGGER_UI / "swagger-ui-bundle.js", "text/javascript"),
+    "swagger-ui.css": (_SWAGGER_UI / "swagger-ui.css", "text/css"),
+}
+
+_METRICS = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
+# TYPE dsbrdf_fits gauge
+dsbrdf_fits{state="running"} 2.0
+"""
+
+
+@router.get(
+    "/health/live",
+    response_model=Health,
+    summary="Is the process alive?",
+    responses=openapi.response("The service is live.", {"status": "live", "version": dsbrdf.__version__})
+    | openapi.problems(behind_a_key=False),
+)
+async def get_live() -> Response:
+    """Answer whenever the process answers at all."""
+    return json_reply(Health(status="live", version=dsbrdf.__version__))
+
+
+@router.get(
+    "/health/ready",
+    response_model=Health,
+    summary="Can it take work?",
+    responses=openapi.response("The service is ready.", {"status": "ready", "version": dsbrdf.__version__})
+    | openapi.problems("not-ready", behind_a_key=False),
+)
+async def get_ready(context: TheContext) -> Response:
+    """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
+
+    The answer is at most a second old, and each part has 3 s to give its own.
+    """
+    fault = await context.readiness.fault()
+    if fault is not None:
+        raise NotReadyError(fault)
+    return json_reply(Health(status="ready", version=dsbrdf.__version__))
+
+
+@router.get(
+    "/metrics",
+    response_class=PlainTextResponse,
+    summary="Counts and times",
+    responses=openapi.response(
+        "Metrics in Prometheus' text format.",
+        content={"text/plain": {"schema": {"type": "string"}, "example": _METRICS}},
+    )
+    | openapi.problems(),
+)
+async def get_metrics(context: TheContext) -> Response:
+    """Return requests, fits, times and sizes in Prometheus' text format."""
+    return Response(await run_in_threadpool(context.metrics.exposition), media_type=MEDIA_TYPE)
+
+
+@page.get("/docs")
+async def get_docs(if_none_match: IfNoneMatch = "") -> Response:
+    """Return the page that shows the OpenAPI document."""
+    content = await run_in_threadpool(_PAGE.read_bytes)
+    return tagged_reply(content, if_none_match, "text/html; charset=utf-8", {"Content-Security-Policy": _POLICY})
+
+
+@page.get("/docs/{name}")
+async def get_file(name: str, if_none_match: IfNoneMatch = "") -> Response:
+    """Return a script or the style sheet of the page."""
+    if name not in _FILES:
+        raise NotFoundError(f"There is nothing at /docs/{name[:60]}; GET /docs lists what there is.")
+    file, media_type = _FILES[name]
+    return tagged_reply(await run_in_threadpool(file.read_bytes), if_none_match, media_type)

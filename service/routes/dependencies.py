@@ -1,0 +1,68 @@
+"""What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
+
+import asyncio
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+
+from dsbrdf.engines.engine import Engine
+from service.access.authentication import CALLER
+from service.access.keys import Keys
+from service.jobs.jobs import Jobs
+from service.jobs.model_cache import ModelCache
+from service.operations.metrics import Metrics
+from service.operations.readiness import Readiness
+from service.settings import Settings
+from service.storage.schema import Caller, FitKey
+from service.storage.store import Store
+from service.wire import examples
+from service.wire.schemas import FIT_ID, SHA256
+
+_HEARTBEAT = 1.0  # seconds between looks at whether the key of a request that waits has been revoked
+
+
+@dataclass(frozen=True)
+class Context:
+    """The parts of one service; made when it starts, closed when it ends."""
+
+    settings: Settings
+    store: Store
+    engine: Engine
+    jobs: Jobs
+    models: ModelCache
+    keys: Keys
+    metrics: Metrics
+    readiness: Readiness
+
+
+async def context_of(request: Request) -> Context:
+    """Return the service that answers `request`."""
+    context: Context = request.app.state.context
+    return context
+
+
+async def caller_of(request: Request) -> Caller:
+    """Return who sends `request`, and how much they may have."""
+    caller: Caller = request.scope[CALLER]
+    return caller
+
+
+TheContext = Annotated[Context, Depends(context_of)]
+TheCaller = Annotated[Caller, Depends(caller_of)]
+FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[examples.FIT_ID])]
+Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[examples.SHA256])]
+
+
+async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
+    """Return the key of the caller's fit `fit_id`, which need not exist."""
+    return FitKey(caller.owner, fit_id)
+
+
+TheFit = Annotated[FitKey, Depends(fit_key)]
+
+
+async def revocation(keys: Keys, caller: Caller) -> None:
+    """Return when the caller's key has been revoked."""
+    while keys.allows(caller):
+        await asyncio.sleep(_HEARTBEAT)

@@ -1,0 +1,62 @@
+"""Example documents for the OpenAPI document; a test checks each against its schema."""
+
+from typing import Any
+
+import dsbrdf
+from service.wire.fit_options import DEFAULTS
+
+FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
+SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+_CREATED, _STARTED, _FINISHED = (f"2026-11-21T09:30:{second}Z" for second in ("01.000000", "01.100000", "02.500000"))
+
+MEASUREMENT: dict[str, Any] = {"sha256": SHA256, "size": 34_992_012, "valid_nodes": 1_005_210, "created": _CREATED}
+MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
+
+_PARAMETERS: dict[str, Any] = {
+    "kappa": [[[0.11]], [[0.05]], [[0.03]]],
+    "gamma": [[[0.2]], [[0.2]], [[0.2]]],
+    "delta": [[0.0], [0.0], [0.0]],
+    "interpolation": "linear",
+}
+_LOBES: dict[str, Any] = {**_PARAMETERS, "theta_diff_deg": [0.0], "center_deg": [[[0.0]], [[0.0]], [[0.0]]]}
+STORED_MODEL: dict[str, Any] = {
+    "format": "dsbrdf",
+    "version": 1,
+    "model": {**_PARAMETERS, "theta_diff": [0.0], "center": [[[0.0]], [[0.0]], [[0.0]]]},
+    "report": None,
+}
+
+_SUMMARY: dict[str, Any] = {
+    "id": FIT_ID,
+    "status": "succeeded",
+    "progress": 1.0,
+    "measurement": SHA256,
+    "options": DEFAULTS,
+    "metrics": {"relative_rms": 0.081, "floor": 0.062, "excess": 1.31, "male": 0.0041},
+    "error": None,
+    "created": _CREATED,
+    "started": _STARTED,
+    "finished": _FINISHED,
+    "algorithm": dsbrdf.ALGORITHM_VERSION,
+    "library": dsbrdf.__version__,
+}
+FIT: dict[str, Any] = {**_SUMMARY, "lobes": _LOBES}
+FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
+CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, "metrics": None, "lobes": None}
+RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
+
+SUBMISSION: dict[str, Any] = {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}}
+ANGLES: dict[str, Any] = {"theta_half_deg": [0, 10, 20], "theta_diff_deg": [0, 30, 30]}
+DIRECTIONS: dict[str, Any] = {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}
+VALUES: dict[str, Any] = {"values": [[0.42, 0.21, 0.11]]}
+
+_DIFFUSE = {"lobes": [0], "parameters": _LOBES, "albedo": [0.31, 0.13, 0.07], "half_width_deg": 62.5, "margin": 1.3}
+_NO_LOBES = {**_LOBES, "kappa": [[[]]] * 3, "gamma": [[[]]] * 3, "center_deg": [[[]]] * 3}
+_EMPTY = {"lobes": [], "parameters": _NO_LOBES, "albedo": [0.0, 0.0, 0.0], "half_width_deg": None, "margin": None}
+_CONTENTS: dict[str, dict[str, Any]] = {"specular_spike": _EMPTY, "specular_lobe": _EMPTY, "diffuse": _DIFFUSE}
+COMPONENTS: dict[str, Any] = {"items": [{"label": label, **content} for label, content in _CONTENTS.items()]}
+
+EVENTS = (
+    f'event: running\ndata: {{"id":"{FIT_ID}","status":"running","progress":0.42,"error":null}}\n\n'
+    f'event: succeeded\ndata: {{"id":"{FIT_ID}","status":"succeeded","progress":1.0,"error":null}}\n\n'
+)

@@ -1,0 +1,267 @@
+"""Points at which a model is evaluated, and responses with its values.
+
+Points are half and difference angles, or pairs of directions, as text or arrays. Values leave as JSON or .npy: a few at
+once, many block by block, so that memory stays small.
+"""
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from json import JSONEncoder
+from time import perf_counter
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response, StreamingResponse
+
+from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf.data.geometry import check_directions, half_difference
+from service.operations.metrics import Metrics
+
+Array = NDArray[np.float64]
+
+ANGLES = ("theta_half_deg", "theta_diff_deg")
+DIRECTIONS = ("omega_in", "omega_out")
+JSON = "application/json"
+NPY = "application/x-npy"
+_KNOWN = (*ANGLES, *DIRECTIONS)
+_LONGEST_NPY_HEADER = 1024
+_BLOCK = 8192  # directions converted at a time, so that intermediate arrays stay small
+_NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
+_CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
+_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
+_JSON_BLOCK = 4096  # points: while the text of a block is made, nothing else runs
+_NPY_BLOCK = 131_072  # points that a model evaluates at a time
+_AHEAD = 2  # blocks that are computed at the same time, while those before them are sent
+_encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
+
+
+@dataclass(frozen=True)
+class Points:
+    """Half and difference angles, shape (n,) each [rad]."""
+
+    theta_half: Array
+    theta_diff: Array
+
+    def __len__(self) -> int:
+        return len(self.theta_half)
+
+    def values(self, model: DSBRDF) -> Array:
+        """Return the model's values, shape (n, 3) [1/sr]."""
+        return model.evaluate(self.theta_half, self.theta_diff)
+
+    def blocks(self, size: int) -> "Iterator[Points]":
+        """Yield the points in blocks of at most `size`; there is one, even if it is empty."""
+        for start in range(0, max(len(self), 1), size):
+            block = slice(start, start + size)
+            yield Points(self.theta_half[block], self.theta_diff[block])
+
+
+def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
+    """Return the points of a query's names and values, which repeat for several points.
+
+    Raises InvalidArgumentError: with one sentence that says what is wrong and what would be right.
+    """
+    given: dict[str, list[str]] = {}
+    for name, text in parameters:
+        if name not in _KNOWN:
+            raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; known are {', '.join(_KNOWN)}.")
+        given.setdefault(name, []).append(text)
+    first, second = _pair(given)
+    if first == ANGLES[0]:
+        return from_angles([_angle(first, t) for t in given[first]], [_angle(second, t) for t in given[second]])
+    return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
+
+
+def from_angles(theta_half_deg: Sequence[float] | Array, theta_diff_deg: Sequence[float] | Array) -> Points:
+    """Return the points of two equally long sequences of angles in degrees."""
+    _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
+    return Points(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg))
+
+
+def from_directions(
+    omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
+) -> Points:
+    """Return the points of two equally long sequences of unit vectors."""
+    _check_count(DIRECTIONS, len(omega_in), len(omega_out))
+    for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
+        if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
+            raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
+    pairs = np.asarray(omega_in, dtype=float).reshape(-1, 3), np.asarray(omega_out, dtype=float).reshape(-1, 3)
+    points = Points(np.empty(len(omega_in)), np.empty(len(omega_in)))
+    for start in range(0, len(points), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        checked = (check_directions(name, part[block]) for name, part in zip(DIRECTIONS, pairs, strict=True))
+        points.theta_half[block], points.theta_diff[block], _ = half_difference(*checked)
+    return points
+
+
+def from_npy(data: bytes | memoryview) -> Points:
+    """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
+
+    Raises InvalidArgumentError if the bytes are not such an array.
+    """
+    array = _read_npy(data)
+    if array.shape[1:] == (2,):
+        return from_angles(array[:, 0], array[:, 1])
+    pairs = array.reshape(-1, 2, 3)
+    return from_directions(pairs[:, 0], pairs[:, 1])
+
+
+def _read_npy(data: bytes | memoryview) -> Array:
+    """Return the array of a .npy file, which is not copied, without trusting its header."""
+    stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
+    try:
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, fortran_order, dtype = read(stream, max_header_size=_LONGEST_NPY_HEADER)
+    except Exception:  # NumPy parses the header as Python, which can raise any exception
+        raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
+    if dtype.kind != "f" or dtype.itemsize not in (4, 8):
+        raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
+    if shape[1:] not in _NPY_SHAPES:
+        raise InvalidArgumentError(
+            f"The array has the shape {str(shape)[:60]}; it must be (n, 2), theta_half and theta_diff in degrees, "
+            "or (n, 6) or (n, 2, 3), omega_in and omega_out."
+        )
+    expected = math.prod(shape) * dtype.itemsize
+    rest = len(data) - stream.tell()
+    if min(shape, default=0) < 0 or expected != rest:
+        raise InvalidArgumentError(f"The array's header promises {expected} bytes of values, the body has {rest}.")
+    flat = np.frombuffer(data, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64, copy=False)
+
+
+def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
+    """Return the two names that are given, which have to belong together."""
+    names = set(given)
+    if names & set(ANGLES) and names & set(DIRECTIONS):
+        raise InvalidArgumentError(f"The query mixes angles and directions; {_CHOICE}.")
+    for pair in (ANGLES, DIRECTIONS):
+        if names == set(pair):
+            return pair
+    for first, second in (ANGLES, ANGLES[::-1], DIRECTIONS, DIRECTIONS[::-1]):
+        if names == {first}:
+            raise InvalidArgumentError(f"{first} is given without {second}; {_CHOICE}.")
+    raise InvalidArgumentError(f"The query names no point; {_CHOICE}.")
+
+
+def _check_count(names: tuple[str, str], first: int, second: int) -> None:
+    if first != second:
+        raise InvalidArgumentError(
+            f"There are {first} values of {names[0]} and {second} of {names[1]}; give as many of one as of the other."
+        )
+
+
+def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
+    angle = np.asarray(degrees, dtype=float)
+    inside = (angle >= 0.0) & (angle <= 90.0)
+    if not inside.all():
+        worst = angle[~inside][0]
+        raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {float(worst)!r}.")
+    return np.radians(angle)
+
+
+def _angle(name: str, text: str) -> float:
+    try:
+        return _float(text)
+    except ValueError:
+        raise InvalidArgumentError(f"{name} must be a number of degrees, not {text[:40]!r}.") from None
+
+
+def _vector(name: str, text: str) -> list[float]:
+    try:
+        x, y, z = (_float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
+    return [x, y, z]
+
+
+def _float(text: str) -> float:
+    if "_" in text or not text.isascii():  # Python accepts such numbers, other languages do not
+        raise ValueError(text)
+    return float(text)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How values are written: blocks of points, with what stands before, between and behind them."""
+
+    media_type: str
+    block: int
+    encode: Callable[[Array], bytes]
+    head: bytes
+    between: bytes = b""
+    tail: bytes = b""
+
+    def write(self, model: DSBRDF, points: Points) -> bytes:
+        return self.encode(points.values(model))
+
+
+def _npy_form(n_points: int) -> _Form:
+    """Return the form of a .npy file of shape (n, 3)."""
+    header = BytesIO()
+    npy.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
+    return _Form(NPY, _NPY_BLOCK, lambda values: values.tobytes(), header.getvalue())
+
+
+_JSON_FORM = _Form(
+    JSON, _JSON_BLOCK, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}"
+)
+
+
+async def values_reply(model: DSBRDF, points: Points, media_type: str, metrics: Metrics) -> Response:
+    """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
+    form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
+
+    def whole() -> Response:
+        with metrics.timing("evaluating"):
+            return Response(form.head + form.write(model, points) + form.tail, media_type=media_type)
+
+    if len(points) <= _MAX_INLINE:
+        return whole()
+    if len(points) <= form.block:
+        return await run_in_threadpool(whole)
+    # The length is known beforehand for numbers of equal size, not for their text.
+    headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
+    return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
+
+
+async def _parts(form: _Form, model: DSBRDF, points: Points, metrics: Metrics) -> AsyncIterator[bytes]:
+    """Yield the parts of a long answer, each while the next ones are made; note how long that took in all."""
+    seconds = 0.0
+
+    def write(block: Points) -> bytes:
+        nonlocal seconds
+        begin = perf_counter()
+        part = form.write(model, block)
+        seconds += perf_counter() - begin
+        return part
+
+    blocks: Iterator[Points] = points.blocks(form.block)
+    coming: deque[asyncio.Task[bytes]] = deque()
+
+    def begin_next() -> None:
+        if (block := next(blocks, None)) is not None:
+            coming.append(asyncio.create_task(run_in_threadpool(write, block)))
+
+    try:
+        for _ in range(_AHEAD):
+            begin_next()
+        before = form.head
+        while coming:
+            part = await coming[0]
+            coming.popleft()
+            begin_next()
+            yield before + part
+            before = form.between
+        yield form.tail
+    finally:
+        for task in coming:  # when the client has closed the connection
+            task.cancel()
+    metrics.record_time("evaluating", seconds)

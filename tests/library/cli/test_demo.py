@@ -1,0 +1,52 @@
+"""The demo, as ``make demo`` runs it: with the real service in its own process."""
+
+import re
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import httpx
+import pytest
+from matplotlib.image import imread
+
+from dsbrdf.cli import demo
+from dsbrdf.cli import main as cli
+
+
+def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", "-o", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert "201 Created" in out
+    assert "200 OK" in out
+    for word in ("specular_spike", "specular_lobe", "diffuse", "kappa", "gamma", "relative_rms", "excess", "male"):
+        assert word in out
+    rows = re.findall(r"^ +[\d.]+° +\d+°((?: +[\d.]+){6})$", out, re.MULTILINE)
+    assert len(rows) == len(demo.SHOWN_NODES) * len(demo.SHOWN_ROWS)
+    peak = [float(word) for word in rows[0].split()]
+    assert peak[1::2] == pytest.approx(peak[0::2], rel=0.1)  # fitted next to measured
+    difference = re.search(r"largest difference between sum and fit: (\S+)", out)
+    assert difference is not None
+    assert float(difference[1]) < 1e-12
+    image = imread(BytesIO((tmp_path / "out/demo.png").read_bytes()), format="png")
+    assert min(image.shape[:2]) > 800
+    assert image[..., :3].std() > 0.05
+    address = re.search(r"http://[\d.]+:\d+", out)
+    assert address is not None
+    with pytest.raises(httpx.TransportError):
+        httpx.get(f"{address[0]}/health/live", timeout=5)
+
+
+def test_demo_service_stops_after_an_exception(tmp_path: Path) -> None:
+    with pytest.raises(httpx.HTTPStatusError), demo.running_service(tmp_path) as url:
+        httpx.get(f"{url}/no/such/page", timeout=5).raise_for_status()
+    with pytest.raises(httpx.TransportError):
+        httpx.get(f"{url}/health/live", timeout=5)
+
+
+def test_demo_shows_the_log_of_a_service_that_fails_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho it broke\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(broken))
+    with pytest.raises(RuntimeError, match=r"the service did not start.*\n.*it broke"), demo.running_service(tmp_path):
+        pytest.fail("nothing is running")

@@ -1,0 +1,257 @@
+"""The command ``dsbrdf``: what it prints, what it writes, and how it ends."""
+
+import errno
+import json
+import os
+import shutil
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.cli import fit_command
+from dsbrdf.cli import main as cli
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.engines import batch, local, worker_process
+from dsbrdf.model.decomposition import LABELS
+from dsbrdf.output.serialize import from_json, load
+from tests.support.command_line import QUICK, Capture, document, sentence
+
+
+@pytest.fixture
+def damaged_file(plastic_file: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "cut.binary"
+    with plastic_file.open("rb") as file:
+        path.write_bytes(file.read(1000))
+    return path
+
+
+# fit
+
+
+@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--n-lobes", "2"]) == 0
+    out = capsys.readouterr().out
+    result = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2))
+    assert f"relative_rms {result.report.metrics['relative_rms']:.4g}" in out
+    for component in dsbrdf.decompose(result.model):
+        (line,) = [line for line in out.splitlines() if line.startswith(component.label)]
+        for value in component.albedo:
+            assert f"{value:.4f}" in line
+        if component.half_width is not None:
+            assert f"{np.degrees(component.half_width):.2f}°" in line
+    kappa, gamma, _, _ = result.model.parameters_at(np.radians(30.0))
+    assert f"{kappa[0, 1]:.4g}" in out
+    assert f"{gamma[0, 1]:.4g}" in out
+
+
+def test_fit_prints_the_lobe_selection_and_the_largest_errors(
+    plastic: Measurement, capsys: Capture, plastic_file: Path
+) -> None:
+    assert cli.main(["fit", str(plastic_file)]) == 0
+    out = capsys.readouterr().out
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+        result = dsbrdf.fit(plastic)
+    rings = sum(row["pays"] for row in result.report.rings)
+    expected = f"plastic: {result.model.n_lobes - rings} lobes" + (f" + {rings} ring lobe" if rings else "")
+    assert out.startswith(expected)
+    lines = out.splitlines()
+    assert len(result.report.selection) > 1
+    for row in result.report.selection:
+        (line,) = [line for line in lines if line.startswith(f"{row['n_lobes']}  ")]
+        for name, form in (("e_p", ".4f"), ("t", ".2f"), ("critical_value", ".3f")):
+            assert row[name] is None or f" {row[name]:{form}} " in line
+        assert line.endswith("too few") == row["significant"]
+    for row in result.report.rings:
+        assert f"{row['ring_lobes']} {'pays' if row['pays'] else 'does not pay'}" in out
+    for band in result.report.by_theta_diff:
+        low, high = np.degrees(band["theta_diff"])
+        (line,) = [line for line in lines if line.startswith(f"theta_diff {low:.0f}° to {high:.0f}°")]
+        assert line.split()[-3:] == [f"{band['relative_rms']:.4f}", f"{band['floor']:.4f}", f"{band['excess']:.3f}"]
+
+
+def test_ring_lobe_is_printed_with_its_center(plastic_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--n-lobes", "1", "--ring-lobes", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("plastic: 1 lobe + 1 ring lobe; ")
+    (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
+    assert line.count("°") == 4
+
+
+def test_fit_json_of_one_file_is_a_stored_model(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
+    answer = document(capsys)
+    stored = tmp_path / "stored.json"
+    stored.write_text(json.dumps(answer))
+    assert load(stored).n_lobes == 1
+    assert answer["status"] == "succeeded"
+    assert answer["metrics"] == answer["report"]["metrics"]
+    assert answer["lobes"]["kappa"] == answer["model"]["kappa"]
+    assert answer["lobes"]["theta_diff_deg"][:3] == [0.0, 5.0, 10.0]
+    assert [component["label"] for component in answer["components"]] == list(LABELS)
+
+
+def test_one_bad_file_does_not_stop_the_others(
+    plastic_file: Path, damaged_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    files = [str(damaged_file), str(tmp_path / "none.binary"), str(plastic_file)]
+    assert cli.main(["fit", *files, "-o", str(tmp_path / "out"), *QUICK]) == 2
+    captured = capsys.readouterr()
+    first, second = captured.err.splitlines()
+    with pytest.raises(dsbrdf.MeasurementFormatError) as refusal:
+        dsbrdf.read_merl(damaged_file)
+    assert first == f"dsbrdf: {damaged_file}: {refusal.value}"
+    assert second == f"dsbrdf: {tmp_path / 'none.binary'}: No such file or directory"
+    assert captured.out.startswith("plastic: 1 lobe")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
+
+
+def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[batch.FileFit]:
+        yield batch.FileFit(files[0], error="the process died", lost=True)
+        yield batch.FileFit(files[1], error="no measurement")
+
+    monkeypatch.setattr(fit_command, "fit_files", lost)
+    assert cli.main(["fit", "a.binary", "b.binary"]) == 1
+    assert capsys.readouterr().err == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
+
+
+def test_fit_json_of_several_files_lists_each(plastic_file: Path, damaged_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(damaged_file), str(plastic_file), "--json", *QUICK]) == 2
+    bad, good = document(capsys)["items"]
+    assert (bad["file"], bad["status"]) == (str(damaged_file), "failed")
+    assert "1000" in bad["error"]
+    assert (good["file"], good["status"], good["error"]) == (str(plastic_file), "succeeded", None)
+
+
+def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / "materials"
+    folder.mkdir()
+    assert cli.main(["fit", str(folder)]) == 2
+    assert "contains no .binary file" in sentence(capsys)
+    (folder / "a.binary").symlink_to(plastic_file)
+    (folder / "notes.txt").write_text("not a measurement")
+    assert cli.main(["fit", str(folder), "--json", *QUICK]) == 0
+    assert [item["file"] for item in document(capsys)["items"]] == [str(folder / "a.binary")]
+
+
+def test_unconverged_slices_are_a_warning(plastic_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--method", "paper", "--em-iterations", "1"]) == 0
+    captured = capsys.readouterr()
+    assert "stopped at the bound of 1 iterations" in captured.err
+    assert captured.err.startswith(f"dsbrdf: {plastic_file}: ")
+    assert captured.err.count("\n") == 1
+
+
+@pytest.fixture
+def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every attempt to start a worker process fail."""
+
+    def refuse(*_: Any) -> NoReturn:
+        pytest.fail("a worker process was started")
+
+    monkeypatch.setattr(worker_process, "start_fork_server", refuse)
+    monkeypatch.setattr(worker_process.WorkerProcess, "__init__", refuse)
+
+
+@pytest.mark.usefixtures("no_processes")
+def test_one_file_is_fitted_in_this_process(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), *QUICK]) == 0
+    assert capsys.readouterr().out.startswith("plastic: 1 lobe")
+    assert load(tmp_path / "plastic.json").n_lobes == 1
+
+
+@pytest.mark.usefixtures("no_processes")
+def test_one_bad_file_is_one_sentence(damaged_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(damaged_file)]) == 2
+    assert sentence(capsys).startswith(f"dsbrdf: {damaged_file}: The data has only 1000 bytes")
+
+
+@pytest.mark.usefixtures("no_processes")
+def test_interrupt_ends_a_fit_in_this_process(
+    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def interrupted(*_: Any) -> NoReturn:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch, "compute", interrupted)
+    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path / "out")]) == 130
+    assert sentence(capsys) == "dsbrdf: interrupted\n"
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+# resuming
+
+
+@pytest.fixture
+def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
+    files = [tmp_path / "one.binary", tmp_path / "two.binary"]
+    for file in files:
+        shutil.copyfile(plastic_file, file)
+    return [str(file) for file in files]
+
+
+def test_second_run_keeps_existing_results(
+    two_files: list[str], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["fit", *two_files, "-o", str(tmp_path / "out"), "--json", *QUICK]
+    assert cli.main(command) == 0
+    first = document(capsys)["items"]
+    monkeypatch.setattr(local.LocalEngine, "start", None)  # nothing is to be computed
+    assert cli.main(command) == 0
+    second = document(capsys)["items"]
+    assert [item.pop("resumed") for item in first] == [False, False]
+    assert [item.pop("resumed") for item in second] == [True, True]
+    for item in (*first, *second):
+        item.pop("warnings")
+    assert first == second
+
+
+@pytest.mark.parametrize("reason", ["options", "force", "measurement", "damaged", "algorithm", "no report"])
+def test_stored_fit_with_other_options_is_replaced(
+    two_files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, reason: str
+) -> None:
+    output = tmp_path / "out" / "one.json"
+    command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
+    assert cli.main(command) == 0
+    capsys.readouterr()
+    if reason == "options":
+        command += ["--weighting", "cosine"]
+    elif reason == "force":
+        command += ["--force"]
+    elif reason == "measurement":
+        after = output.stat().st_mtime + 10
+        os.utime(two_files[0], (after, after))
+    elif reason == "damaged":
+        output.write_bytes(output.read_bytes()[:-100])
+    elif reason == "algorithm":
+        monkeypatch.setattr(batch, "ALGORITHM_VERSION", "another")
+    else:
+        dsbrdf.save(load(output), output)
+    assert cli.main(command) == 0
+    assert document(capsys)["resumed"] is False
+    assert from_json(output.read_text())[1] is not None
+
+
+def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "other").mkdir()
+    shutil.copyfile(two_files[0], tmp_path / "other/one.binary")
+    assert cli.main(["fit", two_files[0], str(tmp_path / "other/one.binary"), "-o", str(tmp_path / "out")]) == 2
+    assert "would both be written to" in sentence(capsys)
+
+
+def test_full_disk_exits_with_1(
+    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(batch, "save", full)
+    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), *QUICK]) == 1
+    assert "No space left on device" in sentence(capsys)

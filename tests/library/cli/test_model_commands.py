@@ -1,0 +1,175 @@
+"""``dsbrdf eval``, ``decompose`` and ``export``."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.cli import main as cli
+from dsbrdf.cli import model_commands
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.model.decomposition import LABELS
+from dsbrdf.output.serialize import from_json, from_npz, load
+from tests.support.command_line import Capture, document, exit_code, sentence
+
+
+@pytest.fixture(scope="module")
+def model_file(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fits")
+    assert cli.main(["fit", str(plastic_file), "-o", str(folder)]) == 0
+    return folder / "plastic.json"
+
+
+@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+def test_fit_writes_what_the_library_would_save(model_file: Path, plastic: Measurement) -> None:
+    model, report = from_json(model_file.read_text())
+    expected = dsbrdf.fit(plastic)
+    np.testing.assert_array_equal(model.kappa, expected.model.kappa)
+    np.testing.assert_array_equal(model.gamma, expected.model.gamma)
+    assert report is not None
+    assert report.metrics == expected.report.metrics
+    assert report.options == expected.report.options
+
+
+# models
+
+
+def test_eval_by_angles(model_file: Path, capsys: Capture) -> None:
+    command = ["eval", str(model_file), "--theta-half", "0", "10", "--theta-diff", "30"]
+    assert cli.main([*command, "--theta-half", "40", "--json"]) == 0
+    answer = document(capsys)
+    expected = load(model_file).evaluate(np.radians([0.0, 10.0, 40.0]), np.radians(30.0))
+    np.testing.assert_array_equal(answer["values"], expected)
+    assert answer["theta_half_deg"] == [0.0, 10.0, 40.0]
+    assert answer["theta_diff_deg"] == [30.0] * 3
+    assert cli.main(command) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[0].split() == ["theta_half_deg", "theta_diff_deg", "red", "green", "blue"]
+    np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, *expected[1]], rtol=1e-5)
+
+
+def test_eval_by_directions(model_file: Path, capsys: Capture) -> None:
+    words = ["--omega-in", "-0.6,0,0.8", "--omega-in", "0,0,1", "--omega-out", "0.6,-0,0.8", "--json"]
+    assert cli.main(["eval", str(model_file), *words]) == 0
+    expected = load(model_file).evaluate_directions(np.array([[-0.6, 0, 0.8], [0, 0, 1]]), np.array([0.6, 0, 0.8]))
+    np.testing.assert_array_equal(document(capsys)["values"], expected)
+
+
+def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
+    command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
+    assert cli.main(command) == 0
+    whole = np.array(document(capsys)["values"])
+    total = np.zeros_like(whole)
+    for label in LABELS:
+        assert cli.main([*command, "--component", label]) == 0
+        total += document(capsys)["values"]
+    np.testing.assert_allclose(total, whole, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "--theta-half is missing"),
+        (["--theta-half", "1"], "--theta-diff is missing"),
+        (["--omega-in", "0,0,1"], "--omega-out is missing"),
+        (["--theta-half", "1", "2", "--theta-diff", "1", "2", "3"], "cannot be combined"),
+        (["--theta-half", "91", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
+        (["--theta-half", "-1", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
+        (["--theta-half", "x", "--theta-diff", "0"], "--theta-half: invalid float value: 'x'"),
+        (["--theta-half", "1", "--omega-in", "0,0,1"], "either --theta-half and --theta-diff or --omega-in"),
+        (["--omega-in", "0,0,2", "--omega-out", "0,0,1"], "omega_in must be of unit length"),
+        (["--omega-in", "0,0,-1", "--omega-out", "0,0,1"], "omega_in"),
+        (["--omega-in", "0,1", "--omega-out", "0,0,1"], "--omega-in: must be three numbers x,y,z, not '0,1'"),
+        (["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"], "invalid choice: 'shiny'"),
+    ],
+)
+def test_invalid_points_are_refused_in_one_sentence(
+    words: list[str], said: str, model_file: Path, capsys: Capture
+) -> None:
+    assert exit_code(["eval", str(model_file), *words]) == 2
+    assert said in sentence(capsys)
+
+
+def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> None:
+    assert cli.main(["decompose", str(model_file), "--json"]) == 0
+    items = document(capsys)["items"]
+    for item, component in zip(items, dsbrdf.decompose(load(model_file)), strict=True):
+        assert item["label"] == component.label
+        assert item["lobes"] == list(component.lobes)
+        assert item["albedo"] == component.albedo.tolist()
+        assert item["parameters"]["kappa"] == component.kappa.tolist()
+        assert item["parameters"]["delta"] == component.delta.tolist()
+        if component.half_width is not None:
+            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
+    assert cli.main(["decompose", str(model_file), "--channel", "blue"]) == 0
+    out = capsys.readouterr().out
+    assert "blue channel" in out
+    assert all(label in out for label in LABELS)
+
+
+def test_export_without_loss(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    model, report = from_json(model_file.read_text())
+    assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(tmp_path / "model.npz")]) == 0
+    assert capsys.readouterr().out == ""
+    again = from_npz((tmp_path / "model.npz").read_bytes())
+    np.testing.assert_array_equal(again[0].kappa, model.kappa)
+    assert again[1] == report
+    assert cli.main(["export", str(tmp_path / "model.npz"), "--format", "json", "-o", str(tmp_path / "back.json")]) == 0
+    assert (tmp_path / "back.json").read_text() == model_file.read_text()
+
+
+def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    table = tmp_path / "table.binary"
+    command = ["export", str(model_file), "--format", "merl", "-o", str(table), "--component", "diffuse", "--json"]
+    assert cli.main(command) == 0
+    assert document(capsys) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
+    measurement = dsbrdf.read_merl(table)
+    part = dsbrdf.decompose(load(model_file)).diffuse
+    # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees
+    expected = part.evaluate(np.radians(10.0), np.radians(20.0))
+    np.testing.assert_allclose(measurement.values[:, 30, 20, 90], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"format": "other"}', b"[" * 5000])
+@pytest.mark.parametrize("suffix", [".json", ".npz", ".txt"])
+def test_file_that_is_no_model_is_refused_in_one_sentence(
+    content: bytes, suffix: str, tmp_path: Path, capsys: Capture
+) -> None:
+    path = tmp_path / f"model{suffix}"
+    path.write_bytes(content)
+    assert cli.main(["decompose", str(path)]) == 2
+    assert sentence(capsys).startswith(f"dsbrdf: {path}: ")
+
+
+def test_missing_model_is_reported_in_one_sentence(tmp_path: Path, capsys: Capture) -> None:
+    assert cli.main(["decompose", str(tmp_path / "none.json")]) == 2
+    assert sentence(capsys) == f"dsbrdf: {tmp_path / 'none.json'}: No such file or directory\n"
+
+
+def test_missing_output_folder_is_reported_by_its_given_name(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "nowhere" / "model.npz"
+    assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(output)]) == 2
+    assert sentence(capsys) == f"dsbrdf: {output}: No such file or directory\n"
+
+
+def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, model_file: Path) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(model_commands, "component_documents", broken)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["decompose", str(model_file)])
+
+
+def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
+    many = " ".join(str(angle / 200) for angle in range(15_000))
+    command = (
+        f"'{sys.executable}' -m dsbrdf.cli.main eval '{model_file}' --theta-diff 0 --theta-half {many} | head -n 1"
+    )
+    answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert answer.stdout.split()[0] == "theta_half_deg"
+    assert answer.stderr == ""

@@ -1,0 +1,254 @@
+import numpy as np
+import pytest
+from mpmath import atan2 as mp_atan2  # type: ignore[import-untyped]
+from mpmath import cos as mp_cos
+from mpmath import mp, mpf
+from mpmath import sin as mp_sin
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import above_horizon, check_directions, directions, half_difference, incident_cosines
+from dsbrdf.errors import InvalidArgumentError
+
+Array = NDArray[np.float64]
+
+
+def rotation_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_y(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def reference_half_difference(omega_in: Array, omega_out: Array) -> tuple[float, float, float]:
+    """Rusinkiewicz's definition word by word: rotate omega_in so that the half vector becomes the pole."""
+    half = omega_in + omega_out
+    half = half / np.linalg.norm(half)
+    theta_half, phi_half = np.arccos(half[2]), np.arctan2(half[1], half[0])
+    difference = rotation_y(-theta_half) @ rotation_z(-phi_half) @ omega_in
+    return theta_half, np.arccos(difference[2]), np.arctan2(difference[1], difference[0]) % (2 * np.pi)
+
+
+def random_directions(generator: np.random.Generator, n: int) -> Array:
+    z, phi = generator.uniform(0.02, 0.98, n), generator.uniform(0.0, 2 * np.pi, n)
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=-1)
+
+
+def exact_directions(
+    theta_half: float, theta_diff: float, phi_diff: float, phi_half: float
+) -> tuple[list[mpf], list[mpf]]:
+    th, td, pd, ph = (mpf(angle) for angle in (theta_half, theta_diff, phi_diff, phi_half))
+    result = []
+    for sign in (1, -1):
+        x, y, z = sign * mp_sin(td) * mp_cos(pd), sign * mp_sin(td) * mp_sin(pd), mp_cos(td)
+        x, z = mp_cos(th) * x + mp_sin(th) * z, mp_cos(th) * z - mp_sin(th) * x
+        result.append([mp_cos(ph) * x - mp_sin(ph) * y, mp_sin(ph) * x + mp_cos(ph) * y, z])
+    return result[0], result[1]
+
+
+def exact_half_difference(omega_in: Array, omega_out: Array) -> tuple[float, float, float]:
+    """The angles of two rounded vectors with 50 digits."""
+    first, second = [mpf(float(v)) for v in omega_in], [mpf(float(v)) for v in omega_out]
+    total = [a + b for a, b in zip(first, second, strict=True)]
+    difference = [a - b for a, b in zip(first, second, strict=True)]
+    radius = mp.sqrt(total[0] ** 2 + total[1] ** 2)
+    cos_phi, sin_phi = (total[0] / radius, total[1] / radius) if radius else (mpf(1), mpf(0))
+    theta_half = mp_atan2(radius, total[2])
+    tangent = mp_cos(theta_half) * (cos_phi * difference[0] + sin_phi * difference[1])
+    tangent -= mp_sin(theta_half) * difference[2]
+    across = cos_phi * difference[1] - sin_phi * difference[0]
+    theta_diff = mp_atan2(mp.sqrt(sum(v**2 for v in difference)), mp.sqrt(sum(v**2 for v in total)))
+    return float(theta_half), float(theta_diff), float(mp_atan2(across, tangent) % (2 * mp.pi))
+
+
+def test_half_difference_agrees_with_rotation_matrices() -> None:
+    generator = np.random.default_rng(7)
+    omega_in, omega_out = random_directions(generator, 500), random_directions(generator, 500)
+    got = np.stack(half_difference(omega_in, omega_out), axis=-1)
+    expected = np.array([reference_half_difference(a, b) for a, b in zip(omega_in, omega_out, strict=True)])
+    np.testing.assert_allclose(got, expected, rtol=0, atol=2e-11)
+
+
+def test_directions_agree_with_rotation_matrices() -> None:
+    generator = np.random.default_rng(8)
+    for half, diff, phi, turn in generator.uniform(0.0, 1.5, (200, 4)):
+        local = np.array([np.sin(diff) * np.cos(phi), np.sin(diff) * np.sin(phi), np.cos(diff)])
+        frame = rotation_z(turn) @ rotation_y(half)
+        omega_in, omega_out = directions(half, diff, phi, turn)
+        np.testing.assert_allclose(omega_in, frame @ local, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(omega_out, frame @ (local * [-1, -1, 1]), rtol=0, atol=1e-15)
+
+
+DELICATE = [
+    (1e-9, 1e-9, 1.0, 0.3),
+    (1e-9, 0.7, 2.0, 0.3),
+    (0.7, 1e-9, 2.0, 0.3),
+    (1e-15, 0.5, 1.0, 2.0),
+    (0.5, 1e-15, 1.0, 2.0),
+    (np.pi / 2 - 1e-9, 1e-9, np.pi / 2, 0.1),
+    (1e-9, np.pi / 2 - 1e-9, 0.4, 0.1),
+    (0.3, np.pi / 2 - 1e-5, np.pi / 2, 4.0),
+    (np.pi / 4, np.pi / 4, 0.0, 0.0),
+    (np.pi / 4, np.pi / 4, np.pi, 0.0),
+    (0.2, 0.9, 2 * np.pi - 1e-9, 0.0),
+    (1e-160, 1e-160, 1.0, 0.0),
+]
+
+
+@pytest.mark.parametrize("angles", DELICATE)
+def test_directions_are_exact_at_delicate_points(angles: tuple[float, float, float, float]) -> None:
+    with mp.workdps(50):
+        expected = [[float(v) for v in omega] for omega in exact_directions(*angles)]
+    got = directions(*angles)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=3e-16)
+
+
+@pytest.mark.parametrize("angles", DELICATE)
+def test_half_difference_is_exact_at_delicate_points(angles: tuple[float, float, float, float]) -> None:
+    omega_in, omega_out = directions(*angles)
+    with mp.workdps(50):
+        half, diff, phi = exact_half_difference(omega_in, omega_out)
+    got_half, got_diff, got_phi = (float(v) for v in half_difference(omega_in, omega_out))
+    assert got_half == pytest.approx(half, rel=0, abs=1e-14 / max(np.cos(diff), 1e-3))
+    assert got_diff == pytest.approx(diff, rel=1e-14, abs=1e-15)
+    # phi_diff is the direction of a vector of length sin(theta_diff): that length times the error is the distance.
+    assert abs(np.sin((got_phi - phi) / 2)) * np.sin(diff) < 1e-14 / max(np.cos(diff), 1e-3)
+
+
+def test_round_trip_from_angles() -> None:
+    half, diff, phi, turn = (
+        v.ravel()
+        for v in np.meshgrid(
+            np.linspace(1e-3, 1.5, 7), np.linspace(1e-3, 1.5, 7), np.linspace(0.0, 6.2, 9), [0.0, 2.5], indexing="ij"
+        )
+    )
+    got = half_difference(*directions(half, diff, phi, turn))
+    np.testing.assert_allclose(got[0], half, rtol=0, atol=2e-14)
+    np.testing.assert_allclose(got[1], diff, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.sin((got[2] - phi) / 2), 0.0, rtol=0, atol=1e-12)
+
+
+def test_round_trip_from_directions() -> None:
+    generator = np.random.default_rng(9)
+    omega_in, omega_out = random_directions(generator, 300), random_directions(generator, 300)
+    total = omega_in + omega_out
+    turn = np.arctan2(total[:, 1], total[:, 0])
+    got_in, got_out = directions(*half_difference(omega_in, omega_out), turn)
+    np.testing.assert_allclose(got_in, omega_in, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(got_out, omega_out, rtol=0, atol=1e-14)
+
+
+def test_named_singular_points() -> None:
+    normal = np.array([0.0, 0.0, 1.0])
+    assert [float(v) for v in half_difference(normal, normal)] == [0.0, 0.0, 0.0]
+    assert [float(v) for v in half_difference([-0.0, -0.0, 1.0], [-0.0, -0.0, 1.0])] == [0.0, 0.0, 0.0]
+    tilted = np.array([0.6, 0.0, 0.8])
+    half, diff, phi = half_difference(tilted, tilted)
+    assert float(half) == pytest.approx(np.arctan2(0.6, 0.8), abs=1e-15)
+    assert (float(diff), float(phi)) == (0.0, 0.0)
+    # Mirror directions share the normal as half vector; phi_diff is then the azimuth of omega_in.
+    half, diff, phi = half_difference([0.0, 0.6, 0.8], [0.0, -0.6, 0.8])
+    assert float(half) == 0.0
+    assert float(diff) == pytest.approx(np.arctan2(0.6, 0.8), abs=1e-15)
+    assert float(phi) == np.pi / 2
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.0, 4.0])
+def test_opposite_directions_at_the_horizon_take_the_normal(azimuth: float) -> None:
+    omega_in = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    half, diff, phi = half_difference(omega_in, -omega_in)
+    assert float(half) == 0.0
+    assert float(diff) == pytest.approx(np.pi / 2, abs=1e-15)
+    assert float(phi) == pytest.approx(azimuth, abs=1e-15)
+    rounded = [np.cos(azimuth + np.pi), np.sin(azimuth + np.pi), np.cos(np.pi / 2)]
+    assert float(half_difference(omega_in, rounded)[0]) == 0.0
+
+
+def test_swapping_the_directions_turns_phi_diff_by_half() -> None:
+    generator = np.random.default_rng(10)
+    omega_in, omega_out = random_directions(generator, 100), random_directions(generator, 100)
+    half, diff, phi = half_difference(omega_in, omega_out)
+    half_s, diff_s, phi_s = half_difference(omega_out, omega_in)
+    np.testing.assert_array_equal(half, half_s)
+    np.testing.assert_array_equal(diff, diff_s)
+    np.testing.assert_allclose((phi_s - phi) % (2 * np.pi), np.pi, rtol=0, atol=1e-12)
+
+
+def test_phi_diff_is_within_a_turn() -> None:
+    phi = half_difference(*directions(0.5, 0.5, [-1e-17, -1e-300, 2 * np.pi, -1.0]))[2]
+    assert ((phi >= 0.0) & (phi < 2 * np.pi)).all()
+
+
+def test_incident_cosines_are_the_heights_of_the_directions() -> None:
+    generator = np.random.default_rng(11)
+    angles = generator.uniform(0.0, np.pi / 2, (3, 200))
+    omega_in, omega_out = directions(*angles)
+    cos_in, cos_out = incident_cosines(*angles)
+    np.testing.assert_allclose(cos_in, omega_in[:, 2], rtol=0, atol=5e-16)
+    np.testing.assert_allclose(cos_out, omega_out[:, 2], rtol=0, atol=5e-16)
+
+
+def test_broadcasting_equals_a_loop() -> None:
+    half, diff, phi = np.array([[0.1], [0.9]]), np.array([0.2, 0.4, 0.8]), 0.7
+    omega_in, omega_out = directions(half, diff, phi)
+    assert omega_in.shape == omega_out.shape == (2, 3, 3)
+    for i in range(2):
+        for j in range(3):
+            single = directions(half[i, 0], diff[j], phi)
+            np.testing.assert_array_equal(omega_in[i, j], single[0])
+            np.testing.assert_array_equal(omega_out[i, j], single[1])
+    angles = half_difference(omega_in, omega_out[0, 0])
+    assert all(angle.shape == (2, 3) for angle in angles)
+
+
+def test_above_horizon_is_strict_at_the_horizon_and_inclusive_at_a_cutoff() -> None:
+    degree = np.deg2rad
+    assert not above_horizon(degree(10.0), degree(80.0), 0.0)
+    assert not above_horizon(degree(10.0), degree(80.0), np.pi)
+    assert above_horizon(degree(10.0), degree(79.999), 0.0)
+    assert above_horizon(degree(10.0), degree(80.0), np.pi / 2)
+    assert above_horizon(degree(10.0), degree(70.0), 0.0, degree(80.0))
+    assert not above_horizon(degree(10.0), degree(70.001), 0.0, degree(80.0))
+    assert not above_horizon(degree(10.0), degree(70.001), np.pi, degree(80.0))
+
+
+@pytest.mark.parametrize("cutoff", [0.0, -1.0, 1.6, np.nan, 80.0])
+def test_above_horizon_refuses_a_cutoff_out_of_range(cutoff: float) -> None:
+    with pytest.raises(InvalidArgumentError, match=r"must be above 0 and at most pi/2 radians"):
+        above_horizon(0.1, 0.1, 0.1, cutoff)
+
+
+def test_check_directions_scales_to_unit_length() -> None:
+    rough = np.array([[0.6000002, 0.0, 0.8], [0.0, 0.0, 1.0]])
+    unit = check_directions("omega_in", rough)
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=-1), 1.0, rtol=0, atol=3e-16)
+    np.testing.assert_allclose(unit, rough, atol=1e-6)
+    assert rough[0, 0] == 0.6000002
+    assert check_directions("omega_in", [1.0, 0.0, -1e-17])[2] == 0.0
+    assert check_directions("omega_in", np.empty((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("omega", "message"),
+    [
+        ([0.0, 1.0], r"omega_out must have the shape \(\.\.\., 3\), not \(2,\)"),
+        (1.0, r"omega_out must have the shape"),
+        ([0.0, np.nan, 1.0], r"omega_out contains NaN or infinity"),
+        ([0.0, np.inf, 1.0], r"omega_out contains NaN or infinity"),
+        ([[0.0, 0.0, 1.0], [0.0, 0.0, 1.00001]], r"omega_out must be of unit length \(to 1e-06\), not 1\.00001"),
+        ([0.0, 0.0, 0.0], r"omega_out must be of unit length"),
+        ([0.6, 0.0, -0.8], r"omega_out must lie on or above the horizon \(z >= 0\); its smallest z is -0\.8"),
+        (["a", "b", "c"], r"omega_out must be an array of real numbers"),
+    ],
+)
+def test_check_directions_names_the_fault(omega: object, message: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=message):
+        check_directions("omega_out", omega)  # type: ignore[arg-type]
+
+
+def test_angles_that_do_not_broadcast_are_named() -> None:
+    with pytest.raises(InvalidArgumentError, match=r"theta_half \(2,\), theta_diff \(3,\)"):
+        incident_cosines([0.1, 0.2], [0.1, 0.2, 0.3], 0.0)

@@ -1,0 +1,123 @@
+import hashlib
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import (
+    FILE_SIZE,
+    SCALE,
+    encode_merl,
+    parse_merl,
+    read_merl,
+    write_merl,
+)
+from dsbrdf.errors import MeasurementFormatError
+from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
+
+
+@pytest.fixture(scope="module")
+def data(plastic_file: Path) -> bytes:
+    return plastic_file.read_bytes()
+
+
+# Reading and writing
+
+
+def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measurement) -> None:
+    assert data[:12] == HEADER
+    assert len(data) == FILE_SIZE == 34_992_012
+    for channel, node in ((0, (0, 0, 0)), (1, (3, 4, 5)), (2, (89, 89, 179))):
+        (value,) = struct.unpack_from("<d", data, position(channel, node))
+        assert plastic.stored[channel][node] == value
+    np.testing.assert_allclose(SCALE, [1 / 1500, 1.15 / 1500, 1.66 / 1500], rtol=1e-15)
+
+
+def test_round_trip_is_bit_for_bit(data: bytes, plastic_file: Path, tmp_path: Path) -> None:
+    measurement = read_merl(plastic_file)
+    assert measurement.name == "plastic"
+    assert measurement.sha256 == hashlib.sha256(data).hexdigest()
+    assert encode_merl(measurement) == data
+    copy = tmp_path / "copy.binary"
+    write_merl(copy, measurement)
+    assert copy.read_bytes() == data
+    assert [path.name for path in tmp_path.iterdir()] == ["copy.binary"]
+
+
+def test_unusual_valid_bit_patterns_survive(data: bytes) -> None:
+    changes = {(0, ABOVE): -0.0, (1, ABOVE): 5e-324, (2, BELOW): -1e300, (0, (0, 0, 0)): -7.25}
+    changed = with_values(data, changes)
+    measurement = parse_merl(changed)
+    assert encode_merl(measurement) == changed
+    assert measurement.valid[ABOVE]
+    assert not measurement.valid[0, 0, 0]
+
+
+def test_immutable_bytes_are_shared_and_mutable_buffers_copied(data: bytes) -> None:
+    assert np.shares_memory(parse_merl(data).stored, np.frombuffer(data, dtype=np.uint8))
+    buffer = bytearray(data)
+    measurement = parse_merl(buffer)
+    buffer[position(0, ABOVE) : position(0, ABOVE) + 8] = bytes(8)
+    assert measurement.stored[0][ABOVE] == parse_merl(data).stored[0][ABOVE]
+    assert parse_merl(memoryview(data), "view").name == "view"
+
+
+def test_array_round_trip(tmp_path: Path) -> None:
+    values = np.random.default_rng(5).uniform(0.0, 9.0, (3, *GRID_SHAPE))
+    path = tmp_path / "array.binary"
+    write_merl(path, values)
+    np.testing.assert_allclose(read_merl(path).values, values, rtol=5e-16)
+
+
+def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
+    path = tmp_path / "kept.binary"
+    path.write_bytes(b"before")
+    with pytest.raises(MeasurementFormatError):
+        write_merl(path, np.full((3, *GRID_SHAPE), np.nan))
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(FileNotFoundError):
+        write_merl(tmp_path / "missing" / "a.binary", np.ones((3, *GRID_SHAPE)))
+
+
+def test_written_files_have_ordinary_permissions(plastic: Measurement, tmp_path: Path) -> None:
+    write_merl(tmp_path / "a.binary", plastic)
+    (tmp_path / "b").write_bytes(b"")
+    assert (tmp_path / "a.binary").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> None:
+    nodes_above_horizon.cache_clear()  # made once per process, and part of the cost
+    tracemalloc.start()
+    try:
+        read_merl(plastic_file)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < FILE_SIZE + 10_000_000
+
+
+def test_reference_files_round_trip(reference_files: dict[str, Path]) -> None:
+    for path in list(reference_files.values())[::10]:
+        data = path.read_bytes()
+        measurement = read_merl(path)
+        assert encode_merl(measurement) == data
+        assert measurement.sha256 == hashlib.sha256(data).hexdigest()
+        assert measurement.valid.any()
+
+
+# Validity
+
+
+def test_valid_needs_all_channels_and_the_horizon(data: bytes) -> None:
+    changes = {(0, (1, 1, 1)): -1.0, (1, (2, 2, 2)): -1e-300, (2, (3, 3, 3)): -5.0, (0, BELOW): 3.0}
+    changes |= {(1, BELOW): 3.0, (2, BELOW): 3.0, (0, (4, 4, 4)): 0.0}
+    measurement = parse_merl(with_values(data, changes))
+    expected = nodes_above_horizon().copy()
+    for index in range(1, 4):
+        expected[index, index, index] = False
+    np.testing.assert_array_equal(measurement.valid, expected)

@@ -1,0 +1,198 @@
+"""The reduction against loops over the samples, and what it promises: nothing is lost for a bivariate model."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import CENTER_CUTOFF, DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import model_measurement
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.dsbrdf import DSBRDF
+
+Array = NDArray[np.float64]
+
+CELLS = [(0, 0), (0, 30), (30, 0), (40, 33), (55, 60), (10, 85), (60, 75), (89, 10), (35, 80)]
+"""Indices (theta_half, theta_diff) at which loops are run: the normal, the horizon, grazing and in between."""
+
+
+@pytest.fixture(scope="module")
+def speckled(plastic: Measurement) -> Measurement:
+    """The noisy plastic with random holes."""
+    holes = np.random.default_rng(5).uniform(size=plastic.valid.shape) < 0.3
+    return Measurement.from_values(plastic.values, plastic.valid & ~holes)
+
+
+def samples_of(
+    measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None
+) -> tuple[list[float], list[float]]:
+    """Values, and cosines of omega_in, of the samples that count at a cell, by looking at each."""
+    values, cosines = [], []
+    for k in range(180):
+        omega_in, omega_out = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
+        lowest = min(float(omega_in[2]), float(omega_out[2]))
+        near = cutoff is None or np.arccos(np.clip(lowest, -1.0, 1.0)) <= cutoff + 1e-9
+        if measurement.valid[i, j, k] and near:
+            values.append(float(measurement.stored[channel, i, j, k] * measurement.scale[channel]))
+            cosines.append(float(omega_in[2]))
+    return values, cosines
+
+
+def plain(cosine: float, typical: float) -> float:
+    return 1.0
+
+
+def cosine_squared(cosine: float, typical: float) -> float:
+    return cosine**2
+
+
+def log_slope(cosine: float, typical: float) -> float:
+    """Square of the derivative of log(1 + f cos) at the typical f."""
+    return (cosine / (1.0 + typical * cosine)) ** 2
+
+
+@pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.6])
+@pytest.mark.parametrize(("weighting", "weigh"), [("plain", plain), ("cosine", cosine_squared), ("log", log_slope)])
+def test_cells_are_those_of_a_loop_over_the_samples(
+    speckled: Measurement, cutoff: float | None, weighting: str, weigh: Callable[[float, float], float]
+) -> None:
+    found = profiles(speckled, horizon_cutoff=cutoff, weighting=weighting)
+    filled = 0
+    for i, j in CELLS:
+        for channel in (0, 2):
+            values, cosines = samples_of(speckled, channel, i, j, cutoff)
+            typical = sum(values) / len(values) if values else 0.0
+            weights = [weigh(cosine, typical) for cosine in cosines]
+            total = sum(weights)
+            mean = sum(w * f for w, f in zip(weights, values, strict=True)) / total if values else 0.0
+            within = sum(w * (f - mean) ** 2 for w, f in zip(weights, values, strict=True))
+            cell = channel, j, i
+            assert found.weight[cell] == pytest.approx(total, rel=1e-12)
+            assert found.mean[cell] == pytest.approx(mean, rel=1e-12)
+            assert found.within[cell] == pytest.approx(within, rel=1e-9, abs=1e-15)
+            filled += bool(values)
+    assert filled >= 6
+
+
+@pytest.mark.parametrize("weighting", ["plain", "cosine"])
+def test_squared_error_of_a_bivariate_model_splits_exactly(speckled: Measurement, weighting: str) -> None:
+    found = profiles(speckled, weighting=weighting)
+    model = np.random.default_rng(0).uniform(0.0, 0.5, 3)  # any value that does not depend on phi_diff
+    for i, j in CELLS[:5]:
+        for channel in range(3):
+            values, cosines = samples_of(speckled, channel, i, j, DEFAULT_HORIZON_CUTOFF)
+            weights = [1.0 if weighting == "plain" else cosine**2 for cosine in cosines]
+            direct = sum(w * (f - model[channel]) ** 2 for w, f in zip(weights, values, strict=True))
+            cell = channel, j, i
+            split = found.weight[cell] * (found.mean[cell] - model[channel]) ** 2 + found.within[cell]
+            assert split == pytest.approx(direct, rel=1e-10)
+
+
+def test_whole_sums_are_those_of_the_samples(speckled: Measurement) -> None:
+    found = profiles(speckled, horizon_cutoff=None)
+    used = speckled.values[:, speckled.valid]
+    assert found.weight.sum() == used.size
+    assert float(np.sum(found.weight * found.mean)) == pytest.approx(float(used.sum()), rel=1e-12)
+    power = float(np.sum(found.weight * found.mean**2 + found.within))
+    assert power == pytest.approx(float(np.sum(used**2)), rel=1e-12)
+
+
+def test_cutoff_keeps_both_directions_near_the_normal(plastic: Measurement) -> None:
+    narrow, usual, all_of_it = (
+        profiles(plastic, horizon_cutoff=cutoff) for cutoff in (float(np.radians(45.0)), DEFAULT_HORIZON_CUTOFF, None)
+    )
+    assert np.all(narrow.weight <= usual.weight)
+    assert np.all(usual.weight <= all_of_it.weight)
+    # At theta_half = 0 both directions are at theta_diff; the cutoff itself counts, the next degree does not.
+    assert narrow.weight[0, :, 0].tolist() == [180.0] * 46 + [0.0] * 44
+    assert usual.weight[0, :, 0].tolist() == [180.0] * 81 + [0.0] * 9
+    # At theta_diff = 0 both are at theta_half.
+    assert usual.weight[0, 0].tolist() == [180.0 if angle <= 80.0 + 1e-9 else 0.0 for angle in np.degrees(THETA_HALF)]
+    assert np.all(all_of_it.weight[0, :, 0] == 180.0)
+
+
+def test_cells_without_data_hold_zeros(plastic: Measurement) -> None:
+    found = profiles(plastic)
+    empty = found.weight == 0.0
+    assert empty.any()
+    assert np.all(found.mean[empty] == 0.0)
+    assert np.all(found.within[empty] == 0.0)
+
+
+def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement) -> None:
+    stored = plastic.stored.copy()
+    stored[:, ~plastic.valid] = 1e6
+    other = Measurement(stored, plastic.scale, plastic.valid, "other", "")
+    for weighting, robust in (("plain", False), ("log", False), ("plain", True)):
+        expected, found = (profiles(m, weighting=weighting, robust=robust) for m in (plastic, other))
+        for name in ("mean", "weight", "within"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_robust_profiles_reject_spikes() -> None:
+    # The truth does not depend on phi_diff, so that the mean and the middle of the samples are the same.
+    shape = (3, 1, 1)
+    model = DSBRDF(np.zeros(1), np.ones(shape), np.full(shape, 20.0), np.zeros(shape), np.full((3, 1), 0.1))
+    truth = np.moveaxis(model.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
+    measurement = model_measurement(model, noise=0.02, seed=3)
+    values, generator = measurement.values, np.random.default_rng(7)
+    spikes = measurement.valid & (generator.uniform(size=measurement.valid.shape) < 0.02)
+    values[:, spikes] *= 50.0
+    broken = Measurement.from_values(values, measurement.valid)
+    many = (profiles(broken).weight >= 90.0) & (truth > 1e-3)
+
+    def errors(found: Profiles) -> Array:
+        return np.abs(found.mean[many] / truth[many] - 1.0)
+
+    assert np.median(errors(profiles(broken))) > 0.5
+    robust = profiles(broken, robust=True)
+    assert errors(robust).max() < 0.02
+    # Of the 180 samples of a full cell some 4 are spikes; the biweight takes a tenth of the others.
+    assert 140.0 < np.median(robust.weight[profiles(broken).weight == 180.0]) < 176.0
+
+
+def test_robust_profiles_of_clean_data_are_nearly_the_plain_ones(matte: Measurement) -> None:
+    clean, robust = profiles(matte), profiles(matte, robust=True)
+    seen = clean.weight > 0
+    assert np.median(np.abs(robust.mean[seen] / clean.mean[seen] - 1.0)) < 1e-3
+    # Without any spread nothing is an outlier.
+    exact = clean.within == 0.0
+    np.testing.assert_allclose(robust.weight[exact], clean.weight[exact], rtol=1e-6)
+
+
+def test_robust_weights_are_the_biweight_about_the_median(speckled: Measurement) -> None:
+    found = profiles(speckled, robust=True)
+    for i, j in CELLS[1:5]:
+        values, _ = samples_of(speckled, 1, i, j, DEFAULT_HORIZON_CUTOFF)
+        median = float(np.median(values))
+        scale = max(1.4826 * float(np.median(np.abs(np.array(values) - median))), 0.01 * median)
+        distance = (np.array(values) - median) / (6.0 * scale)
+        weights = np.where(np.abs(distance) < 1.0, (1.0 - distance**2) ** 2, 0.0)
+        assert found.weight[1, j, i] == pytest.approx(float(weights.sum()), rel=1e-9)
+        assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
+
+
+def test_profiles_store_their_options(plastic: Measurement) -> None:
+    found = profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
+    assert (found.horizon_cutoff, found.weighting, found.robust) == (None, "log", True)
+    assert (found.name, found.sha256) == (plastic.name, plastic.sha256)
+    assert found.mean.shape == found.weight.shape == found.within.shape == (3, 90, 90)
+    assert profiles(plastic).horizon_cutoff == pytest.approx(np.radians(80.0))
+    assert pytest.approx(np.radians(1.0)) == CENTER_CUTOFF
+
+
+@pytest.mark.parametrize(
+    ("cutoff", "said"), [(0.0, "0"), (-0.1, "-5.7"), (1.6, "91.6"), (float("nan"), "nan"), (float("inf"), "inf")]
+)
+def test_cutoffs_out_of_range_are_refused(plastic: Measurement, cutoff: float, said: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=f"above 0 and at most at 90 degrees, not at {said}"):
+        profiles(plastic, horizon_cutoff=cutoff)
+
+
+def test_unknown_weightings_are_refused(plastic: Measurement) -> None:
+    with pytest.raises(InvalidArgumentError, match="weighting must be one of plain, cosine, log, not 'square'"):
+        profiles(plastic, weighting="square")

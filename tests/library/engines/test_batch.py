@@ -1,0 +1,261 @@
+"""Fits in processes: what they are given, and that nothing outlives or outweighs the command that started them."""
+
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from multiprocessing import active_children
+from pathlib import Path
+
+import pytest
+
+from dsbrdf import FitOptions
+from dsbrdf.cli import main as cli
+from dsbrdf.engines import batch, local
+from dsbrdf.engines.batch import FileFit, fit_files
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.output.serialize import load
+from dsbrdf.process_settings import ONE_BLAS_THREAD, core_count
+from tests.support.crashing_tasks import compute_unless_named_one
+from tests.support.dask_cluster import DaskCluster, forked
+from tests.support.processes import alive, wait_until
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+
+QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
+# With a knot every degree a fit takes minutes: it does not end while a test looks at it.
+KNOTS = range(81)
+ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, KNOTS)))
+ENDLESS_FLAGS = ("--n-lobes", "8", "--ring-lobes", "2", "--knots", ",".join(map(str, KNOTS)))
+PATIENCE = 60.0
+
+
+@pytest.fixture(autouse=True)
+def interrupts() -> Iterator[None]:
+    """Let Ctrl-C reach what is started here: what runs in the background of a shell ignores it, and so would that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def files(plastic_file: Path, tmp_path: Path) -> list[Path]:
+    names = [tmp_path / f"{name}.binary" for name in ("one", "two", "three")]
+    for path in names:
+        os.link(plastic_file, path)
+    return names
+
+
+def environment(pid: int) -> dict[str, str]:
+    entries = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    return dict(entry.decode().split("=", 1) for entry in entries if entry)
+
+
+def works(pid: int) -> bool:
+    """Whether a process has begun to read a measurement: it has used some time."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") > 0.1
+
+
+@contextmanager
+def endless_fits(files: list[Path]) -> Iterator[list[int]]:
+    """Fit two files while the block runs; the processes that do it are given."""
+    with closing(fit_files([Path("none.binary"), *files[:2]], ENDLESS, jobs=2)) as items:
+        assert next(items).error == "No such file or directory"
+        wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
+        yield forked(os.getpid())
+
+
+@pytest.fixture
+def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    """``dsbrdf fit`` of endless fits with two processes at work, in a process group of its own as a terminal has it."""
+    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
+    (tmp_path / "temporary").mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dsbrdf.cli.main", *words],
+        env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        wait_until(lambda: len(forked(process.pid)) == 2, PATIENCE)
+        yield process
+    finally:
+        workers = forked(process.pid) if process.poll() is None else []
+        process.kill()
+        process.communicate()
+        wait_until(lambda: not any(map(alive, workers)), PATIENCE)
+
+
+def test_results_come_in_order_and_are_written(files: list[Path], tmp_path: Path) -> None:
+    missing = tmp_path / "none.binary"
+    shares: list[float] = []
+    with closing(fit_files([missing, *files], QUICK, tmp_path / "out", jobs=2, progress=shares.append)) as items:
+        results = list(items)
+    assert [item.file for item in results] == [missing, *files]
+    assert results[0] == FileFit(missing, error="No such file or directory")
+    assert [path.name for path in sorted((tmp_path / "out").iterdir())] == ["one.json", "three.json", "two.json"]
+    for item in results[1:]:
+        assert item.result is not None
+        assert item.output is not None
+        assert load(item.output).kappa.tolist() == item.result.model.kappa.tolist()
+    assert shares[-1] == 4.0
+    assert all(0.0 <= share <= 4.0 for share in shares)
+    assert any(share % 1.0 for share in shares)
+    assert active_children() == []
+
+
+def test_fit_processes_have_one_thread_and_the_environment_stays(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with endless_fits(files) as workers:
+        wait_until(lambda: all(map(works, workers)), PATIENCE)
+        for worker in workers:
+            found = environment(worker)
+            assert found | ONE_BLAS_THREAD == found
+            assert len(list(Path(f"/proc/{worker}/task").iterdir())) == 2  # the fit, and the watch over the parent
+        assert os.environ["OMP_NUM_THREADS"] == "7"
+        assert "MKL_NUM_THREADS" not in os.environ
+    assert not any(map(alive, workers))
+
+
+def test_closing_the_iterator_ends_the_processes(files: list[Path]) -> None:
+    with endless_fits(files) as workers:
+        assert all(map(alive, workers))
+    assert active_children() == []
+    assert not any(map(alive, workers))
+
+
+def test_number_of_jobs_is_positive() -> None:
+    assert core_count() >= 1
+    with pytest.raises(InvalidArgumentError, match="must be at least 1, not 0"):
+        next(fit_files([], QUICK, jobs=0))
+
+
+def test_killed_fit_process_loses_only_its_file(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "compute", compute_unless_named_one)
+    with closing(fit_files(files, QUICK, tmp_path / "out", jobs=1)) as items:
+        first, *others = items
+    assert first.error is not None
+    assert first.lost
+    assert "The fit's process was ended from outside (SIGKILL); run the command again" in first.error
+    assert [item.error for item in others] == [None, None]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["three.json", "two.json"]
+
+
+def test_command_reports_killed_fit_processes_and_goes_on(command: "subprocess.Popen[str]") -> None:
+    victims = forked(command.pid)
+    for victim in victims:
+        os.kill(victim, signal.SIGKILL)
+    assert command.stderr is not None
+    words = r"The fit's process was ended from outside \(SIGKILL\); run the command again"
+    for name in ("one", "two"):
+        assert re.match(rf"dsbrdf: .*{name}\.binary: {words}", command.stderr.readline())
+    wait_until(lambda: len({*forked(command.pid)} - {*victims}) == 1, PATIENCE)  # the third file's turn
+    os.killpg(command.pid, signal.SIGINT)
+    assert command.communicate(timeout=PATIENCE) == ("", "dsbrdf: interrupted\n")
+    assert command.returncode == 130
+
+
+@pytest.mark.parametrize("at_once", [True, False], ids=["while they start", "while they fit"])
+def test_interrupt_ends_the_command_and_its_processes(
+    command: "subprocess.Popen[str]", tmp_path: Path, *, at_once: bool
+) -> None:
+    workers = forked(command.pid)
+    if not at_once:
+        wait_until(lambda: all(map(works, workers)), PATIENCE)
+    os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C does: all processes of the terminal get it
+    out, err = command.communicate(timeout=PATIENCE)
+    assert (command.returncode, out, err) == (130, "", "dsbrdf: interrupted\n")
+    assert not any(map(alive, workers))
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_killed_command_leaves_no_process_and_no_file(
+    command: "subprocess.Popen[str]", tmp_path: Path, number: signal.Signals
+) -> None:
+    workers = forked(command.pid)
+    wait_until(lambda: all(map(works, workers)), PATIENCE)
+    command.send_signal(number)
+    command.wait(PATIENCE)
+    wait_until(lambda: not any(map(alive, workers)), PATIENCE)
+    assert list((tmp_path / "out").iterdir()) == []
+    wait_until(lambda: not list((tmp_path / "temporary").iterdir()), PATIENCE)
+
+
+def test_interrupted_command_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--n-lobes", "8"]
+    command = [sys.executable, "-m", "dsbrdf.cli.main", *words, "--em-iterations", "200"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_until(lambda: (out / "one.json").exists(), PATIENCE)
+    os.killpg(process.pid, signal.SIGINT)
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    before = (out / "one.json").read_bytes()
+    assert not (out / "three.json").exists()
+    again = subprocess.run(command, capture_output=True, text=True, timeout=4 * PATIENCE)
+    assert again.returncode == 0
+    lines = again.stdout.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["one", "two", "three"]
+    assert lines[0].endswith("(kept)")
+    assert not lines[2].endswith("(kept)")
+    assert (out / "one.json").read_bytes() == before
+
+
+def test_damaged_file_fails_alone(files: list[Path], tmp_path: Path) -> None:
+    damaged = tmp_path / "cut.binary"
+    shutil.copyfile(files[0], damaged)
+    os.truncate(damaged, 1000)
+    with closing(fit_files([files[0], damaged, files[1]], QUICK, jobs=2)) as items:
+        good, bad, other = items
+    assert good.error is other.error is None
+    assert bad.error is not None
+    assert "1000" in bad.error
+    assert not bad.lost
+
+
+def test_batch_on_a_cluster_equals_the_local_one(files: list[Path], tmp_path: Path, cluster: DaskCluster) -> None:
+    missing = tmp_path / "none.binary"
+    shares: list[float] = []
+    fits = fit_files([*files, missing], QUICK, tmp_path / "out", scheduler=cluster.address, progress=shares.append)
+    with closing(fits) as items:
+        results = list(items)
+    assert [item.error for item in results] == [None, None, None, "No such file or directory"]
+    with closing(fit_files(files[:1], QUICK)) as items:
+        (expected,) = items
+    assert expected.result is not None
+    for item in results[:3]:
+        assert item.output is not None
+        assert item.result is not None
+        assert item.warnings == expected.warnings
+        assert replace(item.result.report, timings={}) == replace(expected.result.report, timings={})
+        assert load(item.output).kappa.tolist() == expected.result.model.kappa.tolist()
+    assert shares[-1] == 4.0
+
+
+def test_unreachable_cluster_is_one_sentence(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT", 0.5)
+    address = "tcp://127.0.0.1:1"
+    assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"dsbrdf: The Dask scheduler at {address} cannot be reached")
+    assert captured.err.count("\n") == 1

@@ -1,0 +1,265 @@
+"""What every engine promises, held against each of them: a cluster has real processes here."""
+
+import asyncio
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import dsbrdf
+from dsbrdf import FitOptions
+from dsbrdf.engines import dask_cluster as cluster_room
+from dsbrdf.engines import worker_process as child
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask, Fitted
+from dsbrdf.output.serialize import to_json
+from tests.support.dask_cluster import forked
+from tests.support.engines import (
+    ENDLESS,
+    MIDDLE,
+    PATIENCE,
+    QUICK,
+    SLOW,
+    Stage,
+    content,
+    run,
+    started,
+    until,
+    until_fitting,
+)
+from tests.support.processes import alive, wait_until
+from tests.support.soak import SOAK
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+
+
+@pytest.fixture(params=["local", "dask"])
+def stage(request: pytest.FixtureRequest) -> Stage:
+    return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        MIDDLE,
+        FitOptions(method="paper", n_lobes=2, em_iterations=5, weighting="log", robust=True, horizon_cutoff=1.2),
+        FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine"),
+    ],
+    ids=["plain", "log and robust", "global"],
+)
+def test_document_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path, options: FitOptions) -> None:
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", dsbrdf.ConvergenceWarning)
+        expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), options)
+    outcome, _ = run(stage, FitTask("one", plastic_file, options))
+    assert isinstance(outcome, Fitted)
+    document = to_json(expected.model, expected.report)
+    assert content(outcome.document) == content(document)
+    timings = json.loads(outcome.document)["report"]["timings"]
+    assert list(timings) == list(expected.report.timings)
+    assert all(seconds > 0 for seconds in timings.values())
+    assert list(outcome.metrics) == list(expected.report.metrics)
+    assert outcome.metrics == expected.report.metrics
+    assert outcome.metrics["male"] is not None
+    assert outcome.warnings == tuple(str(warning.message) for warning in said)
+
+
+def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
+    shares: list[float] = []
+
+    async def body() -> None:
+        async with started(stage.engine()) as engine:
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), shares.append))
+            await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
+            fit.cancel()
+            await asyncio.wait([fit])
+
+    asyncio.run(body())
+    assert shares == sorted(set(shares))
+    assert 0.0 < shares[0] < 0.5
+
+
+def test_progress_ends_with_one(stage: Stage, plastic_file: Path) -> None:
+    _, shares = run(stage, FitTask("one", plastic_file, QUICK))
+    assert shares == sorted(set(shares))
+    assert shares[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "type_"),
+    [
+        (b"nothing of the kind", QUICK, "MeasurementFormatError"),
+        (None, FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff=0.03), "FitError"),
+    ],
+    ids=["no measurement", "no data left"],
+)
+def test_unusable_input_is_an_input_fault(
+    stage: Stage, plastic_file: Path, tmp_path: Path, content: bytes | None, options: FitOptions, type_: str
+) -> None:
+    path = plastic_file
+    if content is not None:
+        path = tmp_path / "other.binary"
+        path.write_bytes(content)
+    outcome, _ = run(stage, FitTask("one", path, options))
+    assert isinstance(outcome, Fault)
+    assert (outcome.origin, outcome.type) == ("input", type_)
+    assert outcome.message
+
+
+def test_missing_file_is_a_system_fault(stage: Stage, tmp_path: Path) -> None:
+    outcome, _ = run(stage, FitTask("one", tmp_path / "gone.binary", QUICK))
+    message = "The stored measurement could not be read: No such file or directory."
+    assert outcome == Fault("system", "MeasurementUnreadable", message)
+
+
+def test_fit_over_its_memory_limit_is_a_compute_fault(stage: Stage, plastic_file: Path) -> None:
+    outcome, _ = run(stage, FitTask("one", plastic_file, SLOW), FitLimits(60.0, 200))
+    assert outcome == Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+
+
+def test_fit_over_its_time_limit_is_a_compute_fault(stage: Stage, plastic_file: Path) -> None:
+    outcome, _ = run(stage, FitTask("one", plastic_file, ENDLESS), FitLimits(0.5, 4096))
+    assert outcome == Fault("compute", "TimeLimit", "The fit took longer than the 0.5 s that a fit may take.")
+    wait_until(lambda: not stage.fitting())
+
+
+def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path) -> None:
+    async def body() -> None:
+        async with started(stage.engine()) as engine:
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+            for pid in await until_fitting(stage):
+                os.kill(pid, signal.SIGKILL)
+            outcome = await fit
+            assert isinstance(outcome, Fault)
+            assert outcome.origin == "system"
+            assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
+            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
+
+    asyncio.run(body())
+
+
+def test_cancelling_ends_the_process_of_the_fit(stage: Stage, plastic_file: Path) -> None:
+    async def body() -> None:
+        async with started(stage.engine()) as engine:
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+            victims = await until_fitting(stage)
+            begin = asyncio.get_running_loop().time()
+            fit.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await fit
+            await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
+            if SOAK:
+                assert asyncio.get_running_loop().time() - begin < 1.0
+            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
+
+    asyncio.run(body())
+
+
+def test_closed_engine_leaves_no_process(stage: Stage, plastic_file: Path) -> None:
+    async def body() -> list[int]:
+        async with started(stage.engine()) as engine:
+            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+            victims = await until_fitting(stage)
+            fit.cancel()
+            await asyncio.wait([fit])
+        return victims
+
+    victims = asyncio.run(body())
+    wait_until(lambda: not any(alive(pid) for pid in victims))
+    wait_until(lambda: not stage.fitting() and not forked(os.getpid()))
+
+
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "elsewhere"])
+def test_fits_in_flight_are_as_many_as_there_are_slots(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, *, elsewhere: bool
+) -> None:
+    if elsewhere:
+        monkeypatch.setattr(cluster_room, "_host", lambda address: address)
+    # One more than threads is prepared for other machines, so that they need not wait.
+    room = 2 if elsewhere and stage.cluster is not None else 1
+    begun: list[int] = []
+
+    async def fit_one(engine: Engine, number: int, go: asyncio.Event) -> None:
+        async with engine.slot():
+            begun.append(number)
+            await go.wait()
+
+    async def body() -> None:
+        async with started(stage.engine()) as engine:
+            go = asyncio.Event()
+            tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
+            await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
+            for _ in range(20):  # gives the event loop time to start one fit too many
+                await asyncio.sleep(0)
+            assert begun == list(range(room))
+            go.set()
+            await asyncio.gather(*tasks)
+            assert begun == [0, 1, 2, 3, 4]
+
+    asyncio.run(body())
+
+
+SCRIPT = """
+import asyncio, sys
+from pathlib import Path
+from dsbrdf import FitOptions
+from dsbrdf.engines.engine import FitTask
+from dsbrdf.engines.{room} import {engine}
+
+async def main():
+    engine = {engine}({arguments})
+    await engine.start()
+    while True:
+        try:
+            await engine.check()
+            break
+        except RuntimeError:
+            await asyncio.sleep(0.1)
+    print("ready", flush=True)
+    options = FitOptions({options})
+    print(type(await engine.run(FitTask("one", Path(sys.argv[1]), options), lambda _: None)).__name__, flush=True)
+    await engine.close()
+
+asyncio.run(main())
+"""
+
+
+def script(stage: Stage, folder: Path, options: str) -> Path:
+    """A program without ``if __name__ == "__main__"`` that has one fit made."""
+    arguments = "1" if stage.cluster is None else f"{stage.cluster.address!r}, 1"
+    room, engine = ("local", "LocalEngine") if stage.cluster is None else ("dask", "DaskEngine")
+    path = folder / "program.py"
+    path.write_text(SCRIPT.format(room=room, engine=engine, arguments=arguments, options=options))
+    return path
+
+
+def test_main_module_is_not_imported_by_fit_processes(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
+    program = script(stage, tmp_path, "method='paper', n_lobes=1, em_iterations=3")
+    answer = subprocess.run(
+        [sys.executable, str(program), str(plastic_file)], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert (answer.stdout, answer.stderr) == ("ready\nFitted\n", "")
+
+
+def test_killed_program_leaves_no_fit_process(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
+    program = script(stage, tmp_path, repr(ENDLESS).removeprefix("FitOptions(").removesuffix(")"))
+    process = subprocess.Popen([sys.executable, str(program), str(plastic_file)], stdout=subprocess.PIPE)
+    with process:
+        local = stage.cluster is None
+        wait_until(lambda: bool(forked(process.pid) if local else stage.fitting()), PATIENCE)
+        victims = forked(process.pid) + ([] if local else stage.fitting())
+        process.kill()
+    wait_until(lambda: not any(alive(pid) for pid in victims))
+
+
+def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
+    assert child._context().get_start_method() == "spawn"
+    outcome, shares = run(Stage(None), FitTask("one", plastic_file, QUICK))
+    assert isinstance(outcome, Fitted)
+    assert shares[-1] == 1.0

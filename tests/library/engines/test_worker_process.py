@@ -1,0 +1,41 @@
+"""The process of one fit, beside others of its kind."""
+
+import platform
+import time
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import forkserver
+from threading import current_thread, main_thread
+
+import pytest
+
+from dsbrdf.engines.engine import Fault, FitLimits
+from dsbrdf.engines.worker_process import WorkerProcess
+from tests.support.crashing_tasks import die, do_nothing, fill_and_free
+
+
+def ignore(_: float) -> None:
+    """Nobody looks at the progress."""
+
+
+def test_exit_status_is_known_while_other_processes_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = forkserver.read_signed
+
+    def read_slowly(descriptor: int) -> int:
+        if current_thread() is not main_thread():  # the one that waits for the end comes to read it late
+            time.sleep(0.2)
+        number: int = read(descriptor)
+        return number
+
+    monkeypatch.setattr(forkserver, "read_signed", read_slowly)
+    for _ in range(4):
+        with ThreadPoolExecutor(1) as pool:
+            lost = pool.submit(WorkerProcess(die, (), FitLimits()).run, ignore)
+            while not lost.done():
+                assert WorkerProcess(do_nothing, (), FitLimits()).run(ignore) is None
+        assert lost.result() == Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
+def test_freed_memory_is_reused() -> None:
+    pages = WorkerProcess(fill_and_free, (), FitLimits()).run(ignore)
+    assert 0 < pages < 10_000  # given back each time, it would be 51,200

@@ -1,0 +1,132 @@
+"""Critical values of Williams' test against independent quadrature, simulation and Student's t."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting import williams_test as selection
+from dsbrdf.fitting.williams_test import williams_critical_value
+from tests.support.isotonic import max_min_isotonic_means
+
+SPOT_VALUES = {
+    20.0: (2.528, 2.584, 2.601, 2.609),
+    60.0: (2.390, 2.435, 2.448, 2.453),
+    math.inf: (2.326, 2.366, 2.377, 2.382),
+}
+
+
+def null_statistic(rng: np.random.Generator, n_doses: int, degrees_of_freedom: float, size: int) -> NDArray[np.float64]:
+    """Draws of Williams' statistic of the largest dose when no dose has an effect."""
+    largest = max_min_isotonic_means(rng.standard_normal((size, n_doses)))[:, -1]
+    control = rng.standard_normal(size)
+    s = np.ones(size)
+    if math.isfinite(degrees_of_freedom):
+        s = np.sqrt(rng.chisquare(degrees_of_freedom, size) / degrees_of_freedom)
+    return (largest - control) / (math.sqrt(2.0) * s)
+
+
+def stays_below_by_recursion(c: float, n_steps: int) -> float:
+    """P(all partial sums of z_j - c are <= 0) by propagating the density of the walk on a Gauss-Legendre grid."""
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    lowest = -n_steps * c - 12.0 * math.sqrt(n_steps) if c > 0 else -12.0 * math.sqrt(n_steps) + n_steps * c
+    position, weights = 0.5 * lowest * (1.0 - nodes), -0.5 * lowest * weights
+    density = stats.norm.pdf(position + c)
+    for _ in range(n_steps - 1):
+        density = stats.norm.pdf(position[:, np.newaxis] - position + c) @ (weights * density)
+    return float(weights @ density)
+
+
+@pytest.mark.parametrize("degrees_of_freedom", SPOT_VALUES)
+def test_critical_values_equal_the_tabulated_ones(degrees_of_freedom: float) -> None:
+    computed = [williams_critical_value(n, degrees_of_freedom) for n in (1, 2, 3, 4)]
+    # Half a unit of the last printed digit, and a hair for a table that rounds halves another way.
+    np.testing.assert_allclose(computed, SPOT_VALUES[degrees_of_freedom], rtol=0, atol=5.5e-4)
+
+
+@pytest.mark.parametrize("alpha", [1e-6, 0.01, 0.05, 0.4])
+@pytest.mark.parametrize("degrees_of_freedom", [1, 2, 3, 10, 54, 212, 1e4, 1e6, 1e8, math.inf])
+def test_one_dose_is_student_t(degrees_of_freedom: float, alpha: float) -> None:
+    expected = stats.t.isf(alpha, degrees_of_freedom)
+    assert williams_critical_value(1, degrees_of_freedom, alpha) == pytest.approx(expected, rel=1e-6)
+
+
+def test_fractional_degrees_of_freedom_below_two() -> None:
+    # The density of s has a kink at 0 there, which Gauss-Legendre quadrature feels.
+    assert williams_critical_value(1, 1.5) == pytest.approx(stats.t.isf(0.01, 1.5), rel=3e-5)
+
+
+@pytest.mark.parametrize("n_steps", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("c", [-1.0, 0.0, 0.7, 2.5])
+def test_spitzer_identity_equals_propagating_the_walk(c: float, n_steps: int) -> None:
+    leaves = float(selection._leaves_half_line(np.array([c]), n_steps)[0])
+    assert 1.0 - leaves == pytest.approx(stays_below_by_recursion(c, n_steps), rel=1e-10, abs=1e-13)
+
+
+def test_symmetric_walk_stays_below_zero_as_often_as_a_coin_walk() -> None:
+    # Sparre Andersen: with c = 0 the probability is binom(2k, k) / 4^k for every continuous symmetric step.
+    for k in range(1, 8):
+        leaves = float(selection._leaves_half_line(np.array([0.0]), k)[0])
+        assert 1.0 - leaves == pytest.approx(math.comb(2 * k, k) / 4.0**k, rel=1e-13)
+
+
+@pytest.mark.parametrize(("n_doses", "degrees_of_freedom"), [(2, 1), (4, 6), (7, 20), (4, math.inf)])
+@pytest.mark.parametrize("alpha", [0.01, 0.05])
+def test_critical_values_against_simulation(n_doses: int, degrees_of_freedom: float, alpha: float) -> None:
+    size = 200_000
+    drawn = null_statistic(np.random.default_rng(2012), n_doses, degrees_of_freedom, size)
+    rate = np.mean(drawn > williams_critical_value(n_doses, degrees_of_freedom, alpha))
+    assert abs(rate - alpha) < 4.0 * math.sqrt(alpha * (1.0 - alpha) / size)
+
+
+def test_critical_values_do_not_depend_on_the_quadrature(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases = [(7, df, alpha) for df in (1.0, 20.0, 1e6, math.inf) for alpha in (1e-6, 0.01, 0.3)]
+    cases += [(2, 5.0, 0.01), (20, 20.0, 0.01)]
+    coarse = [selection._critical_value.__wrapped__(*case) for case in cases]
+    x = np.linspace(-10.0, 10.0, 201)
+    nodes, weights = np.polynomial.legendre.leggauss(160)
+    monkeypatch.setattr(selection, "_CONTROL", x)
+    monkeypatch.setattr(selection, "_CONTROL_WEIGHT", stats.norm.pdf(x) * 0.1)
+    monkeypatch.setattr(selection, "_LEGENDRE_NODES", nodes)
+    monkeypatch.setattr(selection, "_LEGENDRE_WEIGHTS", weights)
+    fine = [selection._critical_value.__wrapped__(*case) for case in cases]
+    np.testing.assert_allclose(coarse, fine, rtol=1e-7)
+
+
+def test_critical_values_grow_with_doses_and_fall_with_degrees_of_freedom() -> None:
+    dofs = (1, 2, 3, 5, 10, 30, 100, 1e3, 1e5, 1e9, math.inf)
+    table = np.array([[williams_critical_value(n, df) for n in range(1, 8)] for df in dofs])
+    assert (np.diff(table, axis=1) > 0).all()
+    assert (np.diff(table, axis=0) <= 0).all()
+
+
+def test_a_critical_value_is_quick() -> None:
+    def seconds() -> float:
+        start = time.thread_time()
+        selection._critical_value.__wrapped__(7, 1.0, 0.01)
+        return time.thread_time() - start
+
+    assert min(seconds() for _ in range(5)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0, 10), "n_doses is 0, it must be an integer from 1 to 20"),
+        ((21, 10), "n_doses is 21, it must be an integer from 1 to 20"),
+        ((1.5, 10), "n_doses is 1.5, it must be an integer from 1 to 20"),
+        ((2, 0.5), "degrees_of_freedom is 0.5, it must be at least 1"),
+        ((2, math.nan), "degrees_of_freedom is nan, it must be at least 1"),
+        ((2, 10, 0.0), "alpha is 0.0, it must be at least 1e-6 and less than 0.5"),
+        ((2, 10, 0.5), "alpha is 0.5, it must be at least 1e-6 and less than 0.5"),
+        ((2, 10, math.nan), "alpha is nan, it must be at least 1e-6 and less than 0.5"),
+    ],
+)
+def test_critical_value_names_the_bad_argument(arguments: tuple[float, ...], message: str) -> None:
+    with pytest.raises(InvalidArgumentError) as caught:
+        williams_critical_value(*arguments)  # type: ignore[arg-type]
+    assert str(caught.value) == message

@@ -1,0 +1,251 @@
+"""Algorithm 1 on a batch against its plain SciPy version on the raw samples, and each step alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.fitting import em
+from tests.support.algorithm_1 import algorithm_1, initial_parameters, plain_lobe, raw_slice
+
+Array = NDArray[np.float64]
+
+CUTOFF = float(np.radians(80.0))
+OUTSIDE = np.radians(1.0) <= THETA_HALF
+ANGLES = THETA_HALF[OUTSIDE]
+LOG_COS = np.log(np.cos(ANGLES))
+
+
+def mixture(kappa: Array, gamma: Array) -> Array:
+    """Curves of slices (slices, N) whose lobes have these parameters (slices, lobes)."""
+    return np.array(
+        [sum(plain_lobe(ANGLES, *p) for p in zip(*row, strict=True)) for row in zip(kappa, gamma, strict=True)]
+    )
+
+
+def slice_of(data: Profiles, channel: int, row: int) -> tuple[Array, Array]:
+    """Mean and weight, each of shape (N,), within the perimeter mask."""
+    kept = THETA_HALF <= np.pi / 2 - THETA_DIFF[row] + 1e-9
+    return data.mean[channel, row, OUTSIDE], np.where(kept, data.weight[channel, row], 0.0)[OUTSIDE]
+
+
+def assert_equal_to_the_oracle(measurement: Measurement, slices: list[tuple[int, int]], n_lobes: int) -> None:
+    data = profiles(measurement, horizon_cutoff=CUTOFF)
+    mean, weight = (np.array(part) for part in zip(*(slice_of(data, *which) for which in slices), strict=True))
+    found = em.fit_slices(ANGLES, mean, weight, n_lobes, iterations=6)
+    # The plain version knows no bounds: these slices must not need them.
+    assert found.gamma.min() > 1e-3
+    curves = mixture(found.kappa, found.gamma)
+    for (channel, row), curve, iterations in zip(slices, curves, found.iterations.tolist(), strict=True):
+        samples = raw_slice(measurement, channel, row, horizon_cutoff=CUTOFF)
+        expected = algorithm_1(samples, n_lobes, iterations)
+        reference = mixture(expected[None, :, 0], expected[None, :, 1])[0]
+        assert np.linalg.norm(curve - reference) < 1e-6 * np.linalg.norm(reference)
+
+
+@pytest.mark.parametrize("n_lobes", [1, 2, 3])
+def test_batch_gives_the_curves_of_plain_scipy_on_the_raw_samples(plastic: Measurement, n_lobes: int) -> None:
+    assert_equal_to_the_oracle(plastic, [(0, 0), (2, 0), (2, 35), (1, 60)], n_lobes)
+
+
+def test_batch_gives_the_curves_of_plain_scipy_on_a_measured_material(reference_files: dict[str, Path]) -> None:
+    name = "merl_nickel" if "merl_nickel" in reference_files else next(iter(reference_files))
+    assert_equal_to_the_oracle(read_merl(reference_files[name]), [(0, 10), (2, 45)], 3)
+
+
+def test_start_is_that_of_the_plain_version(plastic: Measurement) -> None:
+    data = profiles(plastic, horizon_cutoff=CUTOFF)
+    for channel, row in ((0, 0), (2, 40)):
+        mean, weight = slice_of(data, channel, row)
+        found = em.initialize(ANGLES, mean[None], weight[None], 4)[0]
+        expected = initial_parameters(raw_slice(plastic, channel, row, horizon_cutoff=CUTOFF), 4)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_start_takes_kappa_from_the_peak_gamma_from_the_half_width_and_halves_both() -> None:
+    data = plain_lobe(ANGLES, 5.0, 300.0)
+    start = np.exp(em.initialize(ANGLES, data[None], np.ones((1, ANGLES.size)), 3)[0])
+    assert start[0, 0] == pytest.approx(np.log1p(data.max()), rel=1e-12)
+    assert start[0, 1] == pytest.approx(300.0, rel=0.3)  # the angle is known to one node
+    np.testing.assert_allclose(start[1:], [start[0] / 2, start[0] / 4], rtol=1e-12)
+
+
+def test_responsibilities_sum_to_one_also_where_every_lobe_has_vanished() -> None:
+    parameters = np.log([[[6.0, 1e6], [2.0, 1e5], [0.5, 3e5]], [[3.0, 20.0], [0.2, 1.0], [0.1, 0.5]]])
+    curves = em.lobe_curves(LOG_COS, parameters)
+    assert (curves[0].sum(axis=0) == 0).any()
+    shares = em.e_step(curves)
+    assert shares.shape == curves.shape
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=0, atol=1e-15)
+    direct = curves[1] / (curves[1, 0] + curves[1, 1] + curves[1, 2])
+    np.testing.assert_allclose(shares[1], direct, rtol=1e-14)
+
+
+def test_m_step_ends_where_the_gradient_is_zero() -> None:
+    generator = np.random.default_rng(3)
+    kappa, gamma = generator.uniform(0.3, 5.0, (6, 2)), np.exp(generator.uniform(0.0, 7.0, (6, 2)))
+    mean = mixture(kappa, gamma) * generator.uniform(0.8, 1.2, (6, ANGLES.size))
+    weight = generator.uniform(0.0, 3.0, mean.shape)
+    start = np.log(np.stack([kappa, gamma], axis=-1)) + generator.normal(0.0, 0.5, (6, 2, 2))
+    targets = em.e_step(em.lobe_curves(LOG_COS, start)) * mean[:, None, :]
+    found = em.m_step(LOG_COS, targets, weight, start)
+    for s in range(6):
+        for k in range(2):
+
+            def cost(point: Array, s: int = s, k: int = k) -> float:
+                return float(np.sum(weight[s] * (plain_lobe(ANGLES, *np.exp(point)) - targets[s, k]) ** 2))
+
+            best, size = cost(found[s, k]), float(np.sum(weight[s] * targets[s, k] ** 2))
+            for direction in np.eye(2):
+                # Central differences: the slope is zero and the curve bends upwards.
+                ahead, behind = cost(found[s, k] + 1e-4 * direction), cost(found[s, k] - 1e-4 * direction)
+                assert abs(ahead - behind) / 2e-4 < 1e-5 * size
+                assert min(ahead, behind) > best
+
+
+def test_m_step_at_a_bound_fits_the_other_parameter_alone() -> None:
+    # Data that rise towards the horizon pull gamma below its bound.
+    target = 0.02 * (1.0 + 2.0 * (ANGLES / ANGLES[-1]) ** 2)
+    weight = np.ones((1, ANGLES.size))
+    start = np.log([[[0.1, 5.0]]])
+    found = np.exp(em.m_step(LOG_COS, target[None, None], weight, start)[0, 0])
+    assert found[1] == pytest.approx(em.GAMMA_BOUNDS[0], rel=1e-12)
+
+    def cost(log_kappa: float) -> float:
+        return float(np.sum((plain_lobe(ANGLES, np.exp(log_kappa), em.GAMMA_BOUNDS[0]) - target) ** 2))
+
+    best = minimize_scalar(cost, bounds=(-8.0, 0.0), method="bounded", options={"xatol": 1e-10})
+    assert found[0] == pytest.approx(float(np.exp(best.x)), rel=1e-6)
+
+
+def test_weights_of_zero_hide_their_samples() -> None:
+    mean = mixture(np.array([[4.0, 0.3]]), np.array([[500.0, 1.0]]))
+    weight = np.ones_like(mean)
+    weight[0, ::3] = 0.0
+    expected = em.fit_slices(ANGLES, mean, weight, 2, iterations=5)
+    other = np.where(weight > 0, mean, 1e6)
+    found = em.fit_slices(ANGLES, other, weight, 2, iterations=5)
+    assert found.kappa.tolist() == expected.kappa.tolist()
+    assert found.gamma.tolist() == expected.gamma.tolist()
+
+
+def test_batch_equals_one_by_one(plastic: Measurement) -> None:
+    data = profiles(plastic, horizon_cutoff=CUTOFF)
+    mean, weight = (
+        np.array(part)
+        for part in zip(*(slice_of(data, c, row) for c in (0, 2) for row in (0, 30, 60, 75)), strict=True)
+    )
+    batch = em.fit_slices(ANGLES, mean, weight, 3, iterations=30)
+    for i in range(len(mean)):
+        single = em.fit_slices(ANGLES, mean[i : i + 1], weight[i : i + 1], 3, iterations=30)
+        assert single.iterations[0] == batch.iterations[i]
+        assert single.converged[0] == batch.converged[i]
+        np.testing.assert_allclose(single.kappa[0], batch.kappa[i], rtol=1e-9)
+        np.testing.assert_allclose(single.gamma[0], batch.gamma[i], rtol=1e-9)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_single_lobe_is_recovered_exactly(robust: bool) -> None:
+    kappa = np.array([[0.01], [0.5], [3.0], [8.0]])
+    gamma = np.array([[0.5], [20.0], [1e3], [2e4]])
+    mean = mixture(kappa, gamma)
+    found = em.fit_slices(ANGLES, mean, np.ones_like(mean), 1, robust=robust)
+    np.testing.assert_allclose(found.kappa, kappa, rtol=1e-8)
+    np.testing.assert_allclose(found.gamma, gamma, rtol=1e-8)
+    assert found.converged.all()
+
+
+def test_true_mixture_is_a_fixed_point() -> None:
+    parameters = np.log([[[5.0, 2e3], [1.0, 40.0], [0.2, 0.8]]])
+    mean = em.lobe_curves(LOG_COS, parameters).sum(axis=1)
+    targets = em.e_step(em.lobe_curves(LOG_COS, parameters)) * mean[:, None, :]
+    found = em.m_step(LOG_COS, targets, np.ones_like(mean), parameters)
+    np.testing.assert_allclose(found, parameters, atol=1e-12)
+
+
+def test_robust_option_resists_a_spike() -> None:
+    kappa, gamma = np.array([[2.0]]), np.array([[30.0]])
+    mean = mixture(kappa, gamma)
+    mean[0, 25] *= 8.0
+    weight = np.ones_like(mean)
+    plain = em.fit_slices(ANGLES, mean, weight, 1)
+    robust = em.fit_slices(ANGLES, mean, weight, 1, robust=True)
+    assert abs(plain.gamma[0, 0] / 30.0 - 1.0) > 0.05  # the spike does harm
+    assert robust.kappa[0, 0] == pytest.approx(2.0, rel=1e-3)
+    assert robust.gamma[0, 0] == pytest.approx(30.0, rel=1e-3)
+
+
+def test_huber_weights_by_their_definition() -> None:
+    residual = np.array([[0.0, 1.0, -2.0, 3.0, -100.0, 7.0], [0.0, 0.0, 0.0, 0.0, 1e-9, -5.0]])
+    weight = np.array([[1.0, 2.0, 1.0, 1.0, 1.0, 0.0], [1.0] * 6])
+    found = em.huber_weights(residual, weight)
+    scale = 1.345 * 1.4826 * 2.0  # the median of 0 1 2 3 100: what has no weight does not count
+    np.testing.assert_allclose(found[0], [1, 1, 1, 1, scale / 100, scale / 7])
+    # Without any scale what fits exactly keeps its weight, and nothing else has one.
+    assert found[1].tolist() == [1, 1, 1, 1, 0, 0]
+
+
+def test_zero_data_give_vanishing_lobes() -> None:
+    mean = np.zeros((2, ANGLES.size))
+    mean[1] = plain_lobe(ANGLES, 1.0, 10.0)
+    for robust in (False, True):
+        found = em.fit_slices(ANGLES, mean, np.ones_like(mean), 3, robust=robust)
+        assert mixture(found.kappa, found.gamma)[0].max() < 1e-8
+        assert found.converged[0]
+        np.testing.assert_allclose(mixture(found.kappa, found.gamma)[1], mean[1], atol=0.05)
+
+
+@pytest.mark.parametrize("level", [1e-6, 0.1, 1e3])
+@pytest.mark.parametrize("n_lobes", [1, 2, 5])
+def test_constant_data_are_fitted_by_a_flat_curve(level: float, n_lobes: int) -> None:
+    mean = np.full((1, ANGLES.size), level)
+    found = em.fit_slices(ANGLES, mean, np.ones_like(mean), n_lobes)
+    # gamma stops at its lower bound, where the curve still falls a little before the horizon.
+    np.testing.assert_allclose(mixture(found.kappa, found.gamma)[0], level, rtol=0.01)
+
+
+def test_lobes_are_sorted_by_kappa_and_iterations_are_reported(plastic: Measurement) -> None:
+    data = profiles(plastic, horizon_cutoff=CUTOFF)
+    slices = [slice_of(data, channel, row) for channel in range(3) for row in (0, 20, 40, 60, 70)]
+    mean, weight = (np.array(part) for part in zip(*slices, strict=True))
+    numbers: list[int] = []
+    found = em.fit_slices(ANGLES, mean, weight, 4, iterations=25, on_iteration=numbers.append)
+    assert np.all(np.diff(found.kappa, axis=1) <= 0.0)
+    assert numbers == list(range(1, found.iterations.max() + 1))
+    assert np.all(found.iterations[~found.converged] == 25)
+    assert not em.fit_slices(ANGLES, mean, weight, 4, iterations=1).converged.any()
+
+
+def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
+    # Steep data just outside one degree, none within: without a bound the peak goes where nothing holds it.
+    mean = plain_lobe(ANGLES, 12.0, 2e4)[None]
+    weight = np.ones_like(mean)
+    free = em.fit_slices(ANGLES, mean, weight, 1)
+    bounded = em.fit_slices(ANGLES, mean, weight, 1, largest_kappa=np.array([8.0]))
+    assert free.kappa[0, 0] == pytest.approx(12.0, rel=1e-6)
+    assert bounded.kappa[0, 0] == pytest.approx(8.0, rel=1e-12)
+
+    def cost(log_gamma: float) -> float:
+        return float(np.sum((plain_lobe(ANGLES, 8.0, np.exp(log_gamma)) - mean[0]) ** 2))
+
+    best = minimize_scalar(cost, bounds=(8.0, 11.0), method="bounded", options={"xatol": 1e-10})
+    assert bounded.gamma[0, 0] == pytest.approx(float(np.exp(best.x)), rel=1e-6)
+    unbounded = em.fit_slices(ANGLES, mean, weight, 1, largest_kappa=np.array([np.inf]))
+    assert unbounded.kappa.tolist() == free.kappa.tolist()
+
+
+def test_more_lobes_than_data_have_stay_finite() -> None:
+    mean = np.zeros((1, ANGLES.size))
+    mean[0, 3:6] = [1e5, 2e5, 1e4]
+    weight = np.zeros_like(mean)
+    weight[0, 3:6] = 1.0
+    found = em.fit_slices(ANGLES, mean, weight, 8)
+    assert np.all(np.isfinite(found.kappa))
+    assert np.all(np.isfinite(found.gamma))
+    assert np.all(np.isfinite(mixture(found.kappa, found.gamma)))

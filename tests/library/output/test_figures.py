@@ -1,0 +1,149 @@
+"""Figures: what is drawn is the data and the model, and nothing global is touched."""
+
+import subprocess
+import sys
+from io import BytesIO
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from numpy.typing import NDArray
+
+from dsbrdf import extras
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
+
+Fitted = tuple[Profiles, DSBRDF]
+
+
+@pytest.fixture(scope="module")
+def fitted(plastic: Measurement) -> Fitted:
+    summary = profiles(plastic)
+    # A delta term and two lobes of one component: what a picture must not lose.
+    model = fit(summary, FitOptions(n_lobes=3, method="paper")).model
+    return summary, DSBRDF(model.theta_diff, model.kappa, model.gamma, model.center, np.full_like(model.delta, 0.25))
+
+
+def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Angles [rad] and values of every line with this label."""
+    return [
+        (np.radians(np.asarray(line.get_xdata(), float)), np.asarray(line.get_ydata(), float))
+        for line in ax.lines
+        if line.get_label() == label
+    ]
+
+
+@pytest.mark.parametrize("theta_diff_deg", [0, 45])
+def test_profiles_figure_draws_measured_means_and_the_fit(fitted: Fitted, theta_diff_deg: int) -> None:
+    summary, model = fitted
+    figure = profiles_figure(summary, model, theta_diff=[np.radians(theta_diff_deg)])
+    assert len(figure.axes) == 2
+    for ax in figure.axes:
+        for index, channel in enumerate(("red", "green", "blue")):
+            ((angles, values),) = lines_of(ax, f"{channel}, fit")
+            assert angles.min() == pytest.approx(-np.pi / 2)
+            expected = model.evaluate(np.abs(angles).clip(max=np.pi / 2), np.radians(theta_diff_deg))[:, index]
+            np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-12)
+            ((angles, values),) = lines_of(ax, f"{channel}, measured")
+            nodes = np.rint(np.sqrt(np.degrees(np.abs(angles)) * 90.0)).astype(int)  # theta_half = (i / 90)**2 * 90
+            np.testing.assert_array_equal(values, summary.mean[index, theta_diff_deg, nodes])
+            assert np.all(summary.weight[index, theta_diff_deg, nodes] > 0)
+
+
+def test_drawn_lobes_sum_to_the_fit(fitted: Fitted) -> None:
+    summary, model = fitted
+    figure = lobes_figure(summary, model, theta_diff=[0.0], channel="green")
+    ax = figure.axes[0]
+    ((_, total),) = lines_of(ax, "fit, all lobes")
+    labels = [str(line.get_label()) for line in ax.lines]
+    lobes = [label for label in labels if "half width" in label or label == "delta term"]
+    assert len(lobes) == len(set(lobes)) == model.n_lobes + 1
+    parts = [values for label in lobes for _, values in lines_of(ax, label)]
+    np.testing.assert_allclose(np.sum(parts, axis=0), total, rtol=1e-9, atol=1e-12)
+
+
+def test_axis_limits_contain_all_data(fitted: Fitted) -> None:
+    summary, model = fitted
+    for ax in (panel for panel in overview_figure(summary, model).axes if panel.get_yscale() == "log"):
+        low, high = ax.get_ylim()
+        for line in ax.lines:
+            if "measured" in str(line.get_label()):
+                values = np.asarray(line.get_ydata(), float)
+                assert low < values.min() < values.max() < high
+
+
+def test_overview_has_two_panels_per_slice(fitted: Fitted) -> None:
+    figure = overview_figure(*fitted, theta_diff=[0.0, 0.5, 1.0])
+    assert len(figure.axes) == 2 * 3 * 2
+
+
+def test_slice_without_data_is_drawn(fitted: Fitted) -> None:
+    summary, model = fitted
+    assert not np.any(summary.weight[:, 89])
+    assert encode_figure(profiles_figure(summary, model, theta_diff=[np.pi / 2])).startswith(b"\x89PNG")
+
+
+def test_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
+    shape = (3, 1, 1)
+    flat = DSBRDF(np.zeros(1), np.full(shape, 0.2), np.zeros(shape), np.zeros(shape), np.zeros((3, 1)))
+    peak = profiles_figure(fitted[0], flat, theta_diff=[0.0]).axes[1]
+    assert peak.get_xlim() == (-90.0, 90.0)
+
+
+def test_figures_are_encoded_as_png_svg_and_pdf(fitted: Fitted) -> None:
+    figure = profiles_figure(*fitted, theta_diff=[0.0])
+    width, height = figure.get_size_inches()
+    image = imread(BytesIO(encode_figure(figure, dpi=100)), format="png")
+    assert image.shape == (round(height * 100), round(width * 100), 4)
+    assert image[..., :3].std() > 0.05
+    assert b"<svg" in encode_figure(figure, "svg")
+    assert encode_figure(figure, "pdf").startswith(b"%PDF")
+    with pytest.raises(InvalidArgumentError, match="the image format must be png, svg or pdf, not 'bmp'"):
+        encode_figure(figure, "bmp")
+
+
+@pytest.mark.parametrize("theta_diff", [[], [-0.1], [2.0], [np.nan], [[0.0]]])
+def test_theta_diff_out_of_range_is_refused(fitted: Fitted, theta_diff: list[float]) -> None:
+    with pytest.raises(InvalidArgumentError, match="theta_diff must be one or more angles from 0 to pi/2"):
+        profiles_figure(*fitted, theta_diff=theta_diff)
+
+
+def test_an_unknown_channel_is_refused(fitted: Fitted) -> None:
+    with pytest.raises(InvalidArgumentError, match="channel must be red, green or blue, not 'alpha'"):
+        lobes_figure(*fitted, channel="alpha")
+
+
+def test_missing_matplotlib_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(
+        extras.MissingExtraError, match=r"matplotlib must be installed for figures: pip install 'dsbrdf\[plot\]'"
+    ):
+        profiles_figure(*fitted)
+
+
+def test_figures_change_no_global_matplotlib_state() -> None:
+    code = """
+import sys, numpy as np
+from dsbrdf.output.figures import encode_figure, overview_figure
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data.reduction import Profiles
+ones = np.ones((3, 90, 90))
+model = DSBRDF([0.0], ones[:, :1, :1], ones[:, :1, :1], ones[:, :1, :1] * 0, ones[:, :1, 0] * 0)
+encode_figure(overview_figure(Profiles(ones, ones, ones * 0, None, "plain", False, "flat", ""), model))
+assert "matplotlib.pyplot" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_figures_are_independent_objects(fitted: Fitted) -> None:
+    first, second = (profiles_figure(*fitted, theta_diff=[0.0]) for _ in range(2))
+    assert isinstance(first, Figure)
+    assert first is not second
+    assert encode_figure(first) == encode_figure(second)

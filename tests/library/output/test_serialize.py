@@ -1,0 +1,100 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.report import FitReport, FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import (
+    from_json,
+    from_npz,
+    load,
+    model_from_dict,
+    model_to_dict,
+    report_from_dict,
+    report_to_dict,
+    save,
+    to_json,
+    to_npz,
+)
+from tests.support.models import ARRAYS, assert_same_bits, make_model
+
+
+@pytest.mark.parametrize(("n_lobes", "n_knots"), [(0, 4), (1, 1), (3, 18), (8, 19)])
+def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, report: FitReport) -> None:
+    model = make_model(n_lobes, n_knots)
+    for attached in (None, report):
+        for back in (from_json(to_json(model, attached)), from_npz(to_npz(model, attached))):
+            assert_same_bits(back[0], model)
+            assert back[1] == attached
+    assert_same_bits(model_from_dict(model_to_dict(model)), model)
+    assert report_from_dict(report_to_dict(report)) == report
+
+
+def test_negative_zero_survives(model: DSBRDF) -> None:
+    flat = replace(model, delta=-np.zeros_like(model.delta))
+    assert_same_bits(from_json(to_json(flat))[0], flat)
+    assert_same_bits(from_npz(to_npz(flat))[0], flat)
+
+
+def test_encoding_is_deterministic(model: DSBRDF, report: FitReport) -> None:
+    assert to_json(model, report) == to_json(make_model(), report)
+    assert to_npz(model, report) == to_npz(make_model(), report)
+
+
+def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:
+    document = json.loads(to_json(model, report))
+    assert document["format"] == "dsbrdf"
+    assert document["version"] == 1
+    assert list(document["model"]) == [*ARRAYS, "interpolation"]
+    assert document["model"]["kappa"][2][4][1] == model.kappa[2, 4, 1]
+    assert document["report"]["metrics"]["relative_rms"] == 0.1 + 0.2
+    assert json.loads(to_json(model))["report"] is None
+
+
+def test_stored_text_of_format_version_1_is_readable() -> None:
+    text = (
+        '{"format": "dsbrdf", "version": 1, "model": {"theta_diff": [0, 1.5], "kappa": [[[1], [2]], [[3], [4]], '
+        '[[5], [6]]], "gamma": [[[0], [1]], [[2], [3]], [[4], [5.5]]], "center": [[[0], [0]], [[0], [0]], '
+        '[[0], [1e-3]]], "delta": [[0, 0], [0, -1], [0, 2]], "interpolation": "linear"}, "report": null}'
+    )
+    model, report = from_json(text)
+    assert report is None
+    assert model.kappa[1].tolist() == [[3.0], [4.0]]
+    assert model.gamma[2, 1, 0] == 5.5
+    assert model.delta[1].tolist() == [0.0, -1.0]
+
+
+@pytest.mark.parametrize("suffix", [".json", ".npz", ".JSON"])
+def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"nickel{suffix}"
+    save(model, path)
+    assert_same_bits(load(path), model)
+    save(FitResult(model, report), path)  # replaces
+    assert_same_bits(load(str(path)), model)
+    back = from_npz(path.read_bytes()) if suffix == ".npz" else from_json(path.read_text())
+    assert back[1] == report
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_failed_save_keeps_the_existing_file(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    save(model, path)
+    bad = replace(report, metrics={"relative_rms": float("nan")})
+    for target in (path, tmp_path / "model.npz"):
+        with pytest.raises(InvalidArgumentError, match="report must contain only plain, finite values"):
+            save(FitResult(model, bad), target)
+    assert_same_bits(load(path), model)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_unknown_suffix_is_refused(model: DSBRDF, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model\.txt'"):
+        save(model, tmp_path / "model.txt")
+    with pytest.raises(InvalidArgumentError, match=r"must end in \.json or \.npz, unlike 'model'"):
+        load(tmp_path / "model")
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "missing.json")

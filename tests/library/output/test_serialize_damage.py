@@ -1,0 +1,227 @@
+"""What is no stored model is refused in one sentence."""
+
+import io
+import json
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsbrdf.errors import ModelFormatError
+from dsbrdf.fitting.report import FitReport
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import (
+    from_json,
+    from_npz,
+    load,
+    to_json,
+    to_npz,
+)
+from tests.support.models import ARRAYS, assert_same_bits
+
+Document = dict[str, Any]
+
+
+def _set(*path: Any, value: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = value
+
+    return change
+
+
+def _drop(*path: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for key in path[:-1]:
+            place = place[key]
+        del place[path[-1]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_drop("format"), "its format is not 'dsbrdf'"),
+        (_set("format", value="other"), "its format is not 'dsbrdf'"),
+        (_drop("version"), "no valid version"),
+        (_set("version", value="1"), "no valid version"),
+        (_set("version", value=True), "no valid version"),
+        (_set("version", value=0), "no valid version"),
+        (_set("version", value=2), "version 2, which is newer than the 1 that this release reads"),
+        (_drop("model"), "lacks the key 'model'"),
+        (_drop("report"), "lacks the key 'report'"),
+        (_set("model", value=[1]), "stored model must be a mapping"),
+        *((_drop("model", name), f"stored model lacks the key '{name}'") for name in (*ARRAYS, "interpolation")),
+        (_set("model", "extra", value=1), "stored model has the unknown key 'extra'"),
+        (_set("model", "kappa", value=[1.0, 2.0]), "kappa must have shape"),
+        (_set("model", "gamma", value=[[[1.0]]]), "gamma must have the shape of kappa"),
+        (_set("model", "delta", value=[[0.0]] * 3), "delta must have shape"),
+        (_set("model", "theta_diff", value=[]), "theta_diff"),
+        (_set("model", "theta_diff", value=[0.5, 0.4, 0.3, 0.2, 0.1]), "increase"),
+        (_set("model", "kappa", 0, value=[1.0]), "kappa is not a regular array"),
+        (_set("model", "kappa", 0, 0, 0, value="1.0"), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=None), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=10**400), "kappa is not an array of real numbers"),
+        (_set("model", "kappa", 0, 0, 0, value=0.0), "every kappa must be positive"),
+        (_set("model", "gamma", 2, 4, 2, value=-1.0), "every gamma zero or positive"),
+        (_set("model", "center", 0, 0, 0, value=2.0), "every center"),
+        (_set("model", "interpolation", value=3), "interpolation in the stored model is not a text"),
+        (_set("model", "interpolation", value="magic"), "interpolation must be one of"),
+        (_set("report", value=3), "stored report must be a mapping"),
+        (_drop("report", "metrics"), "stored report lacks the key 'metrics'"),
+        (_set("report", "metrics", value=[]), "'metrics' must be of the kind dict, not list"),
+        (_set("report", "extra", value=1), "stored report has the unknown key 'extra'"),
+    ],
+)
+def test_damaged_json_is_named(
+    model: DSBRDF, report: FitReport, change: Callable[[Document], None], message: str
+) -> None:
+    document = json.loads(to_json(model, report))
+    change(document)
+    with pytest.raises(ModelFormatError, match=message):
+        from_json(json.dumps(document))
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_numbers_that_are_not_finite_are_refused(model: DSBRDF, value: str) -> None:
+    document = json.loads(to_json(model))
+    for name in ARRAYS:
+        text = json.dumps(document | {"model": document["model"] | {name: "HERE"}})
+        numbers = json.dumps(document["model"][name])
+        first = numbers.lstrip("[").split(",")[0].rstrip("]")
+        with pytest.raises(ModelFormatError):
+            from_json(text.replace('"HERE"', numbers.replace(first, value, 1)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not valid JSON"),
+        ("{", "not valid JSON"),
+        ("\x80", "not valid JSON"),
+        ("[" * 100_000, "not valid JSON"),
+        ("1" * 5000, "not valid JSON"),
+        ("[]", "not an object"),
+        ("null", "not an object"),
+        ("{}", "its format is not 'dsbrdf'"),
+    ],
+)
+def test_text_that_is_not_a_model(text: str, message: str) -> None:
+    with pytest.raises(ModelFormatError, match=message):
+        from_json(text)
+
+
+def test_truncated_json_is_refused(model: DSBRDF) -> None:
+    text = to_json(model)
+    for length in range(0, len(text), 97):
+        with pytest.raises(ModelFormatError, match="not valid JSON"):
+            from_json(text[:length])
+
+
+def npz(**content: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **content)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> dict[str, Any]:
+    with np.load(io.BytesIO(data)) as archive:
+        return dict(archive)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": None}, "its format is not 'dsbrdf'"),
+        ({"format": np.array(["dsbrdf"])}, "its format is not 'dsbrdf'"),
+        ({"version": None}, "no valid version"),
+        ({"version": np.array(2)}, "version 2, which is newer"),
+        ({"version": np.array(1.0)}, "no valid version"),
+        ({"report": None}, "lacks the key 'report'"),
+        ({"report": np.array(1)}, "report in the stored model is not a text"),
+        ({"report": np.array("{")}, "not valid JSON"),
+        ({"report": np.array("[]")}, "stored report must be a mapping"),
+        ({"interpolation": None}, "lacks the key 'interpolation'"),
+        ({"interpolation": np.array(1)}, "interpolation in the stored model is not a text"),
+        ({"extra": np.array(1)}, "unknown key 'extra'"),
+        *(({name: None}, f"lacks the key '{name}'") for name in ARRAYS),
+        *(({name: np.array(np.nan)}, "stored model is not valid") for name in ARRAYS),
+        *(({name: np.array("text")}, f"{name} is not an array of real numbers") for name in ARRAYS),
+        ({"kappa": np.ones((3, 5, 3), dtype=complex)}, "kappa is not an array of real numbers"),
+        ({"kappa": np.full((3, 5, 3), np.nan)}, "every kappa must be positive"),
+        ({"delta": np.full((3, 5), np.inf)}, "every delta must be finite"),
+    ],
+)
+def test_damaged_npz_is_named(model: DSBRDF, changes: dict[str, Any], message: str) -> None:
+    content = unpacked(to_npz(model)) | changes
+    with pytest.raises(ModelFormatError, match=message):
+        from_npz(npz(**{name: value for name, value in content.items() if value is not None}))
+
+
+class Trap:
+    """Fails the test if anything unpickles it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return pytest.fail, ("a pickle was executed",)
+
+
+def test_pickled_arrays_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+    content = unpacked(to_npz(model))
+    trapped = npz(**(content | {"kappa": np.array([Trap()], dtype=object)}))
+    for data in (trapped, pickle.dumps(Trap())):
+        with pytest.raises(ModelFormatError, match=r"not a readable \.npz archive of plain arrays"):
+            from_npz(data)
+        (tmp_path / "trap.npz").write_bytes(data)
+        with pytest.raises(ModelFormatError):
+            load(tmp_path / "trap.npz")
+
+
+def test_truncated_npz_is_refused(model: DSBRDF) -> None:
+    data = to_npz(model)
+    for length in [*range(0, len(data), 61), len(data) - 1]:
+        with pytest.raises(ModelFormatError, match="not a readable"):
+            from_npz(data[:length])
+
+
+def test_npz_with_flipped_bytes_is_refused_or_unchanged(model: DSBRDF, report: FitReport) -> None:
+    data = to_npz(model, report)
+    generator = np.random.default_rng(12)
+    refused = 0
+    for position in generator.integers(0, len(data), 1500):
+        damaged = bytearray(data)
+        damaged[position] ^= int(generator.integers(1, 256))
+        try:
+            back = from_npz(bytes(damaged))
+        except ModelFormatError:
+            refused += 1
+        else:  # a byte that the zip format does not use
+            assert_same_bits(back[0], model)
+            assert back[1] == report
+    assert refused > 1000
+
+
+def test_other_files_are_refused(model: DSBRDF, tmp_path: Path) -> None:
+    plain = io.BytesIO()
+    np.save(plain, np.zeros(3))
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("kappa.npy", bytes(100_000_000))
+    for data, message in ((plain.getvalue(), "not a readable"), (bomb.getvalue(), "unpacks to 100000000 bytes")):
+        with pytest.raises(ModelFormatError, match=message):
+            from_npz(data)
+    path = tmp_path / "model.json"
+    path.write_bytes(to_npz(model))
+    with pytest.raises(ModelFormatError, match="not a JSON text in UTF-8"):
+        load(path)
+    with path.open("wb") as file:
+        file.truncate(10 << 30)
+    with pytest.raises(ModelFormatError, match="longer than the 67108864 bytes"):
+        load(path)

@@ -1,0 +1,212 @@
+"""What can be seen of docker/ without a container engine; `docker/prove.sh` builds and runs it all."""
+
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+
+from service.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+DOCKER = ROOT / "docker"
+COMPOSE = [DOCKER / "compose.yaml", DOCKER / "compose.cluster.yaml"]
+TLS = DOCKER / "compose.tls.yaml"
+FOR_OLDER_PYTHON = {"importlib-metadata", "lazy-importer", "zipp"}
+DOCKERFILE = (DOCKER / "Dockerfile").read_text()
+
+
+def tool(name: str) -> str:
+    """The path of a linter, beside this Python or on the PATH; without it the test is skipped."""
+    found = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+def run(*command: str | Path) -> str:
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    return answer.stdout
+
+
+def services(path: Path) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = yaml.safe_load(path.read_text())["services"]
+    return found
+
+
+def needs(*purposes: str) -> set[str]:
+    """Names of the packages that `needs.py` prints."""
+    return set(re.findall(r"^([\w-]+)==", run(sys.executable, DOCKER / "needs.py", *purposes), re.MULTILINE))
+
+
+def required(name: str, extras: set[str]) -> set[str]:
+    """A distribution and all that it needs here, by the metadata of what is installed."""
+    found, todo = set(), [(name, frozenset(extras))]
+    seen = set(todo)
+    while todo:
+        name, chosen = todo.pop()
+        found.add(re.sub(r"[-_.]+", "-", name).lower())
+        try:
+            lines = requires(name) or []
+        except PackageNotFoundError:  # not for this Python or system
+            continue
+        for requirement in map(Requirement, lines):
+            markers = [{"extra": extra} for extra in chosen or {""}]
+            if requirement.marker is None or any(map(requirement.marker.evaluate, markers)):
+                further = (requirement.name, frozenset(requirement.extras))
+                todo += [further] if further not in seen else []
+                seen.add(further)
+    return found
+
+
+def test_the_dockerfile_passes_its_linter() -> None:
+    run(tool("hadolint"), "docker/Dockerfile")
+
+
+def test_the_compose_files_pass_their_linter() -> None:
+    run(tool("compose-lint"), "--fail-on", "low", "--strict-config", "--config", DOCKER / ".compose-lint.yml", *COMPOSE)
+
+
+def test_the_configuration_of_nginx_is_valid(tmp_path: Path) -> None:
+    text = (
+        (DOCKER / "nginx.conf").read_text().replace("service:8000", "127.0.0.1:8000").replace("/tmp/", f"{tmp_path}/")
+    )
+    (tmp_path / "nginx.conf").write_text(text)
+    run(tool("nginx"), "-t", "-e", "stderr", "-c", tmp_path / "nginx.conf")
+
+
+def test_prove_script_is_valid_shell() -> None:
+    run("bash", "-n", "docker/prove.sh")
+    assert (DOCKER / "prove.sh").stat().st_mode & 0o111
+
+
+def test_image_is_minimal_and_unprivileged() -> None:
+    final = DOCKERFILE.rpartition("\nFROM ")[2]
+    assert final.startswith("python AS service")
+    assert re.search(r"^USER [1-9]\d+:[1-9]\d+$", final, re.MULTILINE)
+    assert re.search(r"^HEALTHCHECK .*\\\n +CMD \[.*/health/ready", final, re.MULTILINE)
+    assert re.search(r'^ENTRYPOINT \["dsbrdf"\]\nCMD \["serve"\]$', final, re.MULTILINE)
+    assert not re.search(r"^(ADD|MAINTAINER) |curl |wget ", DOCKERFILE, re.MULTILINE)
+    assert "pip" not in final
+    for line in re.findall(r"pip(?: --python \S+)? install.*", DOCKERFILE):
+        assert "--require-hashes" in line or "--no-index" in line
+
+
+def test_files_copied_by_the_dockerfile_exist() -> None:
+    sources = [
+        word for line in re.findall(r"^COPY (?!--from)(.*)", DOCKERFILE, re.MULTILINE) for word in line.split()[:-1]
+    ]
+    assert len(sources) >= 8
+    let_in = {
+        line[1:] for line in (DOCKER / "Dockerfile.dockerignore").read_text().splitlines() if line.startswith("!")
+    }
+    assert set(sources) == let_in
+    assert all((ROOT / source).exists() for source in sources)
+
+
+def test_image_holds_exactly_the_locked_requirements_of_the_service() -> None:
+    purposes = re.search(r"needs\.py (dependencies .*) > run.lock", DOCKERFILE)
+    assert purposes
+    extras = set(purposes[1].split()) - {"dependencies"}
+    assert extras == {"service", "dask"}
+    here = needs(*purposes[1].split())
+    wanted = required("dsbrdf", extras) - {"dsbrdf"}
+    assert wanted - here == set()
+    assert here - wanted - FOR_OLDER_PYTHON == set()
+
+
+def test_needs_prints_entries_of_the_lock_unchanged() -> None:
+    lock = (ROOT / "requirements.lock").read_text()
+    printed = run(sys.executable, DOCKER / "needs.py", "dependencies", "service", "dask")
+    entries = [entry for entry in re.split(r"^(?=\w)", printed, flags=re.MULTILINE) if entry]
+    assert len(entries) > 30
+    assert all(entry in lock and "--hash=sha256:" in entry for entry in entries)
+    assert {entry.partition("==")[0] for entry in entries if "python_full_version >= '3.12'" in entry} >= {
+        "numpy",
+        "scipy",
+    }
+    assert "hatchling" in needs("build-system")
+
+
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.name)
+def test_every_setting_in_the_compose_files_exists(path: Path) -> None:
+    names = set(re.findall(r"\bDSBRDF_[A-Z_]+", path.read_text() + DOCKERFILE))
+    assert len(names) >= 3
+    known = {f"DSBRDF_{name.upper()}" for name in Settings.model_fields}
+    assert names - known == set()
+    for service in services(path).values():
+        given = {
+            name.removeprefix("DSBRDF_").lower(): re.sub(r"\$\{\w+:-(.*)\}", r"\1", str(value))
+            for name, value in service.get("environment", {}).items()
+            if name.startswith("DSBRDF_")
+        }
+        Settings(**given)  # type: ignore[arg-type]  # as text, like the environment's
+
+
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.name)
+def test_containers_are_limited_and_read_only(path: Path) -> None:
+    for service in services(path).values():
+        assert service["read_only"] is True
+        assert service["init"] is True
+        assert service["cap_drop"] == ["ALL"]
+        assert service["security_opt"] == ["no-new-privileges:true"]
+        assert service["mem_limit"]
+        assert service["pids_limit"]
+        assert service["stop_grace_period"] == "15s"  # the service takes 10 s at most, the proxy 8 s
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
+        build = service.get("build")
+        if build is None:
+            assert service["pull_policy"] == "never"
+        else:
+            assert (DOCKER / build["context"]).resolve() == ROOT
+            assert (ROOT / build["dockerfile"]).is_file()
+            assert f" AS {build['target']}\n" in DOCKERFILE
+
+
+def test_networks_isolate_service_and_cluster() -> None:
+    document = yaml.safe_load((DOCKER / "compose.cluster.yaml").read_text())
+    found = document["services"]
+    assert {name for name, service in found.items() if "ports" in service} == {"proxy"}
+    assert {name: set(service["networks"]) for name, service in found.items()} == {
+        "proxy": {"outside", "front"},
+        "service": {"front", "cluster"},
+        "scheduler": {"cluster"},
+        "worker": {"cluster"},
+    }
+    assert document["networks"] == {"outside": None, "front": {"internal": True}, "cluster": {"internal": True}}
+    assert found["service"]["environment"]["DSBRDF_REQUIRE_KEYS"] == "true"
+    for name in ("scheduler", "worker"):
+        words = [*found[name]["entrypoint"], *found[name]["command"]]
+        assert "--no-dashboard" in words
+        assert words[words.index("--dashboard-address") + 1].startswith("127.0.0.1:")
+
+
+def test_memory_of_fits_is_within_the_container_limit() -> None:
+    for path in COMPOSE:
+        service = services(path)["service"]
+        settings = service["environment"]
+        fits = int(re.sub(r"\$\{\w+:-(.*)\}", r"\1", str(settings["DSBRDF_WORKERS"])))
+        assert service["mem_limit"] == "4g"
+        assert (fits + 1) * int(settings["DSBRDF_FIT_MEMORY_MB"]) <= 4096
+
+
+def test_tls_adds_a_port_and_the_folder_of_its_files_to_nginx() -> None:
+    assert services(TLS) == {"proxy": {"ports": ["8443:8443"], "volumes": ["./tls:/etc/nginx/tls:ro"]}}
+    assert (DOCKER / "tls" / "tls.conf").is_file()
+    assert "include /etc/nginx/tls/*.conf;" in (DOCKER / "nginx.conf").read_text()
+    assert "*.pem" in (DOCKER / "tls" / ".gitignore").read_text().splitlines()
+
+
+def test_commands_of_the_docker_readme_name_existing_files() -> None:
+    text = (DOCKER / "README.md").read_text()
+    named = set(re.findall(r"--file (\S+)", text))
+    assert named == {path.relative_to(ROOT).as_posix() for path in (*COMPOSE, TLS)}
+    for path in re.findall(r"`((?:tests|service|docker)/\S+?)`", text):
+        assert (ROOT / path).exists(), path

@@ -1,0 +1,254 @@
+"""Authentication: nothing but a valid key lets anyone in, whatever the path, the header or the host."""
+
+import hashlib
+import http.client
+import re
+import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import pytest
+
+from service.access.keys import all_keys, revoke_key
+from service.storage.database import Database
+from tests.support.guarded import Guarded, keys_command, new_key
+from tests.support.processes import wait_until
+from tests.support.server import ENDLESS, Server, assert_problem
+from tests.support.soak import SOAK
+
+OPEN = ("/health/live", "/health/ready", "/docs", "/docs/page.js", "/openapi.json")
+
+
+def bad_headers(key: str) -> dict[str, list[tuple[bytes, bytes]]]:
+    """Authorization headers that must not let anyone in, made of a good key."""
+    prefix, key_id, secret = key.split("_", 2)
+    other = "A" if secret[0] != "A" else "B"
+
+    def bearer(text: str) -> list[tuple[bytes, bytes]]:
+        return [(b"Authorization", b"Bearer " + text.encode("latin-1"))]
+
+    good = f"Bearer {key}".encode()
+    return {
+        "none": [],
+        "empty": [(b"Authorization", b"")],
+        "scheme alone": [(b"Authorization", b"Bearer")],
+        "no scheme": [(b"Authorization", key.encode())],
+        "basic": [(b"Authorization", b"Basic " + key.encode())],
+        "longer scheme": [(b"Authorization", b"Bearerx " + key.encode())],
+        "tab": [(b"Authorization", b"Bearer\t" + key.encode())],
+        "two tokens": bearer(f"{key} {key}"),
+        "a list": bearer(f"{key}, {key}"),
+        "a list of schemes": [(b"Authorization", b"Basic x, " + good)],
+        "quoted": bearer(f'"{key}"'),
+        "same header twice": [(b"Authorization", good), (b"Authorization", good)],
+        "good before bad": [(b"Authorization", good), (b"Authorization", b"Bearer x")],
+        "bad before good": [(b"authorization", b"Basic eDp4"), (b"AUTHORIZATION", good)],
+        "another header": [(b"Proxy-Authorization", good), (b"X-Api-Key", key.encode()), (b"Cookie", b"key=" + good)],
+        "wrong secret": bearer(f"{prefix}_{key_id}_{other}{secret[1:]}"),
+        "wrong end": bearer(f"{key[:-1]}{'A' if key[-1] != 'A' else 'E'}"),
+        "cut off": bearer(key[:-1]),
+        "longer": bearer(f"{key}A"),
+        "no secret": bearer(f"{prefix}_{key_id}_"),
+        "unknown id": bearer(f"{prefix}_{'0' * 12}_{secret}"),
+        "upper case": bearer(key.upper()),
+        "other prefix": bearer(f"DSBRDF_{key_id}_{secret}"),
+        "any character": bearer(f"{prefix}_{'_' * 12}_{secret}"),
+        "like": bearer(f"{prefix}_%_{secret}"),
+        "glob": bearer(f"{prefix}_*_{secret}"),
+        "sql": bearer(f"{prefix}_' OR 1=1 --_{secret}"),
+        "sql of the right length": bearer(f"{prefix}_' OR ''='' --_{secret}"),
+        "not ascii": bearer(f"{key[:-1]}é"),
+        "utf-8 digits": [(b"Authorization", f"Bearer {key[:-1]}٣".encode())],
+        "null": bearer(f"{prefix}_{key_id}_{'0' * 43}"),
+        "very long": bearer(key + "A" * 30_000),
+        "very long id": bearer(f"{prefix}_{'0' * 30_000}_{secret}"),
+    }
+
+
+@pytest.mark.parametrize("case", bad_headers("dsbrdf_0_secret"))
+def test_request_without_valid_key_is_unauthorized(guarded: Guarded, case: str) -> None:
+    key = guarded.alice["Authorization"].removeprefix("Bearer ")
+    headers = bad_headers(key)[case]
+    answer = guarded.server.http.get("/v1/fits", headers=headers)
+    detail = assert_problem(answer, 401, "unauthorized")
+    assert "Authorization: Bearer" in detail
+    assert answer.headers["www-authenticate"].startswith("Bearer")
+    assert key not in answer.text
+    if case not in ("none", "another header"):  # what is wrong with a key is not told
+        unknown = guarded.server.http.get("/v1/fits", headers=bad_headers(key)["unknown id"])
+        assert answer.content == unknown.content
+
+
+@pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER"])
+def test_valid_key_is_authorized(guarded: Guarded, scheme: str) -> None:
+    key = guarded.alice["Authorization"].removeprefix("Bearer ")
+    answer = guarded.server.http.get("/v1/fits", headers={"authorization": f"{scheme}  {key}"})
+    assert answer.status_code == 200
+
+
+def test_every_route_requires_a_key(guarded: Guarded) -> None:
+    paths: dict[str, dict[str, Any]] = guarded.server.http.get("/openapi.json").json()["paths"]
+    tried = 0
+    for path, methods in paths.items():
+        for method in {*methods, "get", "head", "post", "put", "patch", "delete", "options", "trace"}:
+            filled = path.replace("{fit_id}", "0" * 32).replace("{sha256}", "0" * 64).replace("{label}", "diffuse")
+            answer = guarded.server.http.request(method.upper(), filled)
+            assert (answer.status_code == 401) is (path not in OPEN), (method, path, answer.status_code)
+            tried += 1
+    assert tried > 50
+    for path in OPEN:
+        assert guarded.server.http.get(path).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/",
+        "//v1/fits",
+        "/v1//fits",
+        "/v1/fits/",
+        "/V1/fits",
+        "/v1/fits?/health/live",
+        "/v1/fits;/health/live",
+        "/v1/fits%0A",
+        "/v1/fits%00/health/live",
+        "/health/live%0A",
+        "/health/live%00",
+        "/health/live/",
+        "//health/live",
+        "/health//live",
+        "/HEALTH/live",
+        "/health/live/../../v1/fits",
+        "/health/live/..%2f..%2fv1/fits",
+        "/health/live%2f..%2f..%2fv1%2ffits",
+        "/docs/../v1/fits",
+        "/docs/oauth2-redirect",
+        "/docs/",
+        "/docs/page.js/",
+        "/docs/page.js/../../v1/fits",
+        "/docs/page.js%2f..%2f..%2fv1%2ffits",
+        "/openapi.json/../v1/fits",
+        "/%2e%2e/v1/fits",
+        "/metrics",
+        "http://localhost/v1/fits",
+        "http://localhost/health/live/../../v1/fits",
+        "*",
+    ],
+)
+def test_unusual_paths_do_not_bypass_authentication(guarded: Guarded, path: str) -> None:
+    url = guarded.server.http.base_url
+    for method in ("GET", "DELETE"):
+        connection = http.client.HTTPConnection(url.host, url.port, timeout=30)
+        connection.request(method, path)
+        answer = connection.getresponse()
+        body = answer.read()
+        assert answer.status == 401, body
+        connection.close()
+
+
+def test_upload_without_key_is_refused_before_its_body_is_read(guarded: Guarded, data: bytes) -> None:
+    before = guarded.server.files()
+    for headers in ({}, {"Authorization": "Bearer x"}):
+        for path in ("/v1/measurements", "/v1/fits"):
+            try:
+                answer = guarded.server.http.post(path, content=data, headers=headers)
+            except (httpx.NetworkError, httpx.RemoteProtocolError):  # closed while it was being sent, which is as good
+                continue
+            assert_problem(answer, 401, "unauthorized")
+    assert guarded.server.files() == before
+
+
+def is_refused(server: Server, header: dict[str, str]) -> bool:
+    return server.http.get("/v1/fits", headers=header).status_code == 401
+
+
+def test_revoked_key_is_refused(guarded: Guarded) -> None:
+    database = Database(guarded.server.data_dir, exclusive=False)
+    key_id, header = new_key(guarded.server, "brief")
+    assert revoke_key(database, key_id)
+    seconds = wait_until(lambda: is_refused(guarded.server, header))
+    assert not SOAK or seconds < 1.2
+    (first,) = [row for row in all_keys(database) if row.id == key_id]
+    assert revoke_key(database, key_id)
+    assert [row for row in all_keys(database) if row.id == key_id] == [first]
+    database.close()
+
+
+def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true", workers="1")
+    (key_id, header), (_, other) = (new_key(server, name) for name in ("brief", "lasting"))
+    address = (server.http.base_url.host, server.http.base_url.port)
+    document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
+
+    def submit(who: dict[str, str]) -> str:
+        server.http.post("/v1/measurements", content=data, headers=who)
+        fit: str = server.http.post("/v1/fits", json=document, headers={**who, "Prefer": "respond-async"}).json()["id"]
+        return fit
+
+    def poll() -> httpx.Response:
+        return server.http.get(f"/v1/fits/{fit}?wait=300", headers=header)
+
+    def post() -> httpx.Response:
+        return server.http.post("/v1/fits", json=document, headers={**header, "Prefer": "wait=300"})
+
+    def follow(who: dict[str, str]) -> str:
+        with server.http.stream("GET", f"/v1/fits/{fit}/events", headers=who) as answer:
+            assert answer.status_code == 200
+            return answer.read().decode()  # to an end: a connection that breaks off is an error
+
+    fit = submit(header)
+    assert submit(other) == fit
+    head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
+    with ThreadPoolExecutor(4) as pool, socket.create_connection(address, timeout=60) as upload:
+        upload.sendall(f"{head}Content-Length: {len(data)}\r\n\r\n".encode() + data[:100_000])
+        polled, posted, followed = pool.submit(poll), pool.submit(post), pool.submit(follow, header)
+        lasting = pool.submit(follow, other)
+        in_progress = re.compile(r"^dsbrdf_requests_in_progress 6.0$", re.MULTILINE)
+        wait_until(lambda: bool(in_progress.search(server.http.get("/metrics", headers=other).text)))
+        assert keys_command("revoke", key_id, "--data-dir", str(server.data_dir)).returncode == 0
+        assert_problem(polled.result(timeout=60), 401, "unauthorized")
+        assert_problem(posted.result(timeout=60), 401, "unauthorized")
+        assert "event: " in followed.result(timeout=60)
+        # A revoked key is refused from the next request on; one that has begun ends as any other.
+        upload.sendall(data[100_000:])
+        assert upload.recv(10_000).startswith(b"HTTP/1.1 20")
+        assert not lasting.done()
+        assert server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] in ("accepted", "running")
+        server.http.delete(f"/v1/fits/{fit}", headers=other)
+        assert "event: cancelled" in lasting.result(timeout=60)
+    assert '"level": "error"' not in server.log.read_text()
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "10.0.0.1", "evil."]
+)
+def test_foreign_host_header_is_refused_on_loopback(server: Server, host: str) -> None:
+    for value in (host, f"{host}:{server.http.base_url.port}"):
+        answer = server.http.get("/v1/fits", headers={"Host": value})
+        assert "127.0.0.1" in assert_problem(answer, 401, "unauthorized")
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST:80", "workstation", "127.0.0.1", "127.1.2.3:8000", "[::1]:8000"]
+)
+def test_local_host_headers_are_accepted(server: Server, host: str) -> None:
+    assert server.http.get("/v1/fits", headers={"Host": host}).status_code == 200
+    assert server.http.get("/v1/fits", headers={"Host": host, "Origin": f"http://{host}"}).status_code == 200
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://localhost:1", "", "127.0.0.1"])
+def test_cross_origin_requests_are_refused(server: Server, data: bytes, origin: str) -> None:
+    before = server.files()
+    answer = server.http.post("/v1/measurements", content=data[:100], headers={"Origin": origin})
+    assert "other sites" in assert_problem(answer, 401, "unauthorized")
+    assert server.files() == before
+
+
+def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
+    _, header = new_key(server, "x")
+    assert server.http.get("/v1/fits").status_code == 200
+    assert server.http.get("/v1/fits", headers=header | {"Host": "any.example"}).status_code == 200
+    for wrong in ("", "Bearer", "Bearer x", header["Authorization"] + "x"):
+        assert_problem(server.http.get("/v1/fits", headers={"Authorization": wrong}), 401, "unauthorized")

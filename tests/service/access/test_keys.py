@@ -1,0 +1,83 @@
+"""Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
+
+from pathlib import Path
+
+import pytest
+
+from service.access.keys import KeyLimits, Keys, add_key, revoke_key
+from service.settings import Settings
+from service.storage.database import Database
+from tests.support.guarded import Guarded, keys_command
+
+
+def test_secrets_are_neither_stored_nor_printed(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    header = guarded.new_key("for a search")
+    key = header["Authorization"].removeprefix("Bearer ")
+    secret = key.split("_", 2)[2]
+    assert server.http.post("/v1/measurements", content=data, headers=header).status_code == 201
+    assert server.http.get("/v1/fits?cursor=x", headers=header).status_code == 422
+    assert server.http.get("/v1/fits", headers=header | {"Authorization": f"Bearer {key}x"}).status_code == 401
+    assert server.http.get(f"/v1/fits/{'0' * 32}", headers=header).status_code == 404
+    texts = {path.name: path.read_bytes() for path in server.data_dir.glob("dsbrdf.sqlite*")}
+    assert "dsbrdf.sqlite-wal" in texts
+    texts["log"] = server.log.read_bytes()
+    texts["list"] = keys_command("list", "--json", "--data-dir", str(server.data_dir)).stdout.encode()
+    texts["text"] = keys_command("list", "--data-dir", str(server.data_dir)).stdout.encode()
+    texts["metrics"] = server.http.get("/metrics", headers=header).content
+    assert b"for a search" in b"".join(text for name, text in texts.items() if name.startswith("dsbrdf"))
+    assert b"for a search" in texts["list"]
+    for name, text in texts.items():
+        assert secret.encode() not in text, name
+
+
+def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[tuple[bytes, bytes]] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append((one, other))
+        return one == other
+
+    monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
+    database = Database(tmp_path)
+    row, key = add_key(database, "x", KeyLimits())
+    active = Keys(Settings())
+    assert active.find(key.encode()) is None  # not loaded
+    active.load(database)
+    found = active.find(key.encode())
+    assert found is not None
+    assert found.caller.owner == row.id
+    assert active.find(key.replace(row.id, "0" * 12).encode()) is None
+    assert active.find((key[:-1] + "_").encode()) is None
+    assert len(compared) == 4
+    assert {len(part) for pair in compared for part in pair} == {32}
+    revoke_key(database, row.id)
+    active.load(database)
+    assert active.find(key.encode()) is None
+    assert len(compared) == 5
+    database.close()
+
+
+def test_damaged_or_locked_database_is_reported_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "dsbrdf.sqlite").write_bytes(b"no database" * 1000)
+    refused = keys_command("list", "--data-dir", str(tmp_path))
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert "cannot be opened" in refused.stderr
+    (tmp_path / "dsbrdf.sqlite").unlink()
+    monkeypatch.setattr("service.storage.database._COMMAND_BUSY_TIMEOUT", 0.1)
+    database = Database(tmp_path)
+    with database.transaction():
+        busy = keys_command("add", "x", "--data-dir", str(tmp_path))
+    assert busy.returncode in (1, 2)
+    assert busy.stderr.count("\n") == 1
+    assert "locked" in busy.stderr
+    assert busy.stdout == ""
+    database.close()
+
+
+def test_new_data_folder_is_private(tmp_path: Path) -> None:
+    Database(tmp_path / "data").close()
+    assert (tmp_path / "data").stat().st_mode & 0o777 == 0o700

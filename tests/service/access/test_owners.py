@@ -1,0 +1,192 @@
+"""Owners: what is not yours does not exist, and a database without owners is brought up to date."""
+
+import ast
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+
+from tests.support.guarded import Guarded, new_key
+from tests.support.server import QUICK, Server, assert_problem
+
+
+def shown(answer: httpx.Response, *names: str) -> tuple[int, list[tuple[str, str]], bytes]:
+    """Return all that an answer tells, apart from what it was asked for by name and what differs with every answer."""
+    head = [pair for pair in answer.headers.multi_items() if pair[0] not in ("date", "x-request-id")]
+    text = repr((head, answer.content))
+    for name in names:
+        text = text.replace(name, "...")
+    head, content = ast.literal_eval(text)
+    return answer.status_code, head, content
+
+
+MISSING_FIT, MISSING_MEASUREMENT = "0123456789abcdef" * 2, "fedcba98" * 8
+
+JSON = {"Content-Type": "application/json"}
+
+POINTS = {"theta_half_deg": [1.0], "theta_diff_deg": [2.0]}
+
+
+def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield every way to ask for something by its name: method, path and arguments."""
+    paths = ["", "/events", "/lobes", "/brdf?theta_half_deg=1&theta_diff_deg=2", "/brdf", "/brdf?theta_half_deg=x"]
+    paths += ["?wait=0.1", "?wait=x", "/brdf?omega_in=0,0,1&omega_out=0,0,1", "/figures/lobes.png"]
+    for label in ("specular_spike", "specular_lobe", "diffuse", "no_label"):
+        paths += [f"/lobes/{label}/brdf?theta_half_deg=1&theta_diff_deg=2", f"/export?format=json&component={label}"]
+    paths += [f"/export?format={name}" for name in ("json", "npz", "merl", "glsl", "none")]
+    for path in paths:
+        for method in ("GET", "HEAD", "DELETE", "PUT"):
+            if (method, path) not in (("DELETE", ""), ("DELETE", "?wait=0.1"), ("DELETE", "?wait=x")):
+                yield method, f"/v1/fits/{fit}{path}", {}
+    for tag in (*tags.values(), "*"):
+        for path in ("", "/lobes"):
+            yield "GET", f"/v1/fits/{fit}{path}", {"headers": {"If-None-Match": tag}}
+        yield "GET", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
+        yield "HEAD", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
+    for path in ("/brdf", "/lobes/diffuse/brdf", "/lobes/no_label/brdf"):
+        yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS}
+        yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS, "headers": {"Accept": "application/x-npy"}}
+        yield "POST", f"/v1/fits/{fit}{path}", {"content": b"nonsense", "headers": JSON}
+        yield "POST", f"/v1/fits/{fit}{path}", {"content": b"x", "headers": {"Content-Type": "text/plain"}}
+        yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS, "headers": {"Accept": "image/png"}}
+    for method in ("GET", "HEAD", "PUT", "PATCH", "POST", "DELETE"):
+        yield method, f"/v1/measurements/{sha256}", {}
+    for span in ("bytes=0-9", "bytes=99999999999-", "bytes=-1", "lines=1"):
+        yield "GET", f"/v1/measurements/{sha256}", {"headers": {"Range": span}}
+    for options in ({}, QUICK, {"n_lobes": 99}):
+        yield "POST", "/v1/fits", {"json": {"measurement": sha256, "options": options}}
+    yield "DELETE", f"/v1/fits/{fit}", {}
+    yield "DELETE", f"/v1/fits/{fit}?wait=0.1", {}
+
+
+def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    alice, bob = guarded.new_key("owner"), guarded.new_key("prober", requests_per_second=100_000)
+    fitted = server.http.post("/v1/fits", params=QUICK, content=data, headers=alice)
+    assert fitted.status_code == 201
+    fit, sha256 = fitted.json()["id"], fitted.json()["measurement"]
+    tags = {
+        path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"]
+        for path in (f"fits/{fit}", f"fits/{fit}/lobes", f"measurements/{sha256}")
+    }
+    asked = 0
+    for (method, path, arguments), (_, other, _) in zip(
+        probes(fit, sha256, tags), probes(MISSING_FIT, MISSING_MEASUREMENT, tags), strict=True
+    ):
+        headers = {**arguments.get("headers", {}), **bob}
+        hidden = server.http.request(method, path, **{**arguments, "headers": headers})
+        document = arguments.get("json", {})
+        if "measurement" in document:
+            arguments = {**arguments, "json": {**document, "measurement": MISSING_MEASUREMENT}}
+        missing = server.http.request(method, other, **{**arguments, "headers": headers})
+        assert shown(hidden, fit, sha256) == shown(missing, MISSING_FIT, MISSING_MEASUREMENT), (method, path)
+        assert hidden.status_code in (404, 405, 406, 415, 422), (method, path)
+        asked += 1
+    assert asked > 100
+    for path in ("/v1/fits", "/v1/measurements"):
+        for query in ("", "?limit=1", "?cursor=1000000", "?limit=200&cursor=5"):
+            answer = server.http.get(f"{path}{query}", headers=bob)
+            assert answer.json() == {"items": []}
+            assert "link" not in answer.headers
+
+    # All of it is still there for who owns it, but for nobody without a key.
+    assert server.http.get(f"/v1/fits/{fit}", headers=alice).json()["status"] == "succeeded"
+    assert server.http.get(f"/v1/measurements/{sha256}", headers=alice).content == data
+
+
+def test_upload_of_a_file_that_another_owner_has_is_created(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    alice, bob = guarded.new_key("first"), guarded.new_key("second")
+    content = data[:-8] + b"\1" + data[-7:]
+    before = len(server.files())
+    first, second = (server.http.post("/v1/measurements", content=content, headers=who) for who in (alice, bob))
+    assert (first.status_code, second.status_code) == (201, 201)
+    assert first.json() | {"created": ""} == second.json() | {"created": ""}
+    assert first.json()["created"] != second.json()["created"]
+    assert len(server.files()) == before + 1
+    sha256 = first.json()["sha256"]
+
+    document = {"measurement": sha256, "options": QUICK}
+    fits = [server.http.post("/v1/fits", json=document, headers=who) for who in (alice, bob)]
+    assert [answer.status_code for answer in fits] == [201, 201]  # computed for each
+    assert fits[0].json()["id"] == fits[1].json()["id"]
+    assert fits[0].json()["lobes"] == fits[1].json()["lobes"]
+    assert fits[0].json()["created"] != fits[1].json()["created"]
+    fit = f"/v1/fits/{fits[0].json()['id']}"
+
+    assert server.http.delete(fit, headers=alice).status_code == 204
+    assert_problem(server.http.get(fit, headers=alice), 404, "not-found")
+    query = "/brdf?theta_half_deg=1&theta_diff_deg=2"
+    assert_problem(server.http.get(fit + query, headers=alice), 404, "not-found")
+    assert server.http.get(fit + query, headers=bob).status_code == 200
+    assert server.http.delete(f"/v1/measurements/{sha256}", headers=alice).status_code == 204
+    assert server.http.get(f"/v1/measurements/{sha256}", headers=bob).content == content
+    assert server.http.delete(f"/v1/measurements/{sha256}", headers=bob).status_code == 204
+    assert len(server.files()) == before
+
+
+def test_page_cursors_do_not_reveal_other_owners_rows(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    links = []
+    for name in ("one", "two"):
+        who = guarded.new_key(name)
+        for number in range(2):
+            content = data[:-8] + bytes([number, *data[-7:]])
+            server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
+        pages = [server.http.get(f"/v1/{noun}?limit=1", headers=who) for noun in ("fits", "measurements")]
+        links.append([page.headers["link"] for page in pages])
+        rest = [server.http.get(page.links["next"]["url"], headers=who).json()["items"] for page in pages]
+        assert [len(items) for items in rest] == [1, 1]
+    assert links[0] == links[1]
+
+
+def test_concurrent_requests_of_two_owners_make_two_fits(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    content = data[:-8] + b"\2" + data[-7:]
+    before = len(server.files())
+    owners = [guarded.new_key("left"), guarded.new_key("right")] * 4
+
+    def submit(who: dict[str, str]) -> httpx.Response:
+        return server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
+
+    with ThreadPoolExecutor(len(owners)) as pool:
+        answers = list(pool.map(submit, owners))
+    assert {answer.json()["status"] for answer in answers} == {"succeeded"}
+    for side in (0, 1):
+        assert sorted(answer.status_code for answer in answers[side::2]) == [200, 200, 200, 201]
+        assert len({answer.text for answer in answers[side::2]}) == 1
+        assert len(server.http.get("/v1/fits", headers=owners[side]).json()["items"]) == 1
+    assert len(server.files()) == before + 1
+
+
+def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) -> None:
+    _, key = new_key(server, "x")
+    nobody: dict[str, str] = {}
+    content = data[:-8] + b"\3" + data[-7:]
+    for who in (key, nobody):
+        answer = server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
+        assert answer.status_code == 201
+    fit = f"/v1/fits/{answer.json()['id']}"
+    assert server.http.delete(fit).status_code == 204
+    assert server.http.get(fit).status_code == 404
+    assert [item["id"] for item in server.http.get("/v1/fits", headers=key).json()["items"]] == [answer.json()["id"]]
+    assert server.http.get(fit, headers=key).json()["status"] == "succeeded"
+
+
+def test_unfinished_fits_of_several_owners_resume_after_a_kill(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1")
+    users: list[dict[str, str]] = [{}, new_key(server, "x")[1]]
+    ids = set()
+    for who in users:
+        headers = {**who, "Prefer": "respond-async"}
+        answer = server.http.post("/v1/fits", params={**QUICK, "n_lobes": 4}, content=data, headers=headers)
+        assert answer.status_code == 202
+        ids.add(answer.json()["id"])
+    assert len(ids) == 1
+    server.stop(signal.SIGKILL)
+    server.start()
+    for who in users:
+        fit = server.http.get(f"/v1/fits/{ids.copy().pop()}?wait=60", headers=who)
+        assert fit.json()["status"] == "succeeded"

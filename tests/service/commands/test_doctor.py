@@ -1,0 +1,126 @@
+"""``dsbrdf doctor`` finds what is wrong, and says nothing is where nothing is."""
+
+import json
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.commands import doctor
+from service.commands.doctor import checks
+from service.errors import CheckFailedError
+from service.settings import Settings
+from service.storage.database import FILE_NAME
+from tests.support.commands import run_main
+from tests.support.server import QUICK, Server
+
+
+def examine(folder: Path, **environment: str) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Exit code and findings by name."""
+    done = run_main(doctor.main, "--data-dir", str(folder), "--json", **environment)
+    assert done.stdout, done.stderr
+    return done.returncode, {item["check"]: item for item in json.loads(done.stdout)["items"]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Path]:
+    """A data folder that no server has open, with a measurement and a fit of it."""
+    server = Server(tmp_path_factory.mktemp("doctor") / "data")
+    try:
+        sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
+        assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
+        server.stop()
+        yield server.data_dir
+    finally:
+        server.close()
+
+
+def found(folder: Path, name: str) -> str:
+    """What one check finds; it raises what is wrong."""
+    return dict(checks(Settings(data_dir=folder)))[name]()
+
+
+def fault(folder: Path, name: str) -> str:
+    with pytest.raises(CheckFailedError) as wrong:
+        found(folder, name)
+    return str(wrong.value)
+
+
+def wrong(findings: dict[str, dict[str, Any]]) -> dict[str, str]:
+    return {name: item["detail"] for name, item in findings.items() if not item["fine"]}
+
+
+def test_healthy_installation_passes_beside_a_running_server(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    server.http.post("/v1/measurements", content=data)
+    code, findings = examine(server.data_dir)
+    assert (code, wrong(findings)) == (0, {})
+    assert {"python", "extras", "data folder", "disk", "database", "measurements", "child process"} <= set(findings)
+    assert findings["measurements"]["detail"].startswith("1 ")
+    assert server.http.get("/health/ready").status_code == 200
+
+
+def test_text_output_has_one_line_per_check_and_creates_nothing(tmp_path: Path) -> None:
+    done = run_main(doctor.main, "--data-dir", str(tmp_path / "none"), DSBRDF_MIN_FREE_MB="1000000000")
+    assert done.returncode == 1
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "WRONG", "ok"]
+    assert "1000000000 MB" in lines[3]
+    assert not (tmp_path / "none").exists()
+
+
+def test_damaged_missing_and_stray_files_are_found(folder: Path) -> None:
+    assert found(folder, "measurements").startswith("1 ")
+    (blob,) = (folder / "blobs").glob("*/*.binary")
+    content = blob.read_bytes()
+    try:
+        blob.write_bytes(content[:-1] + b"\1")
+        assert blob.stem in fault(folder, "measurements")
+        blob.unlink()
+        assert "No such file" in fault(folder, "measurements")
+    finally:
+        blob.write_bytes(content)
+    stray = blob.with_name(f"{blob.stem[:2]}{'0' * 62}.binary")
+    stray.write_bytes(b"")
+    try:
+        assert stray.stem in fault(folder, "measurements")
+    finally:
+        stray.unlink()
+    assert found(folder, "measurements").startswith("1 ")
+
+
+def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> None:
+    assert "intact" in found(folder, "database")
+    name = tmp_path / FILE_NAME
+    name.write_bytes((folder / FILE_NAME).read_bytes())
+    with closing(sqlite3.connect(name)) as db, db:
+        db.execute("PRAGMA user_version = 999")
+    assert "999" in fault(tmp_path, "database")
+    with closing(sqlite3.connect(name)) as db, db:
+        db.execute("PRAGMA journal_mode = DELETE")
+        db.execute("PRAGMA user_version = 2")
+        (page,) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'fits_by_status'").fetchone()
+        (size,) = db.execute("PRAGMA page_size").fetchone()
+    with name.open("r+b") as file:
+        file.seek((page - 1) * size)
+        file.write(bytes([10, 0, 0, 0, 0, size >> 8, size & 255, 0]))  # an empty leaf of an index
+    assert "fits_by_status" in fault(tmp_path, "database")
+
+
+def test_unwritable_folder_is_found(tmp_path: Path) -> None:
+    (tmp_path / "blobs").mkdir()
+    (tmp_path / "tmp").write_text("not a folder")
+    with pytest.raises(OSError, match="tmp"):
+        found(tmp_path, "data folder")
+
+
+def test_unusable_engine_is_found(tmp_path: Path) -> None:
+    environment = {"engine": "dask", "scheduler": "tcp://127.0.0.1:1", "fit_memory_mb": "128"}
+    code, findings = examine(tmp_path, **{f"DSBRDF_{name.upper()}": value for name, value in environment.items()})
+    assert code == 1
+    assert set(wrong(findings)) == {"scheduler", "child process"}
+    assert "memory" in findings["child process"]["detail"]
+    assert "127.0.0.1:1" in findings["scheduler"]["detail"]

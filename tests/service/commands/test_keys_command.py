@@ -1,0 +1,112 @@
+"""``dsbrdf keys``, beside a running server."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.access.keys import KeyLimits, add_key, revoke_key
+from service.storage.database import Database
+from tests.support.commands import start_in_vain
+from tests.support.guarded import Guarded, keys_command
+from tests.support.processes import wait_until
+from tests.support.server import Server, assert_problem
+
+
+def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guarded) -> None:
+    server = guarded.server
+    there = ("--data-dir", str(server.data_dir))
+    words = ["add", "carol's laptop", *there, "--requests-per-second", "7", "--stored-mb", "80"]
+    run = [sys.executable, "-m", "dsbrdf.cli.main", "keys", *words]
+    added = subprocess.run(run, capture_output=True, text=True, timeout=60, check=True)
+    key = added.stdout.removesuffix("\n")
+    assert re.fullmatch(r"dsbrdf_[0-9a-f]{12}_[\w-]{43}", key)
+    key_id = key.split("_")[1]
+    assert key_id in added.stderr
+    assert key not in added.stderr
+    header = {"Authorization": f"Bearer {key}"}
+    wait_until(lambda: server.http.get("/v1/fits", headers=header).status_code == 200)
+
+    (document,) = [item for item in listed(server) if item["id"] == key_id]
+    assert document["created"][:3] == "202"
+    assert {name: document[name] for name in document if name != "created"} == {
+        "id": key_id,
+        "name": "carol's laptop",
+        "revoked": None,
+        "requests_per_second": 7.0,
+        "stored_mb": 80,
+        "queued_fits": None,
+    }
+    assert "carol's laptop" in keys_command("list", *there).stdout
+
+    before = listed(server)
+    for wrong in ("*", "%", "_", "[0-9a-f]*", "' OR 1=1 --", "", key_id[:-1], f"{key_id} ", f"{key_id}\0", key):
+        refused = keys_command("revoke", wrong, *there)
+        assert refused.returncode == 2
+        assert refused.stderr.count("\n") == 1
+        assert key not in refused.stderr
+    assert listed(server) == before
+    assert keys_command("revoke", key_id, *there).returncode == 0
+    wait_until(lambda: server.http.get("/v1/fits", headers=header).status_code == 401)
+    assert [item["revoked"] is None for item in listed(server) if item["id"] == key_id] == [False]
+
+
+def listed(server: Server) -> list[dict[str, Any]]:
+    items: list[dict[str, Any]] = json.loads(keys_command("list", "--json", "--data-dir", str(server.data_dir)).stdout)[
+        "items"
+    ]
+    return items
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["add", "x", "--requests-per-second", "0"], "rate"),
+        (["add", "x", "--requests-per-second", "nan"], "rate"),
+        (["add", "x", "--stored-mb", "-1"], "bound"),
+        (["add", "x", "--stored-mb", "much"], "much is not a bound; a whole number from 0 is"),
+        (["add", "x", "--requests-per-second", "fast"], "fast is not a rate; 0.001 or more is"),
+        (["add", "x", "--queued-fits", "1.5"], "queued-fits"),
+        (["add", "a\nb"], "printable"),
+        (["add", ""], "printable"),
+        (["add", "x" * 101], "printable"),
+        (["add"], "NAME"),
+        ([], "COMMAND"),
+        (["list"], "data folder"),
+        (["revoke", "0"], "data folder"),
+    ],
+)
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, words: list[str], part: str) -> None:
+    folder = tmp_path / "none"
+    there = ["--data-dir", str(folder)] if words else []
+    refused = keys_command(*words, *there)
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert part in refused.stderr
+    assert refused.stdout == ""
+    assert not folder.exists()
+
+
+def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    row_id = keys_command("add", "x", "--data-dir", str(folder)).stdout.split("_")[1]
+    database = Database(folder)
+    revoke_key(database, row_id)
+    database.close()
+    code, said = start_in_vain(tmp_path, "--host", "0.0.0.0", "--port", "0", "--data-dir", str(folder))
+    assert code == 2
+    assert "dsbrdf keys add" in said
+    database = Database(folder)
+    _, key = add_key(database, "y", KeyLimits())
+    database.close()
+    server = Server(folder, host="0.0.0.0")
+    try:
+        server.start()
+        assert_problem(server.http.get("/v1/fits"), 401, "unauthorized")
+        assert server.http.get("/v1/fits", headers={"Authorization": f"Bearer {key}"}).status_code == 200
+    finally:
+        server.close()

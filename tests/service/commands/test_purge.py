@@ -1,0 +1,147 @@
+"""Retention: what is old goes, beside a running server, and nothing else."""
+
+import json
+import sqlite3
+import struct
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from dsbrdf.data.merl import FILE_SIZE
+from service.commands import purge
+from service.storage.database import FILE_NAME
+from tests.support.commands import run_main
+from tests.support.processes import wait_until
+from tests.support.server import ENDLESS, QUICK, Server
+
+DAY = 86400.0
+
+
+def purged(folder: Path, *words: str) -> dict[str, Any]:
+    done = run_main(purge.main, "--data-dir", str(folder), "--json", *words)
+    assert done.returncode == 0, done.stderr
+    document: dict[str, Any] = json.loads(done.stdout)
+    return document
+
+
+def variants(data: bytes, number: int) -> list[bytes]:
+    """Acceptable measurements that all differ."""
+    changed = []
+    for index in range(number):
+        value = struct.unpack_from("<d", data, 12)[0] * (1 + 0.001 * index)
+        changed.append(data[:12] + struct.pack("<d", value) + data[20:])
+    return changed
+
+
+def make_older(folder: Path, days: float, table: str, column: str, name: str) -> None:
+    """Set the times of a row back."""
+    times = "created = created - :s" + (", finished = finished - :s" if table == "fits" else "")
+    with closing(sqlite3.connect(folder / FILE_NAME, timeout=30)) as db, db:
+        count = db.execute(
+            f"UPDATE {table} SET {times} WHERE {column} = :name", {"s": days * DAY, "name": name}
+        ).rowcount
+    assert count == 1
+
+
+def file_of(server: Server, sha256: str) -> Path:
+    return server.data_dir / "blobs" / sha256[:2] / f"{sha256}.binary"
+
+
+def test_old_fits_and_measurements_are_removed_beside_a_running_server(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server(workers="1")
+    folder = server.data_dir
+    old, fresh, unused, busy, kept = (
+        str(server.http.post("/v1/measurements", content=content).json()["sha256"]) for content in variants(data, 5)
+    )
+    old_fit, fresh_fit, kept_fit = (server.submit(sha256, **QUICK).json()["id"] for sha256 in (old, fresh, kept))
+    busy_fit = server.submit(busy, prefer="respond-async", **ENDLESS).json()["id"]
+    for sha256 in (old, unused, busy, kept):
+        make_older(folder, 40, "measurements", "sha256", sha256)
+    for fit in (old_fit, busy_fit):
+        make_older(folder, 40, "fits", "id", fit)
+    values = f"/v1/fits/{old_fit}/brdf?theta_half_deg=1&theta_diff_deg=1"
+    assert server.http.get(values).status_code == 200  # and so its model is in memory
+
+    expected = {"fits": 1, "measurements": 2, "bytes": 2 * FILE_SIZE}
+    assert purged(folder, "--older-than", "30d", "--dry-run") == {**expected, "dry_run": True}
+    assert server.http.get(values).status_code == 200
+    assert purged(folder, "--older-than", "30d") == {**expected, "dry_run": False}
+
+    wait_until(lambda: server.http.get(values).status_code == 404)
+    assert server.http.get(f"/v1/fits/{old_fit}").status_code == 404
+    for sha256, there in ((old, False), (unused, False), (fresh, True), (busy, True), (kept, True)):
+        assert server.http.head(f"/v1/measurements/{sha256}").status_code == (200 if there else 404)
+        assert file_of(server, sha256).exists() == there
+    for fit in (fresh_fit, kept_fit):
+        assert server.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg=1&theta_diff_deg=1").status_code == 200
+    assert server.http.delete(f"/v1/fits/{busy_fit}").json()["status"] == "cancelled"  # and so it was there
+    assert purged(folder, "--older-than", "30d") == {"fits": 0, "measurements": 0, "bytes": 0, "dry_run": False}
+
+
+def test_file_is_removed_with_its_last_row(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME, timeout=30)) as db, db:
+        db.execute(
+            "INSERT INTO measurements (owner, seq, sha256, size, valid_nodes, created)"
+            " SELECT 'other', 1, sha256, size, valid_nodes, 0 FROM measurements"
+        )
+    expected = {"fits": 0, "measurements": 1, "bytes": 0}
+    assert purged(server.data_dir, "--older-than", "1d", "--dry-run") == {**expected, "dry_run": True}
+    assert purged(server.data_dir, "--older-than", "1d") == {**expected, "dry_run": False}
+    assert server.http.get(f"/v1/measurements/{sha256}").content == data
+    assert purged(server.data_dir, "--older-than", "0s")["bytes"] == len(data)
+    assert not file_of(server, sha256).exists()
+
+
+def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    done = threading.Event()
+    statuses: list[int] = []
+
+    def upload() -> None:
+        with httpx.Client(base_url=server.http.base_url, timeout=60) as client:
+            while not done.is_set():
+                statuses.append(client.post("/v1/measurements", content=data).status_code)
+
+    threads = [threading.Thread(target=upload) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        removed = 0
+        deadline = time.monotonic() + 60
+        while removed < 3 and time.monotonic() < deadline:
+            removed += purged(server.data_dir, "--older-than", "0s")["measurements"]
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
+    assert removed >= 3
+    assert set(statuses) <= {200, 201}
+    assert statuses.count(201) >= 3
+    stored = server.http.get("/v1/measurements").json()["items"]
+    assert [path.stem for path in server.files()] == [row["sha256"] for row in stored]
+
+
+@pytest.mark.parametrize("age", ["30", "d", "-1d", "1.5d", "30 d", "1y", "\u0663d", ""])
+def test_invalid_age_is_refused_in_one_sentence(tmp_path: Path, age: str) -> None:
+    refused = run_main(purge.main, "--data-dir", str(tmp_path), f"--older-than={age}")
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert "30d" in refused.stderr
+    assert "--older-than" in refused.stderr
+
+
+def test_folder_that_is_not_a_data_folder_is_refused(tmp_path: Path) -> None:
+    refused = run_main(purge.main, "--data-dir", str(tmp_path / "none"), "--older-than", "1d")
+    assert refused.returncode == 2
+    assert "--data-dir" in refused.stderr
+    assert not (tmp_path / "none").exists()

@@ -1,0 +1,203 @@
+"""Readiness, slow clients, too many of them, and settings that are wrong."""
+
+import asyncio
+import json
+import resource
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, closing
+
+import httpx
+import pytest
+
+from dsbrdf.data.merl import FILE_SIZE
+from tests.support.processes import wait_until
+from tests.support.server import ENDLESS, Server, assert_problem
+
+PATIENCE = 1.0  # seconds that the service has with slow clients here
+
+
+@pytest.fixture(scope="module")
+def impatient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A service that soon gives slow clients up, and has few places."""
+    settings = {"header_timeout": "1", "idle_timeout": "1", "least_upload_rate": "100000", "limit_concurrency": "4"}
+    running = Server(tmp_path_factory.mktemp("impatient") / "data", workers="1", **settings)
+    try:
+        yield running.start()
+    finally:
+        running.close()
+
+
+def connect(server: Server, sent: bytes = b"") -> socket.socket:
+    url = server.http.base_url
+    connection = socket.create_connection((url.host, url.port or 80), timeout=20)
+    connection.sendall(sent)
+    return connection
+
+
+def rest(connection: socket.socket) -> bytes:
+    """Everything that comes until the service closes the connection."""
+    parts = []
+    while part := connection.recv(1 << 16):
+        parts.append(part)
+    return b"".join(parts)
+
+
+def problem(answer: bytes) -> tuple[int, str]:
+    """Status and kind of a problem document that came over a plain connection."""
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert b"application/problem+json" in head
+    assert b"connection: close" in head.lower()
+    document = json.loads(body)
+    assert document["status"] == int(head.split()[1])
+    return document["status"], document["type"].removeprefix("urn:dsbrdf:problem:")
+
+
+def head_of_upload(length: int) -> bytes:
+    return f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n".encode()
+
+
+def trickle(connection: socket.socket, data: bytes) -> bytes:
+    """Send a byte every 0.05 s, 400 of them being 20 s of never being silent, and return what is answered."""
+    connection.settimeout(0.05)
+    answer = b""
+    for byte in data:
+        try:
+            connection.sendall(bytes([byte]))
+            answer = connection.recv(1 << 16)
+            break
+        except TimeoutError:
+            continue
+    connection.settimeout(20)
+    return answer + rest(connection)
+
+
+def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
+    with connect(impatient, head_of_upload(len(data)) + data[:1_000_000]) as connection:
+        wait_until(lambda: bool(impatient.files()))
+        assert problem(rest(connection)) == (408, "request-timeout")
+    wait_until(lambda: not impatient.files())
+
+
+@pytest.mark.parametrize(
+    ("path", "media_type", "length"),
+    [("/v1/measurements", "application/octet-stream", FILE_SIZE), ("/v1/fits", "application/json", 1000)],
+)
+def test_body_below_the_minimum_rate_times_out(
+    impatient: Server, data: bytes, path: str, media_type: str, length: int
+) -> None:
+    head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
+    with connect(impatient, head.encode()) as connection:
+        assert problem(trickle(connection, data[:400])) == (408, "request-timeout")
+    wait_until(lambda: not impatient.files())
+
+
+def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
+    patience = 3 * PATIENCE  # for a client that is held up by a busy machine
+    server = own_server(idle_timeout=str(patience), least_upload_rate="100000")
+    step = len(data) // 8
+
+    async def in_steps() -> AsyncIterator[bytes]:
+        for start in range(0, len(data), step):
+            await asyncio.sleep(0.15 * patience)
+            yield data[start : start + step]
+
+    async def upload() -> httpx.Response:
+        async with httpx.AsyncClient(base_url=server.http.base_url, timeout=60) as client:
+            return await client.post("/v1/measurements", content=in_steps())
+
+    assert asyncio.run(upload()).status_code == 201
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET /health/live HT", b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Slow: "])
+def test_incomplete_head_times_out(impatient: Server, sent: bytes) -> None:
+    with connect(impatient, sent) as connection:
+        assert problem(rest(connection)) == (408, "request-timeout")
+
+
+def test_trickling_head_times_out(impatient: Server) -> None:
+    first = b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
+    with connect(impatient, first) as connection:
+        connection.settimeout(0.05)
+        answered = b""
+        while b'"live"' not in answered:
+            try:
+                answered += connection.recv(1 << 16)
+            except TimeoutError:
+                continue
+        # The second request of the connection.
+        assert problem(trickle(connection, first[:10] * 40)) == (408, "request-timeout")
+
+
+def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    with connect(impatient, f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: x\r\n\r\n".encode()) as connection:
+        assert connection.recv(1000)
+        time.sleep(5 * PATIENCE)
+        received = 0
+        try:
+            while part := connection.recv(1 << 20):
+                received += len(part)
+        except ConnectionResetError:
+            pass
+        assert received < len(data)  # what the sockets' buffers held
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [b"nonsense\r\n\r\n", b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"\0" * 99],
+)
+def test_malformed_http_gets_a_problem_document(impatient: Server, sent: bytes) -> None:
+    with connect(impatient, sent) as connection:
+        assert problem(rest(connection)) == (400, "bad-request")
+
+
+def test_requests_over_the_concurrency_limit_are_refused(impatient: Server, data: bytes) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    fit = impatient.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 9_999}).json()["id"]
+    poll = f"GET /v1/fits/{last}?wait=60 HTTP/1.1\r\nHost: x\r\n\r\n".encode()
+    polls = [connect(impatient, poll) for _ in range(4)]
+    try:
+        with httpx.Client(base_url=impatient.http.base_url, timeout=20) as client:
+            wait_until(lambda: client.get("/v1/fits").status_code == 503)
+            refused = client.get("/v1/fits")
+            assert_problem(refused, 503, "overloaded")
+            assert refused.headers["retry-after"] == "1"
+            assert client.get("/health/live").status_code == 200
+    finally:
+        for connection in polls:
+            connection.close()
+        for name in (last, fit):
+            wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 204, 404))  # noqa: B023
+    wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
+
+
+def test_connections_over_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
+    server = own_server(limit_concurrency="4")
+    server.http.close()
+    idle = [connect(server) for _ in range(8)]
+    try:
+        with connect(server, b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n") as connection:
+            assert problem(rest(connection)) == (503, "overloaded")
+    finally:
+        for connection in idle:
+            connection.close()
+    wait_until(lambda: httpx.get(f"{server.http.base_url}/health/live", timeout=20).status_code == 200)
+
+
+def test_service_recovers_from_running_out_of_descriptors(
+    own_server: Callable[..., Server],
+) -> None:
+    server = own_server(workers="1")
+    resource.prlimit(server.process.pid, resource.RLIMIT_NOFILE, (40, 40))
+    url = server.http.base_url
+    server.http.close()
+    with ExitStack() as stack:
+        for _ in range(60):
+            stack.enter_context(closing(connect(server)))
+        wait_until(lambda: "out of system resource" in server.log.read_text())
+        time.sleep(1.5)  # it tries again every second
+        assert server.log.read_text().count("out of system resource") <= 3
+    wait_until(lambda: httpx.get(f"{url}/health/ready", timeout=30).status_code == 200, 30)

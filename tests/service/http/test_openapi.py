@@ -1,0 +1,148 @@
+"""The service's own description, and its health."""
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from dsbrdf.output.serialize import from_json
+from service.http.problems import KINDS, TYPE_PREFIX
+from service.wire import schemas
+from tests.support.server import Server
+
+
+@pytest.fixture(scope="module")
+def document(server: Server) -> dict[str, Any]:
+    """The OpenAPI document as the service serves it."""
+    content: dict[str, Any] = server.http.get("/openapi.json").json()
+    return content
+
+
+def operations(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            yield f"{method.upper()} {path}", operation
+
+
+def media(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Every body and answer, with its name and media type."""
+    for name, operation in operations(document):
+        parts = {"body": operation.get("requestBody", {}), **operation["responses"]}
+        for part, content in parts.items():
+            for media_type, entry in content.get("content", {}).items():
+                yield f"{name} {part}", media_type, entry
+
+
+def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None:
+    assert document["openapi"].startswith("3.1")
+    assert {name for name, _ in operations(document)} >= {
+        "POST /v1/fits",
+        "GET /v1/fits",
+        "GET /v1/fits/{fit_id}",
+        "DELETE /v1/fits/{fit_id}",
+        "GET /v1/fits/{fit_id}/events",
+        "GET /v1/fits/{fit_id}/brdf",
+        "POST /v1/fits/{fit_id}/brdf",
+        "GET /v1/fits/{fit_id}/lobes",
+        "GET /v1/fits/{fit_id}/lobes/{label}/brdf",
+        "GET /v1/fits/{fit_id}/export",
+        "POST /v1/measurements",
+        "GET /v1/measurements",
+        "GET /v1/measurements/{sha256}",
+        "HEAD /v1/measurements/{sha256}",
+        "DELETE /v1/measurements/{sha256}",
+        "GET /health/live",
+        "GET /health/ready",
+    }
+
+
+def test_every_reference_resolves(document: dict[str, Any]) -> None:
+    names = re.findall(r'"#/components/schemas/([^"]+)"', str(document).replace("'", '"'))
+    assert names
+    assert set(names) <= set(document["components"]["schemas"])
+
+
+def test_every_operation_has_a_description_and_examples(document: dict[str, Any]) -> None:
+    for name, operation in operations(document):
+        assert operation["summary"], name
+        assert operation["description"], name
+        assert operation["operationId"], name
+    for name, media_type, entry in media(document):
+        if media_type in ("application/json", "application/problem+json", "text/event-stream"):
+            assert "example" in entry or "examples" in entry, name
+
+
+def examples(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], Any]]:
+    for name, _, entry in media(document):
+        shown = [entry["example"]] if "example" in entry else []
+        shown += [example["value"] for example in entry.get("examples", {}).values()]
+        for example in shown:
+            yield name, entry.get("schema", {"type": "string"}), example
+
+
+def test_every_example_is_valid(document: dict[str, Any]) -> None:
+    count = 0
+    for name, schema, example in examples(document):
+        references = [entry["$ref"] for entry in (schema, *schema.get("oneOf", ())) if "$ref" in entry]
+        if not references:
+            assert schema["type"] in ("string", "object"), name
+            if schema["type"] == "string":
+                assert isinstance(example, str), name
+            else:  # a stored model, which the library reads
+                assert from_json(json.dumps(example))[0].n_lobes == 1
+            continue
+        models = [getattr(schemas, reference.rpartition("/")[2]) for reference in references]
+        assert any(is_valid(model, example) for model in models), (name, example)
+        count += 1
+    assert count > 40
+
+
+def is_valid(model: type[BaseModel], example: object) -> bool:
+    try:
+        model.model_validate(example)
+    except ValueError:
+        return False
+    return True
+
+
+def test_operations_document_their_problems(document: dict[str, Any]) -> None:
+    paths = document["paths"]
+    assert {"400", "404", "413", "415", "422", "500", "503", "507"} <= set(paths["/v1/fits"]["post"]["responses"])
+    assert {"404", "409", "500"} <= set(paths["/v1/fits/{fit_id}/lobes"]["get"]["responses"])
+    for name, operation in operations(document):
+        assert "500" in operation["responses"], name
+    for _, media_type, entry in media(document):
+        if media_type == "application/problem+json":
+            for kind, example in entry["examples"].items():
+                assert example["value"]["type"] == TYPE_PREFIX + kind
+                assert example["value"]["status"] == KINDS[kind][0]
+
+
+def test_links_name_operations_and_their_parameters(document: dict[str, Any]) -> None:
+    parameters = {
+        operation["operationId"]: {parameter["name"] for parameter in operation.get("parameters", ())}
+        for _, operation in operations(document)
+    }
+    links = [
+        link
+        for _, operation in operations(document)
+        for answer in operation["responses"].values()
+        for link in answer.get("links", {}).values()
+    ]
+    assert len(links) > 20
+    for link in links:
+        assert set(link.get("parameters", ())) <= parameters[link["operationId"]]
+    assert len(parameters) == len(list(operations(document)))
+
+
+def test_options_are_described_with_their_defaults(document: dict[str, Any], server: Server, stored: str) -> None:
+    described = {
+        parameter["name"]: parameter["schema"].get("default")
+        for parameter in document["paths"]["/v1/fits"]["post"]["parameters"]
+        if parameter["in"] == "query"
+    }
+    fit = server.http.post("/v1/fits", json={"measurement": stored}, headers={"Prefer": "respond-async"})
+    assert described == {name: "none" if value is None else value for name, value in fit.json()["options"].items()}

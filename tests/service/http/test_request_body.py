@@ -1,0 +1,248 @@
+"""What comes in: checked while it is written, never held whole, and nothing stays of what is not acceptable."""
+
+import gzip
+import hashlib
+import io
+import json
+import re
+import secrets
+import socket
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import zstandard
+
+import dsbrdf
+from dsbrdf.data.merl import FILE_SIZE
+from tests.support.merl_files import HEADER, filled, header, with_value
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server, assert_problem
+
+MALFORMED: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "one byte": lambda data: data[:1],
+    "part of the header": lambda data: data[:11],
+    "the header alone": lambda data: data[:12],
+    "one value": lambda data: data[:20],
+    "half": lambda data: data[: FILE_SIZE // 2],
+    "one byte less": lambda data: data[:-1],
+    "one value less": lambda data: data[:-8],
+    "one byte more": lambda data: data + b"\0",
+    "twice": lambda data: data + data,
+    "float32": lambda data: HEADER + np.frombuffer(data, "<f8", offset=12).astype("<f4").tobytes(),
+    "big-endian": lambda data: header(90, 90, 180, order=">") + data[12:],
+    "swapped": lambda data: header(180, 90, 90) + data[12:],
+    "same product": lambda data: header(180, 45, 180) + data[12:],
+    "first dimension": lambda data: header(91, 90, 180) + data[12:],
+    "second dimension": lambda data: header(90, 91, 180) + data[12:],
+    "third dimension": lambda data: header(90, 90, 360) + data[12:],
+    "zero dimension": lambda data: header(0, 90, 180) + data[12:],
+    "negative dimension": lambda data: header(90, -90, 180) + data[12:],
+    "huge dimension": lambda data: header(2**31 - 1, 90, 180) + data[12:],
+    "negative pair": lambda data: header(-90, -90, 180) + data[12:],
+    "nan": lambda data: with_value(data, np.nan),
+    "infinity": lambda data: with_value(data, np.inf),
+    "negative infinity": lambda data: with_value(data, -np.inf),
+    "nan in the last value": lambda data: with_value(data, np.nan, FILE_SIZE - 8),
+    "too large": lambda _: filled(1e12),
+    "all zero": lambda _: filled(0.0),
+    "no valid node": lambda _: filled(-1.0),
+    "text": lambda _: b"this is not a measurement\n" * 1000,
+    "an archive": lambda data: gzip.compress(data[:100_000]),
+}
+
+
+def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
+    for start in range(0, len(content), size):
+        yield content[start : start + size]
+
+
+@pytest.mark.parametrize("fault", MALFORMED)
+def test_malformed_upload_gets_the_library_error_and_stores_nothing(
+    server: Server, data: bytes, stored: str, fault: str
+) -> None:
+    content = MALFORMED[fault](data)
+    with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
+        dsbrdf.parse_merl(content)
+    files = sorted(server.files())
+    rows = [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
+    kind, status = ("measurement-format", 422)
+    if "longer than" in str(raised.value):
+        kind, status = ("measurement-too-large", 413)
+    # With a Content-Length and without one.
+    for path, body in (("/v1/fits", content), ("/v1/measurements", in_pieces(content))):
+        answer = server.http.post(path, content=body)
+        assert assert_problem(answer, status, kind) == str(raised.value)
+    assert sorted(server.files()) == files
+    assert [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")] == rows
+
+
+def test_negative_values_are_accepted(server: Server, data: bytes) -> None:
+    answer = server.http.post("/v1/measurements", content=with_value(data, -1.0))
+    assert answer.status_code == 201
+    assert answer.json()["valid_nodes"] == dsbrdf.parse_merl(with_value(data, -1.0)).valid.sum()
+
+
+def zstd(content: bytes) -> bytes:
+    return zstandard.ZstdCompressor(level=1).compress(content)
+
+
+def gzip_quickly(content: bytes) -> bytes:
+    return gzip.compress(content, compresslevel=1)
+
+
+@pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
+def test_compressed_upload_equals_the_plain_one(
+    server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
+) -> None:
+    for content in (compress(data), compress(data[:1000]) + compress(b"") + compress(data[1000:])):
+        answer = server.http.post("/v1/fits", params=QUICK, content=content, headers={"Content-Encoding": name})
+        assert answer.status_code in (200, 201), answer.text
+        assert answer.json()["measurement"] == stored
+
+
+@pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
+def test_damaged_compressed_upload_stores_nothing(
+    server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
+) -> None:
+    files = sorted(server.files())
+    headers = {"Content-Encoding": name}
+    packed = compress(data)
+    cut = server.http.post("/v1/measurements", content=packed[: len(packed) // 2], headers=headers)
+    assert cut.status_code in (400, 422)
+    assert_problem(cut, cut.status_code)
+    broken = server.http.post("/v1/measurements", content=packed[:5000] + b"\0" * 5000, headers=headers)
+    assert broken.status_code in (400, 422)
+    plain = server.http.post("/v1/measurements", content=data, headers=headers)
+    assert name in assert_problem(plain, 400, "bad-encoding")
+    longer = server.http.post("/v1/measurements", content=compress(data + b"\0"), headers=headers)
+    assert "longer than" in assert_problem(longer, 413, "measurement-too-large")
+    nan = server.http.post("/v1/measurements", content=compress(with_value(data, np.nan)), headers=headers)
+    assert "NaN" in assert_problem(nan, 422, "measurement-format")
+    assert sorted(server.files()) == files
+
+
+def bomb_gzip() -> bytes:
+    return gzip.compress(HEADER + bytes(200 << 20), compresslevel=1)
+
+
+def bomb_zstd() -> bytes:
+    return zstandard.ZstdCompressor(level=1).compress(HEADER + bytes(200 << 20))
+
+
+def bomb_members() -> bytes:
+    return gzip.compress(b"") * 300_000
+
+
+def bomb_frames() -> bytes:
+    return zstandard.ZstdCompressor().compress(b"") * 300_000
+
+
+@pytest.mark.parametrize(
+    ("name", "make"), [("gzip", bomb_gzip), ("zstd", bomb_zstd), ("gzip", bomb_members), ("zstd", bomb_frames)]
+)
+def test_decompression_bomb_is_refused_in_little_memory(
+    own_server: Callable[..., Server], name: str, make: Callable[[], bytes]
+) -> None:
+    server = own_server()
+    bomb = make()
+    before = peak_memory(server)
+    spent = server.cpu_seconds()
+    answer = server.http.post("/v1/fits", content=bomb, headers={"Content-Encoding": name})
+    assert server.cpu_seconds() - spent < 2.0
+    assert answer.status_code in (400, 413, 422)
+    assert_problem(answer, answer.status_code)
+    assert peak_memory(server) - before < 24
+    assert not server.files()
+
+
+@pytest.mark.parametrize("encodings", [["br"], ["deflate"], ["gzip, zstd"], ["gzip;q=1"], ["x"], ["gzip", "gzip"]])
+def test_unsupported_encodings_are_refused(server: Server, data: bytes, encodings: list[str]) -> None:
+    headers = [("Content-Encoding", encoding) for encoding in encodings]
+    answer = server.http.post("/v1/measurements", content=gzip_quickly(data), headers=headers)
+    assert_problem(answer, 415, "unsupported-media-type")
+    assert answer.headers["accept-encoding"] == "gzip, zstd"
+
+
+def peak_memory(server: Server) -> float:
+    """Return the largest memory that the web process has had, in MB."""
+    status = Path(f"/proc/{server.process.pid}/status").read_text()
+    found = re.search(r"VmHWM:\s+(\d+) kB", status)
+    assert found is not None
+    return int(found[1]) / 1024
+
+
+def test_upload_takes_less_than_8_mb_of_memory(own_server: Callable[..., Server], plastic_file: Path) -> None:
+    server = own_server()
+    before = peak_memory(server)
+    with plastic_file.open("rb") as file:
+        answer = server.http.post("/v1/fits", params=QUICK, content=file)
+    assert answer.status_code == 201
+    assert peak_memory(server) - before < 8
+
+
+def test_concurrent_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    contents = [with_value(data, 0.25 + i) for i in range(8)]
+    before = peak_memory(server)
+    with ThreadPoolExecutor(8) as pool:
+        url = server.http.base_url.join("/v1/measurements")
+        answers = list(pool.map(lambda content: httpx.post(url, content=content, timeout=60), contents))
+    assert [answer.status_code for answer in answers] == [201] * 8
+    assert {answer.json()["sha256"] for answer in answers} == {hashlib.sha256(c).hexdigest() for c in contents}
+    assert peak_memory(server) - before < 48
+
+
+def test_interrupted_upload_stores_nothing(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    address = (str(server.http.base_url.host), server.http.base_url.port)
+    lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
+    for share in (0, 12, 100_000, FILE_SIZE - 1):
+        with socket.create_connection(address) as connection:
+            connection.sendall(lines.encode() + data[:share])
+            if share > 20_000_000:
+                wait_until(lambda: bool(server.files()))
+    wait_until(lambda: not server.files())
+    assert server.http.get("/v1/measurements").json() == {"items": []}
+    assert server.http.get("/v1/fits").json() == {"items": []}
+
+
+@pytest.mark.parametrize(
+    ("path", "media_type"),
+    [
+        ("/v1/fits", "application/octet-stream"),
+        ("/v1/fits", "application/json"),
+        ("/v1/fits/{}/brdf", "application/x-npy"),
+    ],
+)
+def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: str, path: str, media_type: str) -> None:
+    request_id = secrets.token_hex(8)
+    head = f"POST {path.format(fitted)} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
+    head += f"Content-Type: {media_type}\r\nX-Request-ID: {request_id}\r\n\r\n{{"
+    with socket.create_connection((str(server.http.base_url.host), server.http.base_url.port)) as connection:
+        connection.sendall(head.encode())
+
+    def lines() -> list[str]:
+        return [line for line in server.log.read_text().splitlines() if request_id in line]
+
+    wait_until(lambda: bool(lines()), 60)
+    assert [json.loads(line)["status"] for line in lines()] == [400]
+
+
+def test_wrong_content_length_is_refused_before_the_body(server: Server) -> None:
+    address = (str(server.http.base_url.host), server.http.base_url.port)
+    lines = b"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
+    with socket.create_connection(address, timeout=60) as connection:
+        connection.sendall(lines)
+        reply = connection.recv(65536)
+    assert reply.startswith(b"HTTP/1.1 413")
+
+
+def test_json_bodies_are_limited_in_size(server: Server, fitted: str) -> None:
+    big = io.BytesIO(b"[" + b"1," * 500_000 + b"1]")
+    answer = server.http.post("/v1/fits", content=big, headers={"Content-Type": "application/json"})
+    assert_problem(answer, 413, "too-large")

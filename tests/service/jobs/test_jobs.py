@@ -1,0 +1,340 @@
+"""Requests that meet in the middle of each other: what each is told stays true, and nothing is computed twice."""
+
+import asyncio
+import errno
+import sqlite3
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import dsbrdf
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines.fair_slots import FairSlots
+from service.jobs import jobs as jobs_module
+from service.jobs.jobs import Jobs
+from service.operations.metrics import Metrics
+from service.settings import Settings
+from service.storage.schema import Caller, FitKey, FitRow
+from service.storage.store import Store
+from service.wire.fit_options import to_wire
+
+LOCAL = Caller()
+OPTIONS = dsbrdf.FitOptions()
+
+
+class Engine:
+    """Computes when it is told to, and every time something else, so that one can tell who has computed."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+        self.at_once = 0
+        self.go_on = asyncio.Event()
+        self.outcomes: list[Outcome | Exception] = []
+        self.slots = FairSlots({"here": 1})
+        self.begun: list[str] = []
+
+    @asynccontextmanager
+    async def slot(self, owner: str = "") -> AsyncIterator[None]:
+        async with self.slots.slot(owner):
+            yield
+
+    async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
+        self.begun.append(task.fit_id)
+        self.runs += 1
+        self.at_once += 1
+        number = self.runs
+        try:
+            assert self.at_once == 1, "the same fit is computed twice at once"
+            await self.go_on.wait()
+        finally:
+            self.at_once -= 1
+        if self.outcomes:
+            outcome = self.outcomes.pop(0)
+            if isinstance(outcome, Exception):
+                raise outcome
+            return outcome
+        return Fitted(f"document of run {number}", {})
+
+    async def start(self) -> None: ...
+
+    async def check(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+class _Slow(NamedTuple):
+    """A call that has got to its pause, and the end of the pause."""
+
+    there: threading.Event
+    on: threading.Event
+
+
+class Race:
+    """A store with one measurement, and jobs on it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.engine = Engine()
+        self.settings = Settings(data_dir=folder)
+        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
+        self.loop = asyncio.get_running_loop()
+        self.measurement = self.upload(LOCAL)
+
+    def upload(self, caller: Caller) -> str:
+        incoming = self.store.blobs.incoming()
+        sha256 = incoming.close()
+        self.store.add_measurement(caller, incoming, sha256, 1)
+        return sha256
+
+    async def break_off(self) -> None:
+        """Leave the rows as a process does that is killed; another one is to start."""
+        tasks = [live.task for live in self.jobs._running.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
+
+    async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
+        row, _ = await self.jobs.submit(caller, self.measurement, to_wire(options))
+        return row.key
+
+    async def until_run(self, number: int) -> None:
+        async with asyncio.timeout(10):
+            while self.engine.runs < number:
+                await asyncio.sleep(0.001)
+
+    async def end(self, key: FitKey) -> FitRow:
+        self.engine.go_on.set()
+        row = await self.jobs.wait(key, 10)
+        assert row is not None
+        return row
+
+    def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
+        """Make calls of the store pause, one after the other, before they work or after it."""
+        original = getattr(self.store, name)
+        slow = _Slow(threading.Event(), threading.Event())
+        rest = iter(pauses)
+
+        def work(*arguments: Any) -> Any:
+            answer = original(*arguments) if after else None
+            slow.there.set()
+            slow.on.wait(next(rest, 0.0))
+            return answer if after else original(*arguments)
+
+        monkeypatch.setattr(self.store, name, work)
+        return slow
+
+
+def race(tmp_path: Path, story: Callable[[Race], Coroutine[Any, Any, None]]) -> None:
+    async def tell() -> None:
+        place = Race(tmp_path / "data")
+        try:
+            await story(place)
+        finally:
+            await place.jobs.close()
+            place.store.close()
+
+    asyncio.run(tell())
+
+
+async def until(event: threading.Event) -> None:
+    async with asyncio.timeout(10):
+        while not event.is_set():
+            await asyncio.sleep(0.001)
+
+
+def test_fit_requested_during_its_cancellation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        slow = place.slow_down(monkeypatch, "cancel_fit", 0.5, after=True)
+        cancelling = asyncio.create_task(place.jobs.cancel(key))
+        await until(slow.there)  # the row is cancelled, its process is still to be ended
+        again = asyncio.create_task(place.submit())
+        row = await cancelling
+        assert row is not None
+        assert row.status == "cancelled"
+        assert await again == key
+        row = await place.end(key)
+        assert row.status == "succeeded"
+        assert place.store.result(key) == "document of run 2"
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("late", ["complete_fit", "start_fit"])
+def test_cancelled_attempt_cannot_overwrite_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
+) -> None:
+    async def story(place: Race) -> None:
+        slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
+        key = await place.submit()
+        place.engine.go_on.set()
+        await until(slow.there)  # a thread is about to write what is not true any more
+        place.engine.go_on.clear()
+        runs = place.engine.runs
+        assert (await place.jobs.cancel(key)) is not None
+        assert await place.submit() == key
+        await asyncio.sleep(0.5)  # it has written
+        row = await place.end(key)
+        assert (row.status, row.attempts) == ("succeeded", 1)
+        assert place.store.result(key) == f"document of run {runs + 1}"
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_request_during_completion_gets_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
+) -> None:
+    async def story(place: Race) -> None:
+        slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
+        key = await place.submit()
+        place.engine.go_on.set()
+        await until(slow.there)
+        others = [asyncio.create_task(place.submit()) for _ in range(5)]
+        assert {await other for other in others} == {key}
+        slow.on.set()
+        assert (await place.end(key)).status == "succeeded"
+        assert place.engine.runs == 1
+
+    race(tmp_path, story)
+
+
+def test_two_requests_for_a_cancelled_fit_start_it_once(tmp_path: Path) -> None:
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        for _ in range(20):
+            answers = await asyncio.gather(
+                place.jobs.cancel(key), place.submit(), place.jobs.cancel(key), place.submit(), place.submit()
+            )
+            assert {answer for answer in answers if isinstance(answer, FitKey)} == {key}
+        await place.submit()
+        row = await place.end(key)
+        assert (row.status, row.attempts) == ("succeeded", 1)
+        assert place.store.result(key) == f"document of run {place.engine.runs}"
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
+def test_result_is_written_when_the_disk_works_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
+
+    async def story(place: Race) -> None:
+        complete = place.store.complete_fit
+        failures = iter([error, error])
+
+        def fail_twice(*arguments: Any) -> Any:
+            for failure in failures:
+                raise failure
+            return complete(*arguments)
+
+        monkeypatch.setattr(place.store, "complete_fit", fail_twice)
+        row = await place.end(await place.submit())
+        assert (row.status, place.engine.runs) == ("succeeded", 1)
+
+    race(tmp_path, story)
+
+
+def test_engine_exception_is_a_system_fault(tmp_path: Path) -> None:
+    async def story(place: Race) -> None:
+        place.engine.outcomes += [RuntimeError("can't start new thread"), Fitted("document", {})]
+        row = await place.end(await place.submit())
+        assert (row.status, row.attempts) == ("succeeded", 2)
+        place.engine.outcomes += [RuntimeError("can't start new thread")] * 2
+        place.store.remove_fit(row.key)
+        row = await place.end(await place.submit())
+        assert row.error is not None
+        assert (row.error["origin"], row.error["type"]) == ("system", "EngineFailed")
+
+    race(tmp_path, story)
+
+
+def test_fit_is_retried_when_processes_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
+
+    async def story(place: Race) -> None:
+        not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
+        too_many = OSError(errno.EMFILE, "Too many open files")
+        place.engine.outcomes += [not_started, too_many, not_started, Fitted("document", {})]
+        row = await place.end(await place.submit())
+        assert (row.status, row.attempts) == ("succeeded", 1)
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"other bytes")])
+def test_fit_of_a_damaged_file_is_a_system_fault(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
+    async def story(place: Race) -> None:
+        harm(place.store.blobs.path(place.measurement))
+        row = await place.end(await place.submit())
+        assert row.error is not None
+        assert (row.error["origin"], row.error["type"]) == ("system", "MeasurementDamaged")
+        place.upload(LOCAL)
+        assert (await place.end(await place.submit())).status == "succeeded"
+
+    race(tmp_path, story)
+
+
+def test_queued_fits_alternate_between_owners(tmp_path: Path) -> None:
+    async def story(place: Race) -> None:
+        callers = [Caller("many"), Caller("one"), Caller("two")]
+        for caller in callers:
+            place.upload(caller)
+        of_many = [await place.submit(callers[0], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 5)]
+        of_one = [await place.submit(callers[1])]
+        of_two = [await place.submit(callers[2], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 2)]
+        for key in (*of_many, *of_one, *of_two):
+            await place.end(key)
+        order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]
+        assert place.engine.begun == [str(key) for key in order]
+
+    race(tmp_path, story)
+
+
+@pytest.mark.parametrize("broken_off", [True, False])
+def test_shutdown_does_not_count_as_an_attempt(tmp_path: Path, broken_off: bool) -> None:
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        if not broken_off:
+            await place.jobs.close()
+        (row,) = place.store.resume()  # as the next process does
+        assert (row.key, row.status, row.started) == (key, "accepted", None)
+        assert (row.attempts, row.interruptions) == (0, int(broken_off))
+
+    race(tmp_path, story)
+
+
+def test_fit_that_always_crashes_the_service_fails_at_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
+    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
+    monkeypatch.setattr(jobs_module, "_FIRST_DELAY", 0.1)
+
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        waited = []
+        for interruptions in (1, 2, 3):
+            await place.break_off()
+            begin = place.loop.time()
+            await place.jobs.start()
+            await place.until_run(interruptions + 1)
+            waited.append(place.loop.time() - begin)
+        assert waited[2] >= 0.2  # there is a service that can be asked to cancel it
+        await place.break_off()
+        await place.jobs.start()
+        row = await place.end(key)
+        assert row.error is not None
+        assert (row.error["origin"], row.error["type"]) == ("system", "ServiceInterrupted")
+        assert place.engine.runs == 4
+
+    race(tmp_path, story)

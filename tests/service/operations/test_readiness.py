@@ -1,0 +1,150 @@
+"""Readiness: what is missing is named, and asking costs next to nothing."""
+
+import asyncio
+import shutil
+import signal
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import cast
+
+import httpx
+import pytest
+
+from dsbrdf.engines.engine import Engine
+from service.operations import readiness
+from service.operations.readiness import Readiness
+from service.settings import Settings
+from service.storage.database import FILE_NAME
+from service.storage.store import Store
+from tests.support.commands import start_in_vain
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server, assert_problem
+
+
+def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
+        db.execute("BEGIN IMMEDIATE")
+        wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+        # It has not answered, or has given up.
+        assert "The database " in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+        took = []
+        for _ in range(3):
+            begin = time.monotonic()
+            assert server.http.get("/health/live").status_code == 200
+            took.append(time.monotonic() - begin)
+        assert min(took) < readiness.LIMIT
+        db.execute("ROLLBACK")
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+
+
+def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    elsewhere = server.data_dir.with_name("elsewhere")
+    server.data_dir.rename(elsewhere)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+    for part in ("blobs", "tmp"):  # an empty folder in its place, as when a disk is not mounted
+        (server.data_dir / part).mkdir(parents=True)
+    wait_until(lambda: "The folder" not in server.http.get("/health/ready").text)
+    detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+    assert detail.startswith("The database is not ready: its file has been removed or replaced")
+    assert str(server.data_dir) not in detail
+    assert_problem(server.submit(sha256, **QUICK), 503, "not-ready")
+    assert_problem(server.http.post("/v1/measurements", content=data), 503, "not-ready")
+    assert server.http.get("/metrics").status_code == 200
+    assert not server.files()
+    shutil.rmtree(server.data_dir)
+    elsewhere.rename(server.data_dir)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+    assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
+
+
+def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Server]) -> None:
+    server = own_server()
+    server.stop()  # what it has written is in the file, and no longer in its memory
+    server.start()
+    database = server.data_dir / FILE_NAME
+    with database.open("r+b") as file:
+        file.write(b"\xff" * database.stat().st_size)
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+    assert_problem(server.http.get("/v1/fits"), 503, "not-ready")
+    assert "dsbrdf_requests_total" in server.http.get("/metrics").text
+    server.stop(signal.SIGKILL)
+    code, said = start_in_vain(server.data_dir.parent, "--port", "0", "--data-dir", str(server.data_dir))
+    assert code == 2
+    assert said.startswith("dsbrdf: the database ")
+    assert said.count("\n") == 1
+
+
+def test_nearly_full_disk_is_not_ready(tmp_path: Path) -> None:
+    server = Server(tmp_path / "data", min_free_mb="1000000000")
+    try:
+        begin = server.launch()
+        wait_until(lambda: b"Uvicorn running on " in server.log.read_bytes()[begin:], seconds=60)
+        address = server.log.read_text().partition("Uvicorn running on ")[2].split()[0]
+        answer = httpx.get(f"{address}/health/ready", timeout=20)
+        assert "the service wants 1000000000 MB" in assert_problem(answer, 503, "not-ready")
+        assert answer.headers["retry-after"]
+    finally:
+        server.close()
+
+
+class Asked:
+    """An engine that counts how often it is asked whether it is ready."""
+
+    def __init__(self) -> None:
+        self.times = 0
+        self.fault: str | None = None
+        self.hangs = asyncio.Event()
+        self.hangs.set()
+
+    async def check(self) -> None:
+        self.times += 1
+        await self.hangs.wait()
+        if self.fault is not None:
+            raise RuntimeError(self.fault)
+
+
+@contextmanager
+def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
+    with closing(Store(folder)) as store:
+        yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
+
+
+def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
+    async def ask() -> None:
+        engine = Asked()
+        with with_engine(tmp_path, engine) as ready:
+            assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
+            assert engine.times == 1
+            engine.fault = "No worker is there"
+            await asyncio.sleep(1.1)
+            assert await ready.fault() == "The engine is not ready: No worker is there."
+            assert engine.times == 2
+            ready.stop()
+            assert await ready.fault() == "The service is shutting down."
+
+    asyncio.run(ask())
+
+
+def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "LIMIT", 0.5)
+
+    async def ask() -> None:
+        engine = Asked()
+        with with_engine(tmp_path, engine) as ready:
+            engine.hangs.clear()
+            for _ in range(4):
+                fault = await ready.fault()
+                assert fault is not None
+                assert "The engine has not answered" in fault
+            assert engine.times == 1
+            engine.hangs.set()
+            while await ready.fault() is not None:
+                await asyncio.sleep(0.01)
+
+    asyncio.run(ask())

@@ -1,0 +1,157 @@
+"""What an operator sees of the service: request ids, the log, the metrics."""
+
+import json
+import re
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
+
+import pytest
+
+from service.storage.database import FILE_NAME
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server, assert_problem
+
+SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
+
+KEY = f"dsbrdf_0123456789ab_{SECRET}"
+
+
+def lines(server: Server) -> list[dict[str, Any]]:
+    """Every line of the log; all of them have to be JSON."""
+    return [json.loads(line) for line in server.log.read_text().splitlines()]
+
+
+def lines_of(server: Server, request_id: str, requests: int = 1) -> list[dict[str, Any]]:
+    """The lines of a request; the last one is written when the client has its answer already."""
+
+    def found() -> list[dict[str, Any]]:
+        return [line for line in lines(server) if line.get("request_id") == request_id]
+
+    wait_until(lambda: sum(line["event"] == "request" for line in found()) == requests)
+    return found()
+
+
+@pytest.mark.parametrize("given", ["abc", "A-b_c.9", "x" * 64])
+def test_valid_request_id_is_kept(watched: Server, given: str) -> None:
+    answer = watched.http.get("/health/live", headers={"X-Request-ID": given})
+    assert answer.headers.get_list("x-request-id") == [given]
+
+
+@pytest.mark.parametrize("given", ["", "x" * 65, "a b", "a;b", 'a"b', "\u00e9"])
+def test_invalid_request_id_is_replaced(watched: Server, given: str) -> None:
+    answer = watched.http.get("/health/live", headers=[(b"X-Request-ID", given.encode("latin-1"))])
+    assert re.fullmatch("[0-9a-f]{16}", answer.headers["x-request-id"])
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/health/live", 200),
+        ("GET", "/nowhere", 404),
+        ("PUT", "/v1/fits", 405),
+        ("GET", "/v1/fits?limit=x", 422),
+        ("HEAD", f"/v1/measurements/{'0' * 64}", 404),
+    ],
+)
+def test_every_response_has_a_unique_request_id(watched: Server, method: str, path: str, status: int) -> None:
+    answers = [watched.http.request(method, path) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [status, status]
+    assert len({answer.headers["x-request-id"] for answer in answers}) == 2
+
+
+def test_request_is_logged_in_one_line(watched: Server) -> None:
+    watched.http.get("/nowhere?secret=1", headers={"X-Request-ID": "one-line"})
+    (line,) = lines_of(watched, "one-line")
+    assert line["event"] == "request"
+    assert (line["method"], line["path"], line["status"], line["level"]) == ("GET", "/nowhere", 404, "info")
+    assert line["client"] == "127.0.0.1"
+    assert 0 < line["seconds"] < 30
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", line["time"])
+
+
+def test_successful_reads_are_logged_only_on_request(watched: Server, own_server: Callable[..., Server]) -> None:
+    talkative = own_server(access_log="true")
+    for server, expected in ((watched, 0), (talkative, 1)):
+        server.http.get("/v1/fits", headers={"X-Request-ID": "quiet"})
+        server.http.get("/nowhere", headers={"X-Request-ID": "after"})  # its line follows those of the first
+        assert len(lines_of(server, "after")) == 1
+        assert len(lines_of(server, "quiet", expected)) == expected
+
+
+def test_request_cannot_inject_log_lines(watched: Server, own_server: Callable[..., Server]) -> None:
+    forged = '/v1/x%0A{"event":"forged"}%0D%0A%1B[2J%E2%80%A8end'
+    readable = own_server(log_format="text")
+    for server in (watched, readable):
+        begin = len(server.log.read_text().splitlines())
+        assert server.http.get(forged, headers={"User-Agent": "a\tb"}).status_code == 404
+        assert server.http.get("/last-line").status_code == 404
+        wait_until(lambda: "/last-line" in server.log.read_text())  # noqa: B023 (called at once)
+        added = server.log.read_text().splitlines()[begin:]
+        assert len(added) == 2
+        assert "forged" in added[0]
+        assert not re.search("[\x00-\x1f\x7f-\x9f]", added[0])
+
+
+def test_api_key_is_never_logged(watched: Server) -> None:
+    headers = {"X-Request-ID": "with-key"}
+    watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
+    watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
+    watched.http.get(f"/v1/{KEY}", headers={"X-Request-ID": KEY})
+    assert len(lines_of(watched, "with-key", 2)) == 2
+    text = watched.log.read_text()
+    assert "dsbrdf_0123456789ab_" in text  # whose key it was may be told
+    assert SECRET not in text
+    assert SECRET[-8:] not in text
+
+
+def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, sha256: str) -> None:
+    document = {"measurement": sha256, "options": {"method": "paper", "n_lobes": 1, "em_iterations": 4}}
+    fit = watched.http.post("/v1/fits", json=document, headers={"X-Request-ID": "wants-fit"}).json()
+    assert fit["status"] == "succeeded"
+    told = {line["event"]: line for line in lines_of(watched, "wants-fit")}
+    assert told["the fit has succeeded"]["fit"] == fit["id"]
+    assert told["request"]["status"] == 201
+
+
+def test_missing_folder_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    (server.data_dir / "tmp").rmdir()
+    answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "gone"})
+    assert_problem(answer, 503, "not-ready")
+    reason, request = lines_of(server, "gone")
+    assert (reason["level"], request["level"]) == ("error", "warning")
+    assert "No such file or directory" in reason["event"]
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    fit = server.http.post(
+        "/v1/fits", params=QUICK, content=data, headers={"Content-Type": "application/octet-stream"}
+    ).json()["id"]
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
+        database.execute("UPDATE fits SET metrics = 'no JSON'")
+    answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
+    assert_problem(answer, 500, "internal")
+    assert answer.headers["x-request-id"] == "broken"
+    told = lines_of(server, "broken")
+    assert [line["level"] for line in told] == ["error", "error"]
+    (with_reason,) = [line for line in told if "exception" in line]
+    assert "JSONDecodeError" in with_reason["exception"]
+    assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
+
+
+def test_output_of_fit_processes_is_in_the_log(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fit_attempts="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    for path in server.files():
+        path.unlink()
+    document = {"measurement": sha256, "options": {"method": "paper"}}
+    fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "unreadable"}).json()
+    assert fit["status"] == "failed"
+    (told,) = [line for line in lines_of(server, "unreadable") if "exception" in line]
+    assert told["logger"] == "dsbrdf.engines.fit_steps"
+    assert told["fit"] == fit["id"]
+    assert "FileNotFoundError" in told["exception"]

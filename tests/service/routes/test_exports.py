@@ -1,0 +1,44 @@
+"""Exports hold the fitted model without loss."""
+
+import json
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.merl import parse_merl
+from dsbrdf.output.serialize import from_json, from_npz
+from tests.support.server import Server, assert_problem
+
+
+@pytest.fixture(scope="session")
+def model(server: Server, fitted: str) -> dsbrdf.DSBRDF:
+    """The model of the fit, without loss."""
+    return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
+
+
+def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    url = f"/v1/fits/{fitted}/export"
+    text = server.http.get(url, params={"format": "json"})
+    assert json.loads(text.text)["format"] == "dsbrdf"
+    assert f"{fitted}.json" in text.headers["content-disposition"]
+    again, report = from_npz(server.http.get(url, params={"format": "npz"}).content)
+    for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    assert report is not None
+    assert report.metrics == server.http.get(f"/v1/fits/{fitted}").json()["metrics"]
+
+    table = parse_merl(server.http.get(url, params={"format": "merl"}).content)
+    np.testing.assert_allclose(table.values[:, 10, 20, 30], model.evaluate(np.radians(10 / 9 * 1), np.radians(20)))
+
+    part = from_json(server.http.get(url, params={"format": "json", "component": "diffuse"}).text)[0]
+    expected = dsbrdf.decompose(model).diffuse
+    np.testing.assert_array_equal(part.kappa, expected.kappa)
+
+
+def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/export"
+    assert "'json'" in assert_problem(server.http.get(url, params={"format": "obj"}), 422, "invalid-argument")
+    assert "format" in assert_problem(server.http.get(url), 422, "invalid-argument")
+    query = {"format": "json", "component": "ring"}
+    assert "'diffuse'" in assert_problem(server.http.get(url, params=query), 422, "invalid-argument")

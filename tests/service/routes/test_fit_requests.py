@@ -1,0 +1,135 @@
+"""Requests for fits that are refused, and the sentence that says why."""
+
+from typing import Any
+
+import pytest
+from starlette.requests import Request
+
+from service.http.responses import preferred_wait
+from tests.support.server import Server, assert_problem
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"nlobes": 3}, ["Unknown option 'nlobes'", "n_lobes", "horizon_cutoff_deg"]),
+        ({"horizon_cutoff": 1.4}, ["Unknown option 'horizon_cutoff'", "horizon_cutoff_deg"]),
+        ({"n_lobes": 0}, ["n_lobes", "1", "8"]),
+        ({"n_lobes": 9}, ["n_lobes", "9"]),
+        ({"n_lobes": "many"}, ["n_lobes must be an integer or 'auto'", "many"]),
+        ({"n_lobes": 2.5}, ["n_lobes must be an integer", "2.5"]),
+        ({"n_lobes": True}, ["n_lobes must be an integer"]),
+        ({"method": "magic"}, ["method must be", "'paper'", "magic"]),
+        ({"horizon_cutoff_deg": 0}, ["horizon", "90"]),
+        ({"horizon_cutoff_deg": 91}, ["horizon", "91"]),
+        ({"horizon_cutoff_deg": "nan"}, ["horizon"]),
+        ({"horizon_cutoff_deg": "wide"}, ["horizon_cutoff_deg must be a number or none", "wide"]),
+        ({"mask": -1}, ["mask"]),
+        ({"method": "global", "knots_deg": "0,x"}, ["knots_deg must be a list of numbers or none"]),
+        ({"robust": "perhaps"}, ["robust must be true or false", "perhaps"]),
+        ({"em_iterations": 10**30}, ["em_iterations"]),
+    ],
+)
+def test_invalid_options_are_named(
+    server: Server, stored: str, data: bytes, options: dict[str, Any], words: list[str]
+) -> None:
+    before = server.http.get("/v1/fits").json()
+    detail = assert_problem(server.submit(stored, **options), 422, "invalid-argument")
+    query = {name: str(value) for name, value in options.items()}
+    raw = assert_problem(server.http.post("/v1/fits", params=query, content=data), 422, "invalid-argument")
+    for word in words:
+        assert word in detail
+        assert word in raw
+    assert server.http.get("/v1/fits").json() == before
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"{}",
+        b'{"measurement": 3}',
+        b'{"measurement": "../../etc/passwd"}',
+        b'{"measurement": "' + b"0" * 63 + b'"}',
+        b'{"measurement": "' + b"0" * 64 + b'", "options": []}',
+        b'{"measurement": "' + b"0" * 64 + b'", "option": {}}',
+        b"\xff\xfe",
+        b"[" * 20_000,
+    ],
+)
+def test_invalid_documents_are_named(server: Server, body: bytes) -> None:
+    answer = server.http.post("/v1/fits", content=body, headers={"Content-Type": "application/json"})
+    assert_problem(answer, 422, "invalid-argument")
+
+
+def test_unknown_resources_are_not_found(server: Server) -> None:
+    assert_problem(server.submit("0" * 64), 404, "not-found")
+    for path in (
+        f"/v1/fits/{'0' * 32}",
+        "/v1/fits/nonsense",
+        f"/v1/fits/{'0' * 32}/brdf?theta_half_deg=1&theta_diff_deg=1",
+        f"/v1/fits/{'0' * 32}/lobes",
+        f"/v1/fits/{'0' * 32}/export?format=json",
+        f"/v1/fits/{'A' * 32}",
+        "/v1/fits/..%2f..%2fetc%2fpasswd",
+        f"/v1/measurements/{'0' * 64}",
+        "/v1/measurements/nonsense",
+        "/v2/fits",
+    ):
+        assert_problem(server.http.get(path), 404, "not-found")
+
+
+def test_unsupported_method_lists_the_allowed_ones(server: Server) -> None:
+    for path, allowed in (
+        ("/v1/fits", "GET, POST"),
+        (f"/v1/fits/{'0' * 32}", "GET, DELETE"),
+        (f"/v1/measurements/{'0' * 64}", "GET, HEAD, DELETE"),
+        ("/health/live", "GET"),
+    ):
+        answer = server.http.put(path)
+        assert allowed in assert_problem(answer, 405, "method-not-allowed")
+        assert answer.headers["allow"] == allowed
+
+
+def test_content_types_are_checked(server: Server, data: bytes) -> None:
+    for path in ("/v1/fits", "/v1/measurements"):
+        answer = server.http.post(path, content=data, headers={"Content-Type": "text/plain"})
+        assert "application/octet-stream" in assert_problem(answer, 415, "unsupported-media-type")
+        assert "application/octet-stream" in answer.headers["accept-post"]
+
+
+def test_query_options_for_a_stored_measurement_are_refused(server: Server, stored: str) -> None:
+    answer = server.http.post("/v1/fits?n_lobes=2", json={"measurement": stored})
+    assert "'options'" in assert_problem(answer, 422, "invalid-argument")
+
+
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [
+        (None, 30.0),
+        ("wait=5", 5.0),
+        ('wait="5"', 5.0),
+        ("WAIT = 5", 5.0),
+        ("return=minimal, wait=5; x=y", 5.0),
+        ("respond-async", 0.0),
+        ("wait=5, respond-async", 5.0),
+        ("respond-async, wait=5", 5.0),
+        ("respond-async, wait=x", 0.0),
+        ("wait=5, wait=6", 5.0),
+        ('foo="a, wait=5"', 30.0),
+        ('foo="a, wait=5", wait=6', 6.0),
+        ("wait=1000", 60.0),
+        ("wait=x", 30.0),
+        ("wait=-1", 30.0),
+        ("wait=nan", 30.0),
+        ("wait", 30.0),
+        ("=;,,", 30.0),
+    ],
+)
+def test_prefer_header_sets_the_wait(header: str | None, seconds: float) -> None:
+    headers = [] if header is None else [(b"prefer", header.encode())]
+    request = Request({"type": "http", "headers": headers})
+    assert preferred_wait(request, 30.0, 60.0) == seconds

@@ -1,0 +1,238 @@
+"""The main job: a measurement goes in, a fit comes out, once."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.merl import encode_merl
+from tests.support.processes import alive, wait_until
+from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
+from tests.support.soak import SOAK
+
+
+@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_file: Path) -> None:
+    answer = server.http.post(
+        "/v1/fits",
+        params={"method": "paper", "n_lobes": 2, "em_iterations": 7},
+        content=data,
+        headers={"Content-Type": "application/octet-stream"},
+    )
+    assert answer.status_code == 201
+    fit = answer.json()
+    assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
+    assert fit["status"] == "succeeded"
+    assert fit["progress"] == 1.0
+    assert fit["measurement"] == hashlib.sha256(data).hexdigest()
+    assert fit["options"]["n_lobes"] == 2
+    assert fit["error"] is None
+    assert fit["created"] <= fit["started"] <= fit["finished"]
+
+    expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=7))
+    assert fit["metrics"] == expected.report.metrics
+    lobes = fit["lobes"]
+    for name in ("kappa", "gamma", "delta"):
+        np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
+    np.testing.assert_allclose(np.radians(lobes["theta_diff_deg"]), expected.model.theta_diff, atol=1e-11)
+    np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
+
+
+def test_default_options_are_those_of_the_library(server: Server, stored: str) -> None:
+    fit = server.http.post("/v1/fits", json={"measurement": stored}).json()
+    assert fit["status"] == "succeeded"
+    options = fit["options"]
+    defaults = dsbrdf.FitOptions()
+    assert options["n_lobes"] == defaults.n_lobes
+    assert options["method"] == defaults.method
+    assert defaults.horizon_cutoff is not None
+    assert options["horizon_cutoff_deg"] == pytest.approx(np.degrees(defaults.horizon_cutoff), abs=1e-9)
+
+
+def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, stored: str) -> None:
+    first = server.submit(stored, n_lobes=1, em_iterations=4)
+    assert first.status_code == 201
+    numbers = {"n_lobes": "1", "em_iterations": "4", "horizon_cutoff_deg": "80.0"}
+    spelled_otherwise = {**numbers, "method": "paper", "mask": "none"}
+    for again in (
+        server.submit(stored, n_lobes=1, em_iterations=4, horizon_cutoff_deg=80, mask=None),
+        server.http.post("/v1/fits", params=spelled_otherwise, content=data),
+        server.submit(stored, prefer="respond-async", n_lobes=1, em_iterations=4),
+    ):
+        assert again.status_code == 200
+        assert again.json() == first.json()  # with the times of the first computation
+    assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
+
+
+def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
+    content = encode_merl(metal)
+
+    def post(_: int) -> httpx.Response:
+        return httpx.post(server.http.base_url.join("/v1/fits"), params=QUICK, content=content, timeout=60)
+
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(post, range(6)))
+    assert sorted(answer.status_code for answer in answers) == [200] * 5 + [201]
+    assert len({answer.text for answer in answers}) == 1
+    sha256 = answers[0].json()["measurement"]
+    assert [path.stem for path in server.files() if path.stem == sha256] == [sha256]
+    assert not [path for path in server.files() if path.parent.name == "tmp"]
+
+
+def test_request_without_wait_gets_202_and_a_location(server: Server, stored: str) -> None:
+    answer = server.submit(stored, prefer="respond-async", mask=0.11, **ENDLESS)
+    assert answer.status_code == 202
+    fit = answer.json()
+    assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
+    assert int(answer.headers["retry-after"]) >= 1
+    assert fit["status"] in ("accepted", "running")
+    assert fit["lobes"] is None
+    assert fit["metrics"] is None
+
+    same = server.submit(stored, prefer="wait=0", mask=0.11, **ENDLESS)
+    assert same.status_code == 202
+    assert same.json()["id"] == fit["id"]
+    assert server.http.delete(answer.headers["location"]).json()["status"] == "cancelled"
+
+
+def test_long_poll_returns_the_finished_fit(server: Server, stored: str) -> None:
+    place = server.submit(stored, prefer="respond-async", mask=0.11, **SLOW).headers["location"]
+    ended = server.http.get(place, params={"wait": 60})
+    assert ended.status_code == 200
+    assert ended.json()["status"] == "succeeded"
+    assert "retry-after" not in ended.headers
+
+
+def test_wait_is_bounded(server: Server, stored: str) -> None:
+    start = time.monotonic()
+    answer = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.12, **ENDLESS)
+    assert answer.status_code == 202  # and so it did not wait for the end of the fit
+    assert time.monotonic() - start > 0.15
+    server.until_running(answer.json()["id"])
+    start = time.monotonic()
+    assert server.http.get(f"/v1/fits/{answer.json()['id']}", params={"wait": 0.1}).json()["status"] == "running"
+    assert time.monotonic() - start > 0.09
+    server.http.delete(f"/v1/fits/{answer.json()['id']}")
+
+
+def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> None:
+    options: dict[str, Any] = {"n_lobes": 8, "mask": 10, "horizon_cutoff_deg": 2}
+    answer = server.submit(stored, **options)
+    assert answer.status_code == 201
+    fit = answer.json()
+    assert fit["status"] == "failed"
+    assert fit["error"]["origin"] == "input"
+    assert fit["error"]["type"] == "FitError"
+    assert fit["error"]["message"]
+    assert fit["lobes"] is None
+    again = server.submit(stored, **options)
+    assert again.status_code == 200
+    assert again.json() == fit
+    points = server.http.get(f"/v1/fits/{fit['id']}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
+    assert_problem(points, 409, "fit-without-result")
+
+
+def test_cancelling_ends_the_process_of_the_fit(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
+    server.until_running(fit_id)
+    (worker,) = server.workers()
+    start = time.monotonic()
+    answer = server.http.delete(f"/v1/fits/{fit_id}")
+    assert answer.status_code == 200
+    assert answer.json()["status"] == "cancelled"
+    wait_until(lambda: not alive(worker))
+    if SOAK:
+        assert time.monotonic() - start < 1.0
+    points = server.http.get(f"/v1/fits/{fit_id}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
+    assert_problem(points, 409, "fit-without-result")
+
+
+def test_cancelled_fit_can_be_requested_again(server: Server, stored: str) -> None:
+    places = [server.submit(stored, prefer="respond-async", mask=0.1 * i, **ENDLESS).json()["id"] for i in range(2, 10)]
+    waiting = server.submit(stored, prefer="respond-async", mask=0.13, **SLOW).json()
+    url = f"/v1/fits/{waiting['id']}"
+    assert server.http.delete(url).json()["status"] == "cancelled"
+    again = server.submit(stored, prefer="respond-async", mask=0.13, **SLOW)
+    assert (again.status_code, again.json()["id"]) == (202, waiting["id"])
+    for fit_id in places:
+        server.http.delete(f"/v1/fits/{fit_id}")
+    assert server.http.get(url, params={"wait": 60}).json()["status"] == "succeeded"
+
+
+def test_fit_survives_repeated_cancelling_and_requesting(server: Server, stored: str) -> None:
+    for turn in range(6):
+        fit_id = server.submit(stored, prefer="respond-async", mask=0.14, **ENDLESS).json()["id"]
+        time.sleep(0.05 * turn)
+        assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
+    server.submit(stored, prefer="respond-async", mask=0.14, **ENDLESS)
+    server.until_running(fit_id)
+    assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
+    wait_until(lambda: not server.workers())
+
+
+def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, n_lobes=1, em_iterations=6).json()["id"]
+    url = f"/v1/fits/{fit_id}"
+    points = {"theta_half_deg": 1, "theta_diff_deg": 1}
+    assert server.http.get(f"{url}/brdf", params=points).status_code == 200
+    deleted = server.http.delete(url)
+    assert (deleted.status_code, deleted.content) == (204, b"")
+    for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
+        assert_problem(gone, 404, "not-found")
+    assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
+
+
+def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", n_lobes=8, mask=0.15).json()["id"]
+    with server.http.stream("GET", f"/v1/fits/{fit_id}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        lines = list(stream.iter_lines())
+    names = [line.removeprefix("event: ") for line in lines if line.startswith("event: ")]
+    events = [json.loads(line.removeprefix("data: ")) for line in lines if line.startswith("data: ")]
+    assert names == [event["status"] for event in events]
+    assert names[-1] == "succeeded"
+    progress = [event["progress"] for event in events]
+    assert progress == sorted(progress)
+    assert progress[-1] == 1.0
+    assert len({share for share in progress if 0 < share < 1}) > 3
+    assert_problem(server.http.get(f"/v1/fits/{'0' * 32}/events"), 404, "not-found")
+
+
+def test_event_stream_of_a_finished_fit_has_one_event(server: Server, fitted: str) -> None:
+    text = server.http.get(f"/v1/fits/{fitted}/events").text
+    assert text.count("event:") == 1
+    assert "event: succeeded" in text
+
+
+def test_etag_of_a_fit_changes_with_its_status(server: Server, fitted: str) -> None:
+    first = server.http.get(f"/v1/fits/{fitted}")
+    tag = first.headers["etag"]
+    assert tag.startswith('"')
+    same = server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": tag})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
+    assert server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", queue_limit="2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    first = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    server.until_running(first)
+    answers = [server.submit(sha256, prefer="respond-async", n_lobes=2, em_iterations=i + 20) for i in range(6)]
+    assert [answer.status_code for answer in answers] == [202] * 2 + [503] * 4
+    accepted = [answer.json()["id"] for answer in answers[:2]]
+    for answer in answers[2:]:
+        assert_problem(answer, 503, "queue-full")
+        assert int(answer.headers["retry-after"]) >= 1
+    assert server.http.delete(f"/v1/fits/{first}").json()["status"] == "cancelled"
+    for fit_id in accepted:
+        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {first, *accepted}

@@ -1,0 +1,77 @@
+"""Stored measurements: downloads, parts of them, deletion."""
+
+import hashlib
+
+import pytest
+
+import dsbrdf
+from dsbrdf.data.merl import FILE_SIZE, encode_merl
+from tests.support.server import Server, assert_problem
+
+
+def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, stored: str) -> None:
+    assert stored == hashlib.sha256(data).hexdigest()
+    url = f"/v1/measurements/{stored}"
+    got = server.http.get(url)
+    assert got.content == data
+    assert got.headers["etag"] == f'"{stored}"'
+    assert server.http.get(url, headers={"If-None-Match": f'"{stored}"'}).status_code == 304
+    head = server.http.head(url)
+    assert (head.status_code, head.content) == (200, b"")
+    assert int(head.headers["content-length"]) == FILE_SIZE
+    assert head.headers["etag"] == f'"{stored}"'
+    assert server.http.head(url, headers={"If-None-Match": f'W/"{stored}"'}).status_code == 304
+    assert server.http.head(f"/v1/measurements/{'0' * 64}").status_code == 404
+    again = server.http.post("/v1/measurements", content=data)
+    assert again.status_code == 200
+    assert again.json()["sha256"] == stored
+    assert again.headers["location"] == url
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ("bytes=0-11", slice(0, 12)),
+        ("Bytes=12-", slice(12, None)),
+        ("bytes=-8", slice(-8, None)),
+        ("bytes=34992011-99999999999", slice(-1, None)),
+        # What is not one range of bytes is as if it had not been sent (RFC 9110, section 14.2).
+        ("bytes=5-4", slice(None)),
+        ("bytes=0-1,3-4", slice(None)),
+        ("bytes=" + "0-1," * 5000, slice(None)),
+        ("lines=1-2", slice(None)),
+        ("bytes=-", slice(None)),
+        ("bytes=x-", slice(None)),
+        ("0-1", slice(None)),
+        ("bytes=" + "9" * 100 + "-", slice(None)),
+    ],
+)
+def test_range_request_returns_partial_content(
+    server: Server, data: bytes, stored: str, asked: str, expected: slice
+) -> None:
+    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
+    assert answer.content == data[expected]
+    assert answer.status_code == (200 if expected == slice(None) else 206)
+
+
+@pytest.mark.parametrize("asked", ["bytes=34992012-", "bytes=99999999999-99999999999", "bytes=-0"])
+def test_range_beyond_the_end_is_refused(server: Server, stored: str, asked: str) -> None:
+    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
+    assert_problem(answer, 416, "range-not-satisfiable")
+    assert answer.headers["content-range"] == f"bytes */{FILE_SIZE}"
+
+
+def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbrdf.Measurement) -> None:
+    sha256 = server.http.post("/v1/measurements", content=encode_merl(matte)).json()["sha256"]
+    url = f"/v1/measurements/{sha256}"
+    fit_id = server.submit(sha256, prefer="respond-async", n_lobes=8).json()["id"]
+    answer = server.http.delete(url)
+    assert_problem(answer, 409, "measurement-in-use")
+    assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    assert server.http.delete(url).status_code == 204
+    assert_problem(server.http.delete(url), 404, "not-found")
+    assert_problem(server.http.get(url), 404, "not-found")
+    assert sha256 not in [path.stem for path in server.files()]
+    points = {"theta_half_deg": 1, "theta_diff_deg": 1}
+    assert server.http.get(f"/v1/fits/{fit_id}/brdf", params=points).status_code == 200
+    assert_problem(server.submit(sha256, n_lobes=2), 404, "not-found")

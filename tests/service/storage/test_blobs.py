@@ -1,0 +1,99 @@
+"""Files of measurements: placed whole, discarded whole."""
+
+import asyncio
+import errno
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from starlette.types import Message
+
+from dsbrdf.data.merl import FILE_SIZE
+from service.app import create_app
+from service.http.responses import OpenFileResponse
+from service.settings import Settings
+from service.storage.blobs import Blobs, Incoming
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server, assert_problem
+
+
+def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> None:
+    blobs = Blobs(tmp_path)
+    dropped, kept = blobs.incoming(), blobs.incoming()
+    dropped.write(b"a")
+    dropped.discard()
+    dropped.discard()
+    kept.write(b"b")
+    sha256 = kept.close()
+    blobs.place(kept, sha256)
+    kept.discard()
+    assert list(blobs.all()) == [sha256]
+    assert blobs.path(sha256).read_bytes() == b"b"
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"content")
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        await asyncio.sleep(60)
+        return {"type": "http.disconnect"}
+
+    response = OpenFileResponse(path, {}, "text/plain")
+    path.unlink()
+    scope = {"type": "http", "method": "GET", "headers": [(b"range", b"bytes=3-")]}
+    asyncio.run(response(scope, receive, send))
+    assert sent[0]["status"] == 206
+    assert b"".join(message.get("body", b"") for message in sent) == b"tent"
+    with pytest.raises(FileNotFoundError):
+        OpenFileResponse(path, {}, "text/plain")
+
+
+def test_missing_folder_is_an_internal_error(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    folder = server.data_dir / "tmp"
+    folder.rmdir()
+    answer = server.http.post("/v1/measurements", content=data)
+    assert "log" in assert_problem(answer, 503, "not-ready")
+    assert str(folder) not in answer.text
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)  # the answer may be a second old
+    assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+    assert server.http.get("/health/live").status_code == 200
+    folder.mkdir()
+    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
+
+
+def test_full_disk_is_507_until_there_is_room(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = {"at": 20_000_000}
+    write = Incoming.write
+
+    def write_until_full(incoming: Incoming, content: bytes | memoryview) -> None:
+        if incoming.size + len(content) > full["at"]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(incoming, content)
+
+    monkeypatch.setattr(Incoming, "write", write_until_full)
+    app = create_app(Settings(data_dir=tmp_path / "data", workers=1))
+
+    async def post_twice() -> tuple[httpx.Response, list[Path], httpx.Response]:
+        transport = httpx.ASGITransport(app)
+        async with (
+            app.router.lifespan_context(app),
+            httpx.AsyncClient(transport=transport, base_url="http://localhost", timeout=60) as http,
+        ):
+            first = await http.post("/v1/fits", params=QUICK, content=data)
+            left = list((tmp_path / "data").glob("tmp/*"))
+            full["at"] = FILE_SIZE
+            return first, left, await http.post("/v1/fits", params=QUICK, content=data)
+
+    first, left, second = asyncio.run(post_twice())
+    assert_problem(first, 507, "disk-full")
+    assert left == []
+    assert second.json()["status"] == "succeeded"

@@ -1,0 +1,77 @@
+"""Owners in the database: what is not yours does not exist, and results count as stored."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from service.errors import DataFolderError, StorageQuotaError
+from service.storage.schema import VERSION, Caller, FitKey
+from service.storage.store import Store
+
+
+def test_database_of_another_release_is_refused(tmp_path: Path) -> None:
+    Store(tmp_path).close()
+    database = sqlite3.connect(tmp_path / "dsbrdf.sqlite", isolation_level=None)
+    database.execute(f"PRAGMA user_version = {VERSION + 1}")
+    database.close()
+    with pytest.raises(DataFolderError, match=f"schema version {VERSION + 1}"):
+        Store(tmp_path)
+
+
+def place(store: Store, owner: str, content: bytes) -> str:
+    incoming = store.blobs.incoming()
+    incoming.write(content)
+    sha256 = incoming.close()
+    row, new = store.add_measurement(Caller(owner), incoming, sha256, 1)
+    incoming.discard()
+    assert new
+    assert row.owner == owner
+    return sha256
+
+
+def test_owners_share_only_the_file_of_a_measurement(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    sha256 = place(store, "a", b"x")
+    place(store, "a", b"y")
+    assert place(store, "b", b"x") == sha256
+    assert [row.seq for row in store.measurements("b", 10, None)] == [1]
+    assert [row.seq for row in store.measurements("a", 10, None)] == [2, 1]
+    for owner in "ab":
+        row, new = store.add_fit(Caller(owner), "f", sha256, {}, ("1", "0"), 10)
+        assert new
+        assert row.key == FitKey(owner, "f")
+    assert store.start_fit(FitKey("b", "f")) is not None
+    assert store.complete_fit(FitKey("b", "f"), "of b", {}) is not None
+    fit = store.fit(FitKey("a", "f"))
+    assert fit is not None
+    assert fit.status == "accepted"
+    assert store.result(FitKey("a", "f")) is None
+    assert store.remove_measurement("b", sha256)  # a's fit of it is unfinished, b's is not
+    assert store.blobs.path(sha256).exists()
+    assert not store.remove_measurement("b", sha256)
+    assert store.cancel_fit(FitKey("a", "f")) is not None
+    assert store.remove_measurement("a", sha256)
+    assert not store.blobs.path(sha256).exists()
+    assert store.result(FitKey("b", "f")) == "of b"
+    store.close()
+
+
+def test_stored_bytes_include_results(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    sha256 = place(store, "a", b"12345")
+
+    def submit(fit_id: str, most: int) -> None:
+        assert store.add_fit(Caller("a", stored_bytes=most), fit_id, sha256, {}, ("1", "0"), 10)[1]
+
+    submit("f", 6)
+    store.start_fit(FitKey("a", "f"))
+    store.complete_fit(FitKey("a", "f"), "é", {})
+    with pytest.raises(StorageQuotaError, match="stored"):
+        submit("g", 7)
+    submit("g", 8)
+    assert store.remove_fit(FitKey("a", "f"))
+    with pytest.raises(StorageQuotaError):
+        submit("h", 5)
+    submit("h", 6)
+    store.close()

@@ -1,0 +1,102 @@
+"""What a key may store, with uploads in progress among it."""
+
+import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+
+from dsbrdf.data.merl import FILE_SIZE
+from service.errors import StorageQuotaError
+from service.storage.quotas import Uploads
+from service.storage.schema import Caller
+from service.storage.store import Store
+from tests.support.guarded import new_key
+from tests.support.processes import wait_until
+from tests.support.server import Server, assert_problem
+
+
+def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.socket:
+    """Send a part of an upload and leave it in progress."""
+    url = server.http.base_url
+    lines = ["POST /v1/measurements HTTP/1.1", "Host: x", f"Content-Length: {len(data)}"]
+    lines += [f"{name}: {value}" for name, value in header.items()]
+    connection = socket.create_connection((url.host, url.port), timeout=60)
+    connection.sendall("\r\n".join([*lines, "", ""]).encode() + data[:200_000])
+    return connection
+
+
+def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true")
+    (_, header), (_, other) = new_key(server, "two files", stored_mb=70), new_key(server, "another")
+
+    def upload(who: dict[str, str]) -> httpx.Response:
+        return server.http.post("/v1/measurements", content=data, headers=who)
+
+    first, second = (begin_upload(server, header, data) for _ in range(2))
+    with first, second:
+        wait_until(lambda: len(server.files()) == 2)
+        detail = assert_problem(upload(header), 403, "storage-quota")
+        assert "2 uploads in progress" in detail
+        assert len(server.files()) == 2  # nothing of what is refused is written
+        assert upload(other).status_code == 201
+    wait_until(lambda: len(server.files()) == 1)
+    assert upload(header).status_code == 201
+    assert upload(header).status_code == 200
+
+
+def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server(require_keys="true")
+    _, header = new_key(server, "crowd", stored_mb=101)  # three files
+
+    def upload(number: int) -> int:
+        content = data[:-8] + bytes([number, *data[-7:]])
+        return server.http.post("/v1/measurements", content=content, headers=header).status_code
+
+    most = 0
+    with ThreadPoolExecutor(32) as pool:
+        answers = [pool.submit(upload, number) for number in range(32)]
+        while not all(answer.done() for answer in answers):
+            most = max(most, len(server.files()))
+    statuses = [answer.result() for answer in answers]
+    assert sorted(statuses) == [201] * 3 + [403] * 29
+    assert most <= 4  # the one more could be one of the three
+    assert len(server.files()) == 3
+
+
+def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    uploads = Uploads(store.database)
+    for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
+        caller = Caller(str(stored_bytes), stored_bytes=stored_bytes)
+        for _ in range(2):
+            for _ in range(most):
+                uploads.begin(caller)
+            for _ in range(2):
+                with pytest.raises(StorageQuotaError, match="in progress"):
+                    uploads.begin(caller)
+            for _ in range(most):
+                uploads.end(caller)
+    for _ in range(1000):
+        uploads.begin(Caller())
+    store.close()
+
+
+def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    caller = Caller("a", stored_bytes=FILE_SIZE)
+    with monkeypatch.context() as broken:
+        broken.setattr(store.blobs, "incoming", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            store.begin_upload(caller)
+    store.end_upload(caller, store.begin_upload(caller))
+    incoming = store.begin_upload(caller)
+    with pytest.raises(StorageQuotaError):
+        store.begin_upload(caller)
+    store.end_upload(caller, incoming)
+    assert list((tmp_path / "tmp").iterdir()) == []
+    store.close()

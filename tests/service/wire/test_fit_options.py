@@ -1,0 +1,148 @@
+"""The ranges that the OpenAPI document tells for the options, against the library that checks them."""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf import FitOptions, InvalidArgumentError
+from service.jobs.jobs import fit_identity
+from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, from_query, from_wire, to_wire
+from tests.support.server import Server, assert_problem
+
+SCHEMA = OPTIONS_SCHEMA
+PROPERTIES: dict[str, dict[str, Any]] = SCHEMA["properties"]
+
+
+def branches(schema: dict[str, Any]) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = schema.get("anyOf", [schema])
+    return found
+
+
+def bounds(name: str) -> Iterator[tuple[Any, bool]]:
+    """Values at the edges of what the document allows for an option, and whether they are inside."""
+    for branch in branches(PROPERTIES[name]):
+        if branch["type"] == "integer":
+            yield from ((branch["minimum"], True), (branch["maximum"], True))
+            yield from (
+                (branch["minimum"] - 1, False),
+                (branch["maximum"] + 1, False),
+                (branch["minimum"] + 0.5, False),
+            )
+        elif branch["type"] == "number":
+            yield branch["maximum"], True
+            yield math.nextafter(branch["maximum"], math.inf) + 1e-8, False
+            if "minimum" in branch:
+                yield from ((branch["minimum"], True), (-1e-300, False))
+            else:
+                yield from ((branch["exclusiveMinimum"], False), (1e-6, True))
+        elif branch["type"] == "array":
+            low, high = branch["items"]["minimum"], branch["items"]["maximum"]
+            yield from (([low, high], True), (list(range(branch["maxItems"])), True))
+            yield from (([high], False), ([low, high + 1], False), ([low - 1, high], False), ([low, low], False))
+        elif "enum" in branch or "const" in branch:
+            for word in branch.get("enum", [branch.get("const")]):
+                yield from ((word, True), (f"{word}x", False))
+        else:
+            assert branch["type"] in ("null", "boolean")
+            yield from ((None, True),) if branch["type"] == "null" else ((True, True), (False, True), (1, False))
+
+
+CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bounds(name)]
+
+
+@pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
+def test_option_ranges_equal_those_of_the_library(name: str, value: object, inside: bool) -> None:
+    text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+    assert accepted(from_wire, {name: value}) == inside
+    assert accepted(from_query, [(name, text)]) == inside
+
+
+def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
+    try:
+        parse(values)
+    except InvalidArgumentError:
+        return False
+    return True
+
+
+def test_every_option_has_a_documented_range() -> None:
+    assert len(CASES) > 35
+    assert {name for name, _, inside in CASES if not inside} == set(PROPERTIES)
+
+
+@pytest.mark.parametrize("other", [{"ring_lobes": 1}, {"knots_deg": [0, 30]}])
+def test_rules_of_the_paper_method_are_enforced(other: dict[str, Any]) -> None:
+    assert SCHEMA["if"]["properties"]["method"] == {"const": "paper"}
+    (name,) = other
+    assert SCHEMA["then"]["properties"][name] in ({"enum": ["auto", 0]}, {"type": "null"})
+    with pytest.raises(InvalidArgumentError):
+        from_wire({"method": "paper", **other})
+    assert from_wire(other)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("n_lobes", "3"), ("n_lobes", True), ("robust", 1), ("robust", "true"), ("mask", "none"), ("mask", "1"),
+     ("knots_deg", "0,30"), ("knots_deg", [0, "30"]), ("knots_deg", [[0, 30]]), ("em_iterations", None),
+     ("method", 1), ("n_lobes", [3]), ("mask", {"a": 1}), ("mask", math.nan), ("mask", math.inf)],
+)  # fmt: skip
+def test_json_options_of_wrong_type_are_refused(name: str, value: object) -> None:
+    with pytest.raises(InvalidArgumentError, match=name):
+        from_wire({name: value})
+
+
+def test_whole_number_is_accepted_as_integer() -> None:
+    assert from_wire({"n_lobes": 3.0}).n_lobes == 3
+    assert from_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
+        n_lobes=3, mask=0.1, robust=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("n_lobes", "1_0"), ("n_lobes", "٣"), ("robust", "1"), ("mask", "0x1"), ("mask", "nan"), ("mask", ""),
+     ("n_lobes", "9" * 5000)],
+)  # fmt: skip
+def test_query_options_in_other_notations_are_refused(name: str, text: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=name):
+        from_query([(name, text)])
+
+
+def test_option_that_cannot_be_stored_is_refused(server: Server, stored: str) -> None:
+    # It is above 0 until it is rounded to the digits that are kept.
+    assert_problem(server.submit(stored, horizon_cutoff_deg=1e-11), 422, "invalid-argument")
+
+
+def test_options_survive_the_wire_format() -> None:
+    for options in (
+        dsbrdf.FitOptions(),
+        dsbrdf.FitOptions(horizon_cutoff=None, n_lobes=8, robust=True),
+        dsbrdf.FitOptions(horizon_cutoff=float(np.radians(71.3))),
+        dsbrdf.FitOptions(method="global", knots=tuple(np.radians([0.0, 17.0, 60.0, 80.0]).tolist())),
+    ):
+        wire = to_wire(options)
+        assert to_wire(from_wire(wire)) == wire
+    assert from_wire({}) == dsbrdf.FitOptions()
+    assert from_wire(DEFAULTS) == dsbrdf.FitOptions()
+    assert from_query([("horizon_cutoff_deg", "None")]).horizon_cutoff is None
+    assert from_query([("knots_deg", "0,30,60.0")]).knots == tuple(np.radians([0.0, 30.0, 60.0]).tolist())
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="increasing"):
+        from_query([("knots_deg", "30,20")])
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="more than once"):
+        from_query([("n_lobes", "2"), ("n_lobes", "2")])
+
+
+def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = fit_identity("a" * 64, to_wire(dsbrdf.FitOptions()))
+    assert base == fit_identity("a" * 64, to_wire(dsbrdf.FitOptions(horizon_cutoff=float(np.radians(80)) + 1e-14)))
+    others = {
+        fit_identity("b" * 64, to_wire(dsbrdf.FitOptions())),
+        fit_identity("a" * 64, to_wire(dsbrdf.FitOptions(n_lobes=2))),
+    }
+    monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
+    others.add(fit_identity("a" * 64, to_wire(dsbrdf.FitOptions())))
+    assert len(others | {base}) == 4

@@ -1,0 +1,36 @@
+"""Work for processes of fits that are to die, or to be looked at."""
+
+import os
+import resource
+import signal
+from collections.abc import Callable
+
+import numpy as np
+
+from dsbrdf.engines.engine import FitTask, OnProgress, Outcome
+from dsbrdf.engines.fit_steps import compute
+
+
+def die(_: OnProgress) -> None:
+    """End as a process that is killed."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def do_nothing(_: OnProgress) -> None:
+    """End as a process that has done its work."""
+
+
+def compute_unless_named_one(task: FitTask, on_progress: OnProgress) -> Outcome:
+    """Fit; the process that is to fit the file ``one`` is killed, as the kernel does when memory is short."""
+    if task.fit_id == "one":
+        die(on_progress)
+    return compute(task, on_progress)
+
+
+def fill_and_free(_: Callable[[float], None]) -> int:
+    """Fill ten buffers of 2 MB, ten times; return how many pages had to be fetched for that."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _round in range(10):
+        buffers = [np.ones(1 << 18) for _number in range(10)]
+        buffers.clear()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before

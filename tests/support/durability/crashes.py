@@ -1,0 +1,234 @@
+"""Series that end processes: kill -9 of the server and of its fits, and SIGTERM."""
+
+import os
+import resource
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+
+import httpx
+
+from dsbrdf.data.merl import FILE_SIZE
+from tests.support.durability.harness import (
+    Harness,
+    becomes_true,
+    leftovers,
+    processes,
+    query_database,
+    same_bits,
+)
+from tests.support.durability.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
+from tests.support.server import Server
+
+_CLIENTS = 4
+_STARTS_KILLED = 0.25  # share of the starts that are killed, too
+_NO_MEMORY = 1 << 26  # bytes of address space, less than a fit's process has when it starts
+_LONGEST_END = 10.0  # seconds
+_LAST_BREATH = 30.0  # seconds after which a process of a server which is gone counts as left behind
+_PATIENCE = 60.0  # seconds; on a busy machine everything takes longer
+
+
+def server_killed(harness: Harness, times: int) -> str:
+    """Kill the server at random moments under load; start it again at once."""
+    models = harness.models(*OPTIONS)
+    clients = [StatefulClient(number, harness, models) for number in range(_CLIENTS)]
+    with harness.server(workers="2") as server:
+        server.start()
+        for _ in range(times):
+            _kill_under_load(harness, server, clients)
+        promised = sum(client.settle(server.http) for client in clients)
+        accepted = sum(client.accepted for client in clients)
+        _end(harness, server)
+    return (
+        f"{times} kills, {_answers(clients)} requests, {accepted} fits accepted, {promised} of them due at the end: "
+        f"{len(harness.faults)} faults"
+    )
+
+
+def _kill_under_load(harness: Harness, server: Server, clients: list[StatefulClient]) -> None:
+    with running_clients(clients, str(server.http.base_url)) as over:
+        # However busy the machine is, some requests are answered before the kill and some are in the middle of it.
+        enough = _answers(clients) + harness.random.randrange(40)
+        becomes_true(lambda: _answers(clients) >= enough, 20.0)
+        time.sleep(harness.random.uniform(0.0, 0.5))
+        over.set()
+        before = processes(server)
+        server.stop(signal.SIGKILL)
+    while harness.random.random() < _STARTS_KILLED:
+        server.launch()
+        time.sleep(harness.random.uniform(0.0, 2.0))
+        before |= processes(server)
+        server.stop(signal.SIGKILL)
+    server.start()
+    gone = becomes_true(lambda: not before & processes(server), _LAST_BREATH)
+    harness.expect(gone, "processes outlived a server that was killed")
+    left = leftovers(server)
+    harness.expect(not left, f"left behind by a server that was killed: {left}")
+
+
+def _answers(clients: list[StatefulClient]) -> int:
+    return sum(client.answers for client in clients)
+
+
+def _end(harness: Harness, server: Server) -> None:
+    """Stop a server, and check that it leaves nothing behind."""
+    harness.expect(server.stop() == 0, "the server did not end well")
+    harness.expect(becomes_true(lambda: not processes(server), _LAST_BREATH), "processes outlived the server")
+    left = [*leftovers(server), *(server.data_dir / "run").iterdir()]
+    harness.expect(not left, f"left behind by the server: {left}")
+    harness.expect(query_database(server, "PRAGMA integrity_check") == [("ok",)], "the database is damaged")
+
+
+def child_killed(harness: Harness, times: int) -> str:
+    """Kill the process of one of two fits, sometimes on both attempts; the other fit must not be affected."""
+    pair = _Pair(harness)
+    killed = spared = 0
+    with harness.server(workers="2", fit_attempts="2") as server:
+        server.start()
+        while killed < times and spared < 2 * times:
+            workers = pair.begin(server)
+            meant = 1
+            hit = _kill_soon(harness, harness.random.choice(sorted(workers)))
+            if hit and killed + 1 < times and harness.random.random() < 0.5:
+                replacement = _next_worker(server, workers)
+                meant += replacement is not None and _kill_soon(harness, replacement)
+            lost = pair.check(server, _LOST[meant])
+            killed, spared = killed + lost, spared + meant - lost
+        harness.expect(killed >= times, f"only {killed} kills came before the end of a fit")
+        _end(harness, server)
+    return f"{killed} kills ({spared} more came too late): {len(harness.faults)} faults"
+
+
+def out_of_memory(harness: Harness, times: int) -> str:
+    """Let one of two fits run out of memory at a random moment; the other fit must not be affected."""
+    pair = _Pair(harness)
+    starved = spared = 0
+    with harness.server(workers="2") as server:
+        server.start()
+        while starved < times and spared < 2 * times:
+            victim = harness.random.choice(sorted(pair.begin(server)))
+            with suppress(ProcessLookupError):
+                _starve_soon(harness, victim)
+            lost = pair.check(server, _STARVED)
+            starved, spared = starved + lost, spared + 1 - lost
+        harness.expect(starved == times, f"only {starved} fits ran out of memory")
+        _end(harness, server)
+    return f"{starved} fits out of memory ({spared} had all they needed by then): {len(harness.faults)} faults"
+
+
+def _starve_soon(harness: Harness, pid: int) -> None:
+    """Lower the limit of a process's memory, from when it has one: that is when it begins to compute."""
+    becomes_true(lambda: resource.prlimit(pid, resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY, _PATIENCE)
+    time.sleep(harness.random.uniform(0.0, 0.1))
+    resource.prlimit(pid, resource.RLIMIT_AS, (_NO_MEMORY, _NO_MEMORY))
+
+
+# How two fits may end, as pairs of end and attempts; what hits one of them may come when it is over.
+_FINE = ("succeeded", 1)
+_ONCE = [{_FINE}, {_FINE, ("succeeded", 2)}]
+_LOST = {1: _ONCE, 2: [*_ONCE, {_FINE, ("system ProcessLost", 2)}]}
+_STARVED = [{_FINE}, {_FINE, ("compute MemoryLimit", 1)}, {_FINE, ("compute ProcessCrashed", 1)}]
+
+
+class _Pair:
+    """Two fits that run at the same time, long enough for one to be killed."""
+
+    def __init__(self, harness: Harness) -> None:
+        self._harness = harness
+        self._options = [{**LONG, "n_lobes": 8, "mask": mask} for mask in (0.5, 0.6)]
+        self._models = harness.models(*self._options)
+        self._fits: list[str] = []
+
+    def begin(self, server: Server) -> set[int]:
+        """Start both and return their processes."""
+        sha256 = server.http.post("/v1/measurements", content=self._harness.variant(0)).json()["sha256"]
+        answers = [server.submit(sha256, prefer="respond-async", **options) for options in self._options]
+        self._fits = [answer.json()["id"] for answer in answers]
+        self._harness.expect(
+            becomes_true(lambda: len(server.workers()) == 2, _PATIENCE), "two fits did not run at once"
+        )
+        return server.workers()
+
+    def check(self, server: Server, allowed: list[set[tuple[str, int]]]) -> int:
+        """Wait for the ends, compare them with the allowed ones, and remove the fits; return how often one was lost."""
+        ends = set()
+        for fit_id, model in zip(self._fits, self._models, strict=True):
+            fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
+            ((attempts,),) = query_database(server, f"SELECT attempts FROM fits WHERE id = '{fit_id}'")
+            error = fit["error"]
+            ends.add((f"{error['origin']} {error['type']}" if error else fit["status"], attempts))
+            if not error:
+                exported = server.http.get(f"/v1/fits/{fit_id}/export?format=json")
+                self._harness.expect(same_bits(exported.text, model), "a model is not the library's, bit for bit")
+            server.http.delete(f"/v1/fits/{fit_id}")
+        self._harness.expect(ends in allowed, f"two fits, one of them hit, ended as {ends}")
+        return sum(attempts - (end == "succeeded") for end, attempts in ends)
+
+
+def _next_worker(server: Server, known: set[int]) -> int | None:
+    """Return the process that replaces one of the known ones; none does if that had done its work."""
+    becomes_true(lambda: bool(server.workers() - known), 10.0)
+    return next(iter(server.workers() - known), None)
+
+
+def _kill_soon(harness: Harness, pid: int) -> bool:
+    """Kill a process at a random moment; return whether it was still there."""
+    time.sleep(harness.random.uniform(0.0, 0.3))
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def terminated(harness: Harness, times: int) -> str:
+    """Send SIGTERM while fits run, event streams and long-polls are open, and an upload has begun."""
+    worst = 0.0
+    with harness.server(workers="2") as server:
+        for _ in range(times):
+            server.start()
+            sha256 = server.http.post("/v1/measurements", content=harness.variant(0)).json()["sha256"]
+            answers = [server.submit(sha256, prefer="respond-async", **LONG, mask=i / 10) for i in range(4)]
+            fits = [answer.json()["id"] for answer in answers]
+            with _held_open(server, fits):
+                time.sleep(harness.random.uniform(0.1, 1.0))
+                begin = time.monotonic()
+                code = server.stop()
+                worst = max(worst, time.monotonic() - begin)
+            harness.expect(code == 0, f"the server ended with {code}")
+            server.start()
+            for fit_id in fits:
+                fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
+                harness.expect(fit["status"] == "succeeded", f"a fit did not resume: {fit}")
+                server.http.delete(f"/v1/fits/{fit_id}")
+            _end(harness, server)
+    harness.expect(worst <= _LONGEST_END, f"the server took {worst:.1f} s to end")
+    return f"{times} times, out within {worst:.1f} s: {len(harness.faults)} faults"
+
+
+@contextmanager
+def _held_open(server: Server, fits: list[str]) -> Iterator[None]:
+    """Follow fits by event streams and by long-polls, and send the first half of a measurement."""
+    base = server.http.base_url
+
+    def follow(fit_id: str) -> None:
+        with suppress(httpx.TransportError), httpx.stream("GET", base.join(f"/v1/fits/{fit_id}/events")) as stream:
+            stream.read()
+
+    def poll(fit_id: str) -> None:
+        with suppress(httpx.TransportError):
+            httpx.get(base.join(f"/v1/fits/{fit_id}?wait=60"), timeout=60)
+
+    with (
+        ThreadPoolExecutor(2 * len(fits)) as pool,
+        socket.create_connection((base.host, base.port or 80)) as upload,
+    ):
+        head = f"POST /v1/measurements HTTP/1.1\r\nHost: {base.host}\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
+        upload.sendall(head.encode() + bytes(1 << 20))
+        for fit_id in fits:
+            pool.submit(follow, fit_id)
+            pool.submit(poll, fit_id)
+        yield

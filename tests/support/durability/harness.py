@@ -1,0 +1,159 @@
+"""What the durability series share: a folder and a server, and what can be observed of it from outside."""
+
+import os
+import random
+import sqlite3
+import struct
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import dsbrdf
+from dsbrdf.data.merl import read_merl
+from dsbrdf.output.serialize import from_json
+from service.wire.fit_options import from_wire
+from tests.support.processes import ONE_CORE, alive
+from tests.support.server import Server
+
+_ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
+
+
+@dataclass
+class Harness:
+    """The surroundings of one series: a folder, a measurement, a seeded generator, and the faults found so far.
+
+    Attributes
+    ----------
+    folder : Path
+        Empty; its path is short enough for whatever a server puts below it.
+    measurement : Path
+        A MERL file.
+    random : random.Random
+        Gives the random moments.
+    faults : list of str
+        What was not as it ought to be, one sentence each.
+    own_interpreter : bool
+        Whether servers are started as users start them, and not as forks, which start sooner.
+    """
+
+    folder: Path
+    measurement: Path
+    random: random.Random
+    faults: list[str] = field(default_factory=list)
+    own_interpreter: bool = False
+
+    def expect(self, holds: bool, fault: str) -> None:
+        """Record a fault unless a condition is true."""
+        if not holds:
+            self.faults.append(fault)
+
+    @contextmanager
+    def server(self, folder: Path | None = None, **settings: str) -> Iterator[Server]:
+        """Yield a server that is not started yet, with a folder of its own for temporary files."""
+        temporary = self.folder / "temporary"
+        temporary.mkdir(exist_ok=True)
+        server = Server((folder or self.folder) / "data", **settings)
+        server.own_interpreter = self.own_interpreter
+        server.environment["TMPDIR"] = str(temporary)
+        try:
+            yield server
+        finally:
+            server.close()
+
+    def variant(self, number: int) -> bytes:
+        """Return the measurement with another digest: its last node, below the horizon, is not used by a fit."""
+        return self.measurement.read_bytes()[:-8] + struct.pack("<d", -2.0 - number)
+
+    def models(self, *choices: dict[str, Any]) -> list[dsbrdf.DSBRDF]:
+        """Return the models that the library fits to the measurement, with options in their HTTP form."""
+        os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return list(pool.map(_model, [self.measurement] * len(choices), choices))
+
+
+def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+        return dsbrdf.fit(read_merl(measurement), from_wire(options)).model
+
+
+def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:
+    """Return whether an exported model equals another one, bit for bit."""
+    exported, _ = from_json(document)
+    return all(np.array_equal(getattr(exported, name), getattr(model, name)) for name in _ARRAYS)
+
+
+def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
+    """Query the database of a server directly."""
+    connection = sqlite3.connect(f"file:{server.data_dir / 'dsbrdf.sqlite'}?mode=ro", uri=True, timeout=30)
+    try:
+        return connection.execute(query).fetchall()
+    finally:
+        connection.close()
+
+
+def processes(server: Server) -> set[int]:
+    """Return the process ids of a server and of all processes that it has started, orphans included."""
+    mark = f"TMPDIR={server.environment['TMPDIR']}\0".encode()
+    found = {server.process.pid} if alive(server.process.pid) else set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            ours = mark in (folder / "environ").read_bytes()
+        except OSError:
+            continue
+        if ours and alive(int(folder.name)):
+            found.add(int(folder.name))
+    return found
+
+
+def leftovers(server: Server) -> list[str]:
+    """Return temporary files of earlier processes, and files of measurements without a row."""
+    known = {f"{sha256}.binary" for (sha256,) in query_database(server, "SELECT DISTINCT sha256 FROM measurements")}
+    stray = [path for path in (server.data_dir / "blobs").rglob("*") if path.is_file() and path.name not in known]
+    stray += (server.data_dir / "tmp").iterdir()
+    stray += Path(server.environment["TMPDIR"]).iterdir()
+    # The sockets of the process that runs are in one folder; more than that is an earlier one's.
+    stray += sorted((server.data_dir / "run").iterdir())[1:]
+    return [str(path) for path in stray]
+
+
+def becomes_true(condition: Callable[[], bool], seconds: float) -> bool:
+    """Return whether a condition becomes true in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+@contextmanager
+def counted_workers(server: Server) -> Iterator[set[tuple[int, str]]]:
+    """Collect the processes that compute fits, named by id and time of start, as the operating system shows them."""
+    seen: set[tuple[int, str]] = set()
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.004):
+            for pid in server.workers():
+                try:
+                    seen.add((pid, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]))
+                except OSError:
+                    continue
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        over.set()
+        thread.join()

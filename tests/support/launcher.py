@@ -1,0 +1,171 @@
+"""Starts of programs without the time that their imports take: they are made once, and each process is a fork.
+
+Importing the service or Dask takes more than a second of processor time, which dozens of servers and workers would
+each take again. What runs in the fork is the ``main`` of the program, with arguments, environment and log of its own.
+"""
+
+import atexit
+import json
+import os
+import queue
+import selectors
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+ROOT = Path(__file__).parents[2]
+
+Program = Literal["service", "dask"]
+
+
+class ForkedProcess:
+    """What tests use of `subprocess.Popen`, for a process that the launcher has forked."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self._ended = threading.Event()
+        self._code = 0
+
+    def poll(self) -> int | None:
+        """Return the exit code, or None while the process runs."""
+        return self._code if self._ended.is_set() else None
+
+    def wait(self, timeout: float = 60.0) -> int:
+        """Wait for the end of the process and return its exit code, negative for a signal."""
+        if not self._ended.wait(timeout):
+            raise subprocess.TimeoutExpired(str(self.pid), timeout)
+        return self._code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal; the process may have ended."""
+        if not self._ended.is_set():
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """End the process at once."""
+        self.send_signal(signal.SIGKILL)
+
+    def _end(self, code: int) -> None:
+        self._code = code
+        self._ended.set()
+
+
+class Launcher:
+    """The process that has imported a program; it ends with the one that started it, and its forks with it."""
+
+    def __init__(self, program: Program) -> None:
+        self._lock = threading.Lock()
+        self._started: queue.Queue[ForkedProcess] = queue.Queue()
+        command = [sys.executable, "-m", "tests.support.launcher", program]
+        self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        threading.Thread(target=self._listen, daemon=True).start()
+        atexit.register(self._close)
+
+    def launch(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> ForkedProcess:
+        """Fork a process that runs the program and appends what it prints to a log."""
+        request = {"arguments": arguments, "environment": dict(environment), "log": str(log), "cwd": str(Path.cwd())}
+        assert self._process.stdin is not None
+        with self._lock:
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+            return self._started.get(timeout=60)
+
+    def _close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+    def _listen(self) -> None:
+        servers: dict[int, ForkedProcess] = {}
+        for line in self._process.stdout or ():
+            match json.loads(line):
+                case {"pid": pid, "code": code}:
+                    servers.pop(pid)._end(code)
+                case {"pid": pid}:
+                    servers[pid] = ForkedProcess(pid)
+                    self._started.put(servers[pid])
+
+
+@cache
+def launcher(program: Program) -> Launcher:
+    """Return the one launcher of a program that this process has."""
+    return Launcher(program)
+
+
+def _serve_requests(program: str) -> None:
+    """Fork a process for each line on standard input; tell on standard output which run and how they ended."""
+    import_module(f"{program}.__main__")
+    if program == "dask":
+        for command in ("scheduler", "worker"):
+            import_module(f"distributed.cli.dask_{command}")
+        import_module("dsbrdf.engines.fit_steps")  # for what workers run
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.set_wakeup_fd(wake)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    running: set[int] = set()
+    with selectors.DefaultSelector() as selector:
+        selector.register(sys.stdin.fileno(), selectors.EVENT_READ)
+        selector.register(woken, selectors.EVENT_READ)
+        while True:
+            ready = [key.fd for key, _ in selector.select()]
+            if woken in ready:
+                os.read(woken, 4096)
+                _report_ends(running)
+            if sys.stdin.fileno() in ready:
+                line = sys.stdin.readline()
+                if not line:
+                    break
+                request = json.loads(line)
+                pid = os.fork()
+                if pid == 0:
+                    selector.close()
+                    _become(program, request)
+                running.add(pid)
+                _say(pid=pid)
+    for pid in running:
+        os.kill(pid, signal.SIGKILL)
+
+
+def _report_ends(running: set[int]) -> None:
+    for pid in list(running):
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            running.remove(pid)
+            _say(pid=pid, code=os.waitstatus_to_exitcode(status))
+
+
+def _say(**document: int) -> None:
+    print(json.dumps(document), flush=True)
+
+
+def _become(program: str, request: dict[str, Any]) -> None:
+    """Run a program in this process, as a fresh interpreter would."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    log = os.open(request["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for source, target in ((nothing, 0), (log, 1), (log, 2)):
+        os.dup2(source, target)
+    os.closerange(3, 256)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    tempfile.tempdir = None
+    os.chdir(request["cwd"])
+    if program == "dask":
+        import_module("dask.config").refresh()  # it takes settings from the environment
+    sys.argv = [program, *request["arguments"]]
+    sys.exit(import_module(f"{program}.__main__").main())
+
+
+if __name__ == "__main__":
+    _serve_requests(sys.argv[1])

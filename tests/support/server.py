@@ -1,0 +1,141 @@
+"""The real service as a process of its own, and what tests want to know of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from service.client import Client
+from tests.support.launcher import ForkedProcess, launcher
+from tests.support.processes import children, command, wait_until
+
+# Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
+# not have to hurry.
+QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
+
+SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
+
+ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2, "knots_deg": [*range(81)]}
+
+
+class Server:
+    """One service process; `stop` and `start` keep its data folder.
+
+    It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
+    ``python -m service`` starts.
+    """
+
+    own_interpreter = False
+
+    def __init__(self, data_dir: Path, **environment: str) -> None:
+        self.data_dir = data_dir
+        self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
+        self.log = data_dir.parent / f"{data_dir.name}.log"
+        self.http = httpx.Client()  # of no use until there is an address
+        self._process: subprocess.Popen[bytes] | ForkedProcess | None = None
+
+    @property
+    def process(self) -> "subprocess.Popen[bytes] | ForkedProcess":
+        assert self._process is not None
+        return self._process
+
+    def start(self) -> "Server":
+        """Start the process and return when it is ready."""
+        self.connect(self.launch())
+        with Client(str(self.http.base_url)) as client:
+            client.wait_until_ready(60.0)
+        return self
+
+    def connect(self, begin: int) -> None:
+        """Find out where the process listens; it may not be ready."""
+        address = self._address(begin)
+        self.http.close()
+        # A connection is not used once more when the service may be about to close it.
+        self.http = httpx.Client(base_url=address, timeout=60.0, limits=httpx.Limits(keepalive_expiry=0.5))
+
+    def launch(self) -> int:
+        """Start the process, without waiting for anything; return where its log begins."""
+        arguments = ["--port", "0", "--data-dir", str(self.data_dir)]
+        environment = {**os.environ, **self.environment}
+        with self.log.open("ab") as log:
+            begin = log.tell()
+            if self.own_interpreter:
+                command = [sys.executable, "-m", "service", *arguments]
+                self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+            else:
+                self._process = launcher("service").launch(arguments, environment, self.log)
+        return begin
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.process.wait(timeout=20)
+
+    def close(self) -> None:
+        self.http.close()
+        if self._process is not None:
+            self.stop(signal.SIGKILL)
+
+    def _address(self, start: int) -> str:
+        """Find the address in the log, which says it when the server listens."""
+        mark = "Uvicorn running on "
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            text = self.log.read_bytes()[start:].decode()
+            if mark in text:
+                return text.partition(mark)[2].split()[0]
+            if self.process.poll() is not None:
+                break
+            time.sleep(0.02)
+        raise AssertionError(f"the server did not start:\n{self.log.read_text()}")
+
+    def cpu_seconds(self) -> float:
+        """Processor time of the web process: what its work costs, however busy the machine is otherwise."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def files(self) -> list[Path]:
+        """Every stored or half-received measurement."""
+        return [path for part in ("blobs", "tmp") for path in (self.data_dir / part).rglob("*") if path.is_file()]
+
+    def helpers(self) -> set[int]:
+        """Process ids of what runs beside the server as long as it does."""
+        return {pid for pid in children(self.process.pid) if b"multiprocessing" in command(pid)}
+
+    def workers(self) -> set[int]:
+        """Process ids of the fits that are being computed."""
+        return {pid for helper in self.helpers() for pid in children(helper)}
+
+    def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
+        """Ask for a fit; the method is by default the one that takes a fraction of a second."""
+        document = {"measurement": measurement, "options": {"method": "paper", **options}}
+        return self.http.post("/v1/fits", json=document, headers={"Prefer": prefer})
+
+    def status(self, fit_id: str) -> str:
+        status: str = self.http.get(f"/v1/fits/{fit_id}").json()["status"]
+        return status
+
+    def until_running(self, fit_id: str) -> None:
+        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.workers()))
+        assert self.status(fit_id) == "running"
+
+
+def assert_problem(response: httpx.Response, status: int, kind: str | None = None) -> str:
+    """Check a problem document (RFC 9457) and return its sentence."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
+    assert set(problem) == {"type", "title", "status", "detail", "instance"}
+    assert problem["status"] == status
+    if kind is not None:
+        assert problem["type"] == f"urn:dsbrdf:problem:{kind}"
+    assert "Traceback" not in response.text
+    detail: str = problem["detail"]
+    assert detail
+    return detail

@@ -1,0 +1,247 @@
+"""Malformed files, compression bombs and hostile requests against one server: refused at once, at no cost, no leak.
+
+`pytest tests/system/test_attacks.py -s` prints how many there were, the slowest of them and the memory they took.
+How long an answer takes is bounded by the processor time that it costs: a machine that tests run on may be busy.
+"""
+
+import json
+import re
+import resource
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.http.limits import connection_class
+from service.settings import Settings
+from tests.support import malformed_requests as hostile
+from tests.support.decompression_bombs import BOMBS, JSON, MEASUREMENT, NPY
+from tests.support.malformed_measurements import MALFORMED
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server
+
+SECONDS = 1.0
+PATIENCE = 60.0
+MEGABYTES = 64.0
+LEAKS = ("Traceback", 'File "', "site-packages", ".py", "sqlite3.", "root:x:0")
+
+
+class Target:
+    """A server with one measurement and one fit, which have to be there afterwards, and nothing else."""
+
+    def __init__(self, server: Server, data: bytes) -> None:
+        self.server = server
+        url = server.http.base_url
+        self.address = (str(url.host), int(url.port or 0))
+        fit = server.http.post("/v1/fits", params=QUICK, content=data).json()
+        self.fit, self.measurement = fit["id"], fit["measurement"]
+        # What any work takes once, the largest uploads and batches among it, is no cost of an attack.
+        server.http.get(f"/v1/fits/{self.fit}/lobes")
+        self.before = self.contents()
+        self.memory = self.peak()
+        self.spent = server.cpu_seconds()
+        self.worst = ("", 0.0, 0.0)
+
+    def contents(self) -> object:
+        lists = [self.server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
+        return lists, sorted(self.server.files())
+
+    def peak(self) -> float:
+        """The largest memory that the web process has had [MB]."""
+        found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{self.server.process.pid}/status").read_text())
+        assert found is not None
+        return int(found[1]) / 1024
+
+    def check(self, name: str, status: int, media_type: str, body: bytes, seconds: float) -> None:
+        """One answer: 4xx, soon, a problem document, and nothing in it that is not for the client."""
+        spent, self.spent = self.spent, self.server.cpu_seconds()
+        cost = self.spent - spent
+        assert 400 <= status < 500, (name, status, body[:500])
+        assert media_type == "application/problem+json", (name, media_type)
+        problem = json.loads(body)
+        assert set(problem) == {"type", "title", "status", "detail", "instance"}, name
+        assert problem["status"] == status, name
+        text = json.dumps({**problem, "instance": ""})  # which is what the client has sent
+        assert not [leak for leak in (*LEAKS, str(self.server.data_dir)) if leak in text], (name, text)
+        assert "root:x:0" not in problem["instance"]
+        assert seconds < PATIENCE, name
+        assert cost < SECONDS, name
+        self.worst = max(self.worst, (name, seconds, cost), key=lambda answer: answer[1])
+
+    def close(self, count: int, what: str) -> None:
+        assert self.contents() == self.before
+        grown = self.peak() - self.memory
+        name, seconds, cost = self.worst
+        slowest = f"slowest {seconds:.2f} s, {cost:.2f} s of a processor ({name[:60]})"
+        print(f"\n{count} {what}: all 4xx, {slowest}, memory +{grown:.0f} MB, nothing stored")
+        assert grown <= MEGABYTES
+        self.spent = self.server.cpu_seconds()
+        self.worst = ("", 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def target(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Target]:
+    server = Server(tmp_path_factory.mktemp("attacks") / "data")
+    try:
+        yield Target(server.start(), data)
+    finally:
+        server.close()
+
+
+def post(target: Target, path: str, content: bytes | Iterator[bytes], **headers: str) -> tuple[httpx.Response, float]:
+    begin = time.monotonic()
+    answer = target.server.http.post(path, content=content, headers=headers)
+    return answer, time.monotonic() - begin
+
+
+def in_pieces(content: bytes) -> Iterator[bytes]:
+    for start in range(0, len(content), 1 << 18):
+        yield content[start : start + (1 << 18)]
+
+
+def test_malformed_files_are_refused_cheaply(target: Target, data: bytes) -> None:
+    assert len(MALFORMED) >= 60
+    for number, (name, make) in enumerate(MALFORMED.items()):
+        content = make(data)
+        # With a Content-Length and without one, and compressed where that is not what makes them long.
+        answer, seconds = post(
+            target, ("/v1/fits", "/v1/measurements")[number % 2], (content, in_pieces(content))[number % 3 == 0]
+        )
+        target.check(name, answer.status_code, answer.headers["content-type"], answer.content, seconds)
+        assert answer.status_code in (413, 422), name
+    target.close(len(MALFORMED), "malformed files")
+
+
+def test_decompression_bombs_are_refused_cheaply(target: Target) -> None:
+    assert len([kind for kind, encoding, _ in BOMBS.values() if encoding != "identity"]) >= 12
+    paths = {
+        MEASUREMENT: ["/v1/measurements"],
+        JSON: ["/v1/fits", f"/v1/fits/{target.fit}/brdf"],
+        NPY: [f"/v1/fits/{target.fit}/brdf"],
+    }
+    count = 0
+    for name, (media_type, encoding, make) in BOMBS.items():
+        bomb = make()
+        for path in paths[media_type]:
+            answer, seconds = post(target, path, bomb, **{"Content-Type": media_type, "Content-Encoding": encoding})
+            target.check(name, answer.status_code, answer.headers["content-type"], answer.content, seconds)
+            count += 1
+    target.close(count, "bombs")
+
+
+def test_malformed_requests_are_refused_cheaply(target: Target) -> None:
+    count = 0
+    for request in hostile.requests(target.fit, target.measurement):
+        reply = hostile.ask(target.address, request)
+        name = repr(request[:150])
+        target.check(name, reply.status, reply.headers["content-type"], reply.body, reply.seconds)
+        assert "x-evil" not in reply.headers, name
+        count += 1
+    assert count >= 200
+    target.close(count, "hostile requests")
+
+
+def test_truncated_uploads_store_nothing(target: Target, data: bytes) -> None:
+    head = (
+        f"POST /v1/measurements HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\nContent-Length: {len(data)}\r\n\r\n"
+    )
+    for sent in (data[:12], data[:1_000_000], data[:-1]):
+        with socket.create_connection(target.address, timeout=20) as connection:
+            connection.sendall(head.encode() + sent)
+    deadline = time.monotonic() + 20
+    while target.contents() != target.before and time.monotonic() < deadline:
+        time.sleep(0.05)
+    target.close(3, "bodies that were cut off")
+
+
+def keep_busy(server: Server, seconds: float) -> None:
+    """Have the service work for so long."""
+    spent = server.cpu_seconds()
+    while server.cpu_seconds() - spent <= seconds:
+        server.http.get("/openapi.json")
+
+
+def test_aborted_requests_are_logged_as_client_errors(target: Target) -> None:
+    paths = ("/v1/fits", f"/v1/fits/{target.fit}/brdf", f"/v1/fits/{target.fit}/lobes/diffuse/brdf", "/v1/measurements")
+    types = (JSON, JSON, NPY, MEASUREMENT)
+    for path, media_type in zip(paths, types, strict=True):
+        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Request-ID: gone\r\nContent-Type: {media_type}\r\n"
+        with socket.create_connection(target.address, timeout=20) as connection:
+            connection.sendall(f"{head}Content-Length: 34992012\r\n\r\n".encode() + b'{"theta_half_deg":[')
+
+    def lines() -> list[dict[str, object]]:
+        return [line for line in map(json.loads, target.server.log.read_text().splitlines()) if known(line)]
+
+    def known(line: dict[str, object]) -> bool:
+        return line.get("request_id") == "gone"
+
+    wait_until(lambda: len(lines()) >= len(paths))
+    assert [(line["event"], line["level"]) for line in lines()] == [("request", "info")] * len(paths)
+    assert {line["status"] for line in lines()} <= {400, 413}
+    target.close(len(paths), "clients that went")
+
+
+def test_request_with_two_lengths_is_refused(target: Target) -> None:
+    body = b'{"theta_half_deg":[1],"theta_diff_deg":[1]}'
+    chunked = b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body)
+    smuggled = b"DELETE /v1/fits/%s HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" % target.fit.encode()
+    for path in (f"/v1/fits/{target.fit}/brdf", "/health/live"):
+        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n".encode()
+        for length in (0, 4, len(chunked), len(chunked) + len(smuggled)):
+            two = b"Content-Length: %d\r\nTransfer-Encoding: chunked\r\n\r\n" % length
+            with socket.create_connection(target.address, timeout=60) as connection:
+                connection.sendall(head + two + chunked + smuggled)
+                received = b""
+                with suppress(ConnectionResetError):
+                    while piece := connection.recv(1 << 16):
+                        received += piece
+            assert received.startswith(b"HTTP/1.1 400 ")
+            assert received.count(b"HTTP/1.1 ") == 1
+            assert received.endswith(b"}")
+    target.close(8, "bodies with two ends")
+
+
+def test_idle_connections_leave_descriptors_for_others(own_server: Callable[..., Server]) -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
+    try:
+        server = own_server(own_interpreter=True, header_timeout="600")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    address = (server.http.base_url.host, server.http.base_url.port)
+    idle = [socket.create_connection(address, timeout=20) for _ in range(400)]
+    try:
+        assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
+    finally:
+        for connection in idle:
+            connection.close()
+
+
+@pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 1024), (-1, 1024)])
+def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPatch, files: int, most: int) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+    assert connection_class(Settings()).max_connections == most
+
+
+def test_checks_of_this_file_can_fail(target: Target) -> None:
+    document = {"type": "t", "title": "t", "status": 404, "detail": "d", "instance": "/"}
+    problem = json.dumps(document).encode()
+    target.check("fine", 404, "application/problem+json", problem, 0.1)
+    leak = json.dumps({**document, "detail": f"no such file {target.server.data_dir}"}).encode()
+    faults: list[Callable[[], None]] = [
+        lambda: target.check("", 200, "application/problem+json", problem, 0.1),
+        lambda: target.check("", 500, "application/problem+json", problem, 0.1),
+        lambda: target.check("", 404, "text/plain", problem, 0.1),
+        lambda: target.check("", 404, "application/problem+json", leak, 0.1),
+        lambda: target.check("", 404, "application/problem+json", problem, PATIENCE),
+        lambda: target.check("", 404, "application/problem+json", problem, 0.1),  # after all the work below
+    ]
+    for fault in faults:
+        if fault is faults[-1]:
+            keep_busy(target.server, SECONDS)
+        with pytest.raises(AssertionError):
+            fault()

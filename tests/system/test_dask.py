@@ -1,0 +1,114 @@
+"""The service with a Dask cluster: the same answers, nothing lost, and readiness that says what is missing."""
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.dask_cluster import DaskCluster
+from tests.support.processes import alive, wait_until
+from tests.support.server import ENDLESS, QUICK, Server, assert_problem
+from tests.support.soak import SOAK
+
+PATIENCE = 120.0
+MIDDLE: dict[str, Any] = {"n_lobes": 8, "em_iterations": 100}
+
+
+@pytest.fixture
+def serve(own_server: Callable[..., Server]) -> Callable[[DaskCluster], Server]:
+    return lambda cluster: own_server(engine="dask", scheduler=cluster.address, workers="1")
+
+
+def memory_mb(server: Server) -> float:
+    """Memory of the web process itself."""
+    status = Path(f"/proc/{server.process.pid}/status").read_text()
+    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
+
+
+def test_dask_fit_equals_the_local_fit(
+    serve: Callable[[DaskCluster], Server], server: Server, cluster: DaskCluster, data: bytes
+) -> None:
+    remote = serve(cluster)
+    before = memory_mb(remote)
+    weighted: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3, "weighting": "log"}
+    for options in (QUICK, weighted):
+        mine = remote.http.post("/v1/fits", params=options, content=data)
+        assert mine.status_code == 201, mine.text
+        assert mine.json()["status"] == "succeeded", mine.text
+        other = server.http.post("/v1/fits", params=options, content=data).json()
+        times = dict.fromkeys(("created", "started", "finished"))
+        assert mine.json() | times == other | times
+    assert memory_mb(remote) - before < 24  # neither the file (35 MB) nor what is made of it
+
+
+def test_cancelled_fit_frees_its_worker(
+    serve: Callable[[DaskCluster], Server], cluster: DaskCluster, data: bytes
+) -> None:
+    server = serve(cluster)
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    fit_id = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    wait_until(lambda: bool(cluster.fitting()), PATIENCE)
+    assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
+    seconds = wait_until(lambda: not cluster.fitting())
+    assert not SOAK or seconds < 1.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_stopped_server_leaves_no_fit_and_resumes_it(
+    serve: Callable[[DaskCluster], Server], cluster: DaskCluster, data: bytes, number: signal.Signals
+) -> None:
+    server = serve(cluster)
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    fits = [
+        server.submit(sha256, prefer="respond-async", mask=0.1 * number + i, **MIDDLE).json()["id"] for i in range(2)
+    ]
+    wait_until(lambda: bool(cluster.fitting()), PATIENCE)
+    victims = cluster.fitting()
+    server.stop(number)
+    wait_until(lambda: not any(alive(pid) for pid in victims))
+    server.start()
+    for fit_id in fits:
+        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+
+
+def test_fits_wait_for_a_cluster_and_survive_its_scheduler(
+    own_cluster: DaskCluster, tmp_path: Path, data: bytes
+) -> None:
+    server = Server(tmp_path / "data", engine="dask", scheduler=own_cluster.address, workers="1")
+    try:
+        server.connect(server.launch())
+        detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+        assert f"The Dask scheduler at {own_cluster.address} cannot be reached" in detail
+        sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+        fits = [server.submit(sha256, prefer="respond-async", mask=0.1 * i, **MIDDLE).json()["id"] for i in range(3)]
+        assert {server.status(fit_id) for fit_id in fits} == {"accepted"}
+        own_cluster.start_scheduler()
+        wait_until(lambda: "has no workers" in server.http.get("/health/ready").text, PATIENCE)
+        own_cluster.add_worker()
+        wait_until(lambda: server.http.get("/health/ready").status_code == 200, PATIENCE)
+        wait_until(lambda: bool(own_cluster.fitting()), PATIENCE)
+        own_cluster.kill_scheduler()
+        wait_until(lambda: server.http.get("/health/ready").status_code == 503, PATIENCE)
+        own_cluster.start_scheduler()
+        own_cluster.add_worker()
+        for fit_id in fits:
+            assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
+    finally:
+        server.close()
+
+
+def test_fit_survives_the_loss_of_its_worker(
+    serve: Callable[[DaskCluster], Server], own_cluster: DaskCluster, data: bytes
+) -> None:
+    own_cluster.start_scheduler()
+    own_cluster.add_worker()
+    own_cluster.add_worker()
+    server = serve(own_cluster)
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    fits = [server.submit(sha256, prefer="respond-async", mask=0.1 * i, **MIDDLE).json()["id"] for i in range(3)]
+    wait_until(lambda: bool(own_cluster.fitting()), PATIENCE)
+    own_cluster.kill_worker(own_cluster.workers[0])
+    for fit_id in fits:
+        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"

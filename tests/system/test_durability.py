@@ -1,0 +1,25 @@
+"""Short durability series; ``make soak`` and ``python -m benchmarks durability`` run what is promised, in full."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.durability.series import SERIES, run
+from tests.support.soak import repeats
+
+TIMES = {
+    "queue": 8,
+    "server-kill": 2,
+    "child-kill": 2,
+    "memory": 1,
+    "terminate": 1,
+    "uploads": 6,
+    "same-file": 6,
+    "disk": 1,
+}
+
+
+@pytest.mark.parametrize("name", SERIES)
+def test_series_loses_nothing_and_leaves_nothing_behind(name: str, plastic_file: Path) -> None:
+    measured, faults = run(name, repeats(TIMES[name], SERIES[name].times), 1, plastic_file)
+    assert not faults, f"{measured}: {faults}"

@@ -1,0 +1,202 @@
+"""Ends and beginnings of the server: nothing accepted is lost, nothing stays behind."""
+
+import os
+import signal
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import start_in_vain
+from tests.support.processes import alive, wait_until
+from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
+
+
+def submit_some(server: Server, data: bytes, count: int) -> list[str]:
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    answers = [server.submit(sha256, prefer="respond-async", **QUICK, mask=0.1 * i) for i in range(count)]
+    assert [answer.status_code for answer in answers] == [202] * count
+    return [answer.json()["id"] for answer in answers]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_accepted_fits_finish_after_a_restart(
+    own_server: Callable[..., Server], data: bytes, number: signal.Signals
+) -> None:
+    server = own_server(workers="2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    endless, in_the_way = (
+        server.submit(sha256, prefer="respond-async", **ENDLESS, mask=mask).json()["id"] for mask in (0.1, 0.2)
+    )
+    fits = submit_some(server, data, 3)
+    server.until_running(endless)
+    server.until_running(in_the_way)
+    workers = server.workers()
+    helpers = server.helpers()
+    leftover = server.data_dir / "tmp" / "upload-of-a-client"
+    leftover.write_bytes(b"part of a file")
+    server.stop(number)
+    wait_until(lambda: not any(alive(pid) for pid in workers | helpers))
+
+    server.start()
+    assert not leftover.exists()
+    server.until_running(endless)
+    server.http.delete(f"/v1/fits/{in_the_way}")
+    for fit_id in fits:
+        fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
+        assert fit["status"] == "succeeded"
+        assert fit["lobes"] is not None
+    assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, in_the_way, *fits}
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
+    deep.mkdir(parents=True)
+    server = Server(deep / "data", workers="1")
+    server.environment["TMPDIR"] = str(elsewhere)
+    try:
+        server.start()
+        assert server.http.post("/v1/fits", params=QUICK, content=data).json()["status"] == "succeeded"
+        code = server.stop(number)
+        assert code == (-number if number == signal.SIGKILL else 0)
+        server.start()
+        server.stop(signal.SIGTERM)
+        assert not list(elsewhere.iterdir())
+        for folder in ("tmp", "run"):
+            assert not list((server.data_dir / folder).iterdir())
+        assert "Traceback" not in server.log.read_text()
+    finally:
+        server.close()
+
+
+def test_finished_fits_survive_a_restart(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    first = server.http.post("/v1/fits?method=paper&n_lobes=1", content=data)
+    assert first.status_code == 201
+    server.stop(signal.SIGKILL)
+    server.start()
+    again = server.http.post("/v1/fits?method=paper&n_lobes=1", content=data)
+    assert again.status_code == 200
+    assert again.json() == first.json()
+
+
+def test_killed_fit_process_fails_only_its_own_fit(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", fit_attempts="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    victim = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    next_one = server.submit(sha256, prefer="respond-async", n_lobes=2).json()["id"]
+    server.until_running(victim)
+    (worker,) = server.workers()
+    os.kill(worker, signal.SIGKILL)
+    fit = server.http.get(f"/v1/fits/{victim}?wait=30").json()
+    assert fit["status"] == "failed"
+    assert fit["error"]["origin"] == "system"
+    assert fit["error"]["type"] == "ProcessLost"
+    assert server.http.get(f"/v1/fits/{next_one}?wait=30").json()["status"] == "succeeded"
+    assert server.submit(sha256, prefer="respond-async", **ENDLESS).status_code == 202
+    server.until_running(victim)
+
+
+def test_lost_fit_process_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", fit_attempts="2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    fit_id = server.submit(sha256, prefer="respond-async", **SLOW).json()["id"]
+    server.until_running(fit_id)
+    (worker,) = server.workers()
+    os.kill(worker, signal.SIGKILL)
+    assert server.http.get(f"/v1/fits/{fit_id}?wait=30").json()["status"] == "succeeded"
+
+
+def test_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    for pid in server.helpers():
+        os.kill(pid, signal.SIGKILL)
+    assert server.submit(sha256, n_lobes=2).json()["status"] == "succeeded"
+
+
+def test_a_fit_has_a_memory_limit(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fit_memory_mb="200")
+    answer = server.http.post("/v1/fits", content=data)
+    assert answer.status_code == 201
+    assert answer.json()["status"] == "failed"
+    assert answer.json()["error"]["origin"] == "compute"
+    assert answer.json()["error"]["type"] == "MemoryLimit"
+    assert server.http.get("/health/ready").status_code == 200
+
+
+def test_a_fit_has_a_time_limit(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fit_seconds="0.2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    answer = server.submit(sha256, **ENDLESS)
+    assert answer.status_code == 201
+    assert answer.json()["error"]["origin"] == "compute"
+    assert answer.json()["error"]["type"] == "TimeLimit"
+    wait_until(lambda: not server.workers())
+
+
+def test_open_event_streams_do_not_delay_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    endless = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+    (waiting,) = submit_some(server, data, 1)
+    with server.http.stream("GET", f"/v1/fits/{waiting}/events") as stream:
+        assert next(stream.iter_lines()) == "event: accepted"
+        server.stop(signal.SIGTERM)  # within 20 s, or it raises
+    server.start()
+    assert server.http.delete(f"/v1/fits/{endless}").json()["status"] == "cancelled"
+    assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
+
+
+def test_files_without_rows_and_rows_without_files_are_removed(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    server.stop()
+    stray = server.data_dir / "blobs" / "00" / f"{'0' * 64}.binary"
+    stray.parent.mkdir()
+    stray.write_bytes(b"")
+    (server.data_dir / "blobs" / sha256[:2] / f"{sha256}.binary").unlink()
+    server.start()
+    assert not server.files()
+    assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
+
+
+def test_second_server_on_the_same_folder_is_refused(server: Server, tmp_path: Path) -> None:
+    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(server.data_dir))
+    assert code == 2
+    assert "in use" in said
+    assert "Traceback" not in said
+    assert server.http.get("/health/ready").status_code == 200
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "example.org", "10.0.0.1"])
+def test_host_that_others_can_reach_is_refused_without_keys(tmp_path: Path, host: str) -> None:
+    code, said = start_in_vain(tmp_path, "--host", host, "--port", "0", "--data-dir", str(tmp_path / "data"))
+    assert code == 2
+    assert "--insecure" in said
+    assert not (tmp_path / "data").exists()
+
+
+def test_wrong_settings_are_refused_in_one_sentence(tmp_path: Path) -> None:
+    code, said = start_in_vain(tmp_path, "--port", "99999", "--data-dir", str(tmp_path / "data"))
+    assert code == 2
+    assert said.startswith("dsbrdf: --port:")
+    assert said.count("\n") == 1
+    assert start_in_vain(tmp_path, DSBRDF_WORKERS="none")[0] == 2
+
+
+def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    connection = sqlite3.connect(folder / "dsbrdf.sqlite")
+    connection.execute("PRAGMA user_version = 999")
+    connection.close()
+    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(folder))
+    assert code == 2
+    assert "999" in said
+    assert "Traceback" not in said

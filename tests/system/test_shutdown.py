@@ -1,0 +1,156 @@
+"""The end of the service: soon, whatever is open, and nothing is lost."""
+
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import httpx
+import pytest
+
+from tests.support.processes import alive, children, command, wait_until
+from tests.support.server import ENDLESS, Server
+
+SOON = 10.0  # seconds; what is asked for, on a machine that does much else
+
+
+def start_fits(server: Server, data: bytes, number: int) -> list[str]:
+    """Begin endless fits that all differ; return their ids when the first one is being computed."""
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    fits = [
+        server.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 10_000 - index}).json()["id"]
+        for index in range(number)
+    ]
+    server.until_running(fits[0])
+    return fits
+
+
+def address(server: Server) -> str:
+    return str(server.http.base_url).rstrip("/")
+
+
+@contextmanager
+def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
+    """A connection on which the rest of a measurement does not come."""
+    url, before = server.http.base_url, len(server.files())
+    with socket.create_connection((url.host, url.port or 80), timeout=20) as connection:
+        head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
+        connection.sendall(head.encode() + data[:1_000_000])
+        wait_until(lambda: len(server.files()) > before)
+        yield connection
+
+
+def ended(server: Server, begin: float) -> tuple[int, float]:
+    """Exit code, and seconds since `begin` until the process had ended."""
+    code = server.process.wait(timeout=60)
+    return code, time.monotonic() - begin
+
+
+def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
+    """Read a stream of events to its end; an end that is none raises."""
+    with httpx.stream("GET", f"{address(server)}/v1/fits/{fit}/events", timeout=30) as stream:
+        events = stream.iter_lines()
+        told = [next(events)]
+        following.wait()
+        return told + list(events)
+
+
+def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", shutdown_seconds="40")
+    url = address(server)
+    fits = start_fits(server, data, 3)
+    sha256 = server.http.get("/v1/measurements").json()["items"][0]["sha256"]
+    helpers = set(children(server.process.pid))
+    workers = server.workers()
+    following = threading.Barrier(3, timeout=30)
+    document = {"measurement": sha256, "options": {**ENDLESS, "em_iterations": 9_000}}
+    with ThreadPoolExecutor(8) as threads:
+        streams = [threads.submit(follow, server, fit, following) for fit in fits[:2]]
+        polls = [threads.submit(httpx.get, f"{url}/v1/fits/{fit}?wait=60", timeout=30) for fit in fits]
+        post = threads.submit(httpx.post, f"{url}/v1/fits", json=document, headers={"Prefer": "wait=60"}, timeout=30)
+        following.wait()
+        wait_until(lambda: server.http.get("/v1/fits").text.count('"id"') == 4)
+        time.sleep(0.3)  # the polls have nothing to show that they are waiting
+        begin = time.monotonic()
+        server.process.send_signal(signal.SIGTERM)
+        code, seconds = ended(server, begin)
+        answers = [poll.result() for poll in polls]
+        accepted = post.result()
+        told = [stream.result() for stream in streams]
+    assert code == 0
+    assert seconds < 40  # which open requests are given here: none of them had to be cut off
+    assert [answer.status_code for answer in answers] == [200, 200, 200]
+    assert {answer.json()["status"] for answer in answers} <= {"running", "accepted"}
+    assert accepted.status_code == 202
+    assert all(lines[0] in ("event: running", "event: accepted") for lines in told)
+    wait_until(lambda: not any(map(alive, helpers | workers)))
+    assert "Traceback" not in server.log.read_text()
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(f"{url}/health/live")
+    server.start()
+    rows = server.http.get("/v1/fits").json()["items"]
+    assert {row["id"] for row in rows} == {*fits, accepted.json()["id"]}
+    assert {row["status"] for row in rows} <= {"running", "accepted"}
+
+
+def test_repeated_sigterm_is_harmless(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1")
+    (fit,) = start_fits(server, data, 1)
+    begin = time.monotonic()
+    while server.process.poll() is None and time.monotonic() < begin + SOON:
+        server.process.send_signal(signal.SIGTERM)
+        time.sleep(0.02)
+    assert ended(server, begin)[0] == 0
+    assert "Traceback" not in server.log.read_text()
+    server.start()
+    assert server.status(fit) in ("accepted", "running")
+
+
+def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server], data: bytes) -> None:
+    """As a service manager does it that signals every process; an upload keeps the service from ending at once."""
+    server = own_server(workers="2", fit_attempts="1", shutdown_seconds="3")
+    fits = start_fits(server, data, 2)
+    wait_until(lambda: len(server.workers()) == 2)
+    everyone = [*server.workers(), *children(server.process.pid), server.process.pid]
+    with upload_in_progress(server, data):
+        for pid in everyone:
+            os.kill(pid, signal.SIGTERM)
+        assert server.process.wait(timeout=20) == 0
+    server.start()
+    for fit in fits:
+        assert server.status(fit) in ("accepted", "running", "succeeded")
+
+
+def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(shutdown_seconds="1")
+    with upload_in_progress(server, data) as connection:
+        server.process.send_signal(signal.SIGTERM)
+        answer = connection.makefile("rb").read()
+    head_of_answer, _, body = answer.partition(b"\r\n\r\n")
+    assert head_of_answer.startswith(b"HTTP/1.1 503 ")
+    assert json.loads(body)["type"] == "urn:dsbrdf:problem:shutting-down"
+    assert server.process.wait(timeout=20) == 0
+    assert not server.files()
+    assert all(json.loads(line) for line in server.log.read_text().splitlines())
+
+
+def test_hanging_fork_server_does_not_block_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", shutdown_seconds="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    (fork_server,) = (pid for pid in server.helpers() if b"forkserver" in command(pid))
+    os.kill(fork_server, signal.SIGSTOP)
+    try:
+        fit = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
+        wait_until(lambda: server.status(fit) == "running")
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(timeout=60) == 1
+    finally:
+        os.kill(fork_server, signal.SIGKILL)
+    assert "breaks off" in server.log.read_text()
+    server.start()
+    assert server.status(fit) in ("accepted", "running", "succeeded")
