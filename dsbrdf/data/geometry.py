@@ -154,7 +154,7 @@ def above_horizon(
     return np.asarray(inside, dtype=np.bool_)
 
 
-def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
+def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> NDArray[np.float64]:
     """Return directions scaled to exact unit length, or raise an error that says what is wrong with them.
 
     Parameters
@@ -173,7 +173,7 @@ def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
     ------
     InvalidArgumentError
         If the shape is not (..., 3), a number is not finite, a length differs from 1 by more than 1e-6, or a
-        direction points below the horizon (z < 0).
+        direction points below the horizon (z < 0) and that is not accepted.
     """
     vectors = _vectors(name, omega)
     if not np.isfinite(vectors).all():
@@ -183,10 +183,11 @@ def check_directions(name: str, omega: ArrayLike) -> NDArray[np.float64]:
         worst = length.flat[int(np.argmax(np.abs(length - 1.0)))]
         raise InvalidArgumentError(f"{name} must be of unit length (to {_UNIT_TOLERANCE:g}), not {worst:.9g}.")
     lowest = vectors[..., 2].min(initial=1.0)
-    if lowest < -_COSINE_ROUNDING:
+    if lowest < -_COSINE_ROUNDING and not below_horizon:
         raise InvalidArgumentError(f"{name} must lie on or above the horizon (z >= 0); its smallest z is {lowest:.6g}.")
     unit = np.asarray(vectors / length[..., np.newaxis], dtype=np.float64)
-    unit[..., 2] = np.maximum(unit[..., 2], 0.0)
+    height = unit[..., 2]
+    unit[..., 2] = np.where(height < -_COSINE_ROUNDING, height, np.maximum(height, 0.0))
     return unit
 
 

@@ -1,4 +1,4 @@
-"""The exact reduction of a measurement to what a bivariate model can see of it.
+"""The reduction of a measurement to what a model can see of it: profiles over phi_diff, and over bins of it.
 
 The model does not depend on phi_diff, so the squared error of any such model ``m`` splits, for every
 (channel, theta_diff, theta_half), into
@@ -8,6 +8,10 @@ The model does not depend on phi_diff, so the squared error of any such model ``
 with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a constant of the data.  A fit on the
 `Profiles` is therefore a fit on all 4.4 million samples, and the sum of ``within`` is the **bivariate floor**
 that no model of this kind can go below.
+
+A reciprocal isotropic material is the same at phi_diff, -phi_diff and pi - phi_diff, and so is the model with elongated
+lobes.  For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at the mean of
+cos(phi_diff)**2.
 
 This is the only place that decides which samples count, and how much.
 """
@@ -24,8 +28,33 @@ from dsbrdf.errors import InvalidArgumentError
 
 Array = NDArray[np.float64]
 
+N_BINS = 9
+"""Bins of the folded phi_diff, 10 degrees each."""
 WEIGHTINGS = ("plain", "cosine", "log")
 """The known weightings of the samples, see `profiles`."""
+
+
+_BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS // 90, N_BINS - 1)
+_IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)  # (180, 9)
+_MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedProfiles:
+    """Samples up to the horizon, summed over bins of the folded phi_diff.
+
+    Attributes
+    ----------
+    mean, weight : ndarray, shape (3, 90, 90, 9)
+        Mean [1/sr] and number of the samples for each (channel, theta_diff, theta_half, bin), those that lie far from
+        the others of their bin counting less if the reduction is robust.
+    cos2_phi : ndarray, shape (90, 90, 9)
+        Mean of cos(phi_diff)**2 over the samples.
+    """
+
+    mean: Array
+    weight: Array
+    cos2_phi: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +66,12 @@ class Profiles:
     mean, weight, within : ndarray, shape (3, 90, 90)
         Weighted mean [1/sr], summed weight, and summed weighted squared deviation from the mean [1/sr^2] over
         phi_diff, for each (channel, theta_diff, theta_half).  Where ``weight`` is 0 the others are 0.
+    folded : FoldedProfiles
+        The same samples with their phi_diff, and those beyond the cutoff too.
     horizon_cutoff : float or None
         Largest angle to the normal of either direction of the samples used [rad]; None is the horizon.
     weighting : str
-        One of `WEIGHTINGS`.
+        One of `WEIGHTINGS`; ``folded`` is not weighted.
     robust : bool
         Whether outliers over phi_diff were down-weighted.
     name, sha256 : str
@@ -50,6 +81,7 @@ class Profiles:
     mean: Array
     weight: Array
     within: Array
+    folded: FoldedProfiles
     horizon_cutoff: float | None
     weighting: str
     robust: bool
@@ -99,9 +131,11 @@ def profiles(
         raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {weighting!r}")
     shape = (3, THETA_DIFF.size, THETA_HALF.size)
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
     for i, theta_half in enumerate(THETA_HALF):
         used = used_nodes(measurement, i, horizon_cutoff)
         samples = measurement.stored[:, i] * measurement.scale[:, None, None]
+        _fold(folded, i, samples, measurement.valid[i], robust=robust)
         weights = np.broadcast_to(used.astype(float), samples.shape)
         if robust:
             weights = weights * _outlier_weights(samples, used)
@@ -110,7 +144,7 @@ def profiles(
             typical = _summarize(samples, weights)[0][..., None] if weighting == "log" else 0.0
             weights = weights * (cos_in / (1.0 + typical * np.maximum(cos_in, 0.0))) ** 2
         mean[:, :, i], weight[:, :, i], within[:, :, i] = _summarize(samples, weights)
-    return Profiles(mean, weight, within, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256)
+    return Profiles(mean, weight, within, folded, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256)
 
 
 def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
@@ -125,6 +159,20 @@ def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
         raise InvalidArgumentError(
             f"the horizon cutoff must lie above 0 and at most at 90 degrees, not at {np.degrees(horizon_cutoff):g}"
         )
+
+
+def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: NDArray[np.bool_], *, robust: bool) -> None:
+    """Enter the samples (3, 90, 180) of the theta_half row ``i``."""
+    weights = np.broadcast_to(valid.astype(float), samples.shape)
+    if robust:
+        weights = np.zeros(samples.shape)
+        for members in _MEMBERS:
+            weights[..., members] = _outlier_weights(samples[..., members], valid[:, members]) * valid[:, members]
+    total = weights @ _IN_BIN
+    folded.weight[:, :, i] = total
+    folded.mean[:, :, i] = (weights * samples) @ _IN_BIN / np.where(total > 0.0, total, 1.0)
+    count = valid.astype(float) @ _IN_BIN
+    folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ _IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:

@@ -1,333 +1,394 @@
-"""Global least squares over all rows of the profiles.
+"""Least squares over all rows of the folded profiles.
 
-Unknowns are log kappa, log gamma and, for ring lobes, center, of every lobe at every knot; between knots they follow
-the spline of `dsbrdf.model.splines`, which is linear in the unknowns: ``parameters(row) = sum_d B[row, d] x[d]``.
-With the analytic derivatives J of the lobes with respect to the parameters of a row,
+Unknowns are the control values of every lobe's log amplitude in each channel, of its log kappa, log gamma and, for ring
+lobes, center, and of its elongation; between knots they follow the B-splines of `dsbrdf.model.splines`, which are
+linear in the unknowns: ``parameters(row) = sum_d B[row, d] x[d]``.  With the analytic derivatives J of a row's values
+with respect to the row's parameters,
 
-    normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  b = sum_row B x (J^T W r),
+    normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
-so that a whole measurement costs one small product per row.  Each channel is a problem of its own; they iterate
-together.  The method is Levenberg-Marquardt with the damping update of Nielsen (1999, IMM-REP-1999-05) and bounds:
-an unknown that stands at a bound and is pushed outwards is held.  No lobe may peak higher than four times the largest
-value measured around its knot.
+An amplitude concerns its own channel only and a shape all three, so that J^T W J of a row is put together from one
+small product of lobes and derivatives for each channel.  The method is Levenberg-Marquardt with the damping update of
+Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held.  A convex
+combination of values within bounds is within them too, so that nothing has to be clipped between knots.
 
-Two weak pulls decide what the data leave open, the shape of a lobe where it is hardly visible: smoothing over knots,
-`SMOOTHING` times the squared signal for each squared second difference, and agreement between the channels, `COUPLING`
-times the squared signal for each squared distance of log gamma and center from the channels' mean at the start.  The
-second keeps a lobe the same lobe in every channel, so that components have a colour.
+A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
+control values.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.em import GAMMA_BOUNDS, KAPPA_BOUNDS
-from dsbrdf.model.splines import CENTER_OVERSHOOT, OVERSHOOT, roughness, spline_basis
+from dsbrdf.data.reduction import FoldedProfiles
+from dsbrdf.model.lobes import SMALLEST_COSINE, lobe_derivatives, lobe_values, stretch
+from dsbrdf.model.splines import n_control_values, roughness, spline_basis
 
 Array = NDArray[np.float64]
 
 SMOOTHING = 1e-7
-COUPLING = 1e-6
-ALL_COLUMNS = np.arange(THETA_HALF.size)
-CENTER_BOUNDS = (0.0, np.pi / 2)
-_LARGEST_EXPONENT = 60.0  # a spline may overshoot kappa's bound between knots: keep squares finite
-_PEAK_ROOM = 4.0
-_LARGEST_STEP = 2.0  # in log parameters and radians
+LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
+"""From nothing to the largest value that a measurement may have."""
+KAPPA_BOUNDS = (1e-2, 10.0)
+GAMMA_BOUNDS = (1e-2, 2e4)
+"""From flat to a quarter of a degree, the narrowest peak that the grid resolves."""
+CENTER_BOUNDS = (-0.25, float(np.pi / 2))
+ELONGATION_BOUNDS = (-2.5, 2.5)
+_LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _LARGEST_DAMPING = 1e8
+_STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the tolerance
 
 
-@dataclass(frozen=True)
-class Lobes:
-    """How many lobes of either kind; fixes the layout (P,) of the unknowns of a knot.
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Which lobes there are and where their parameters have knots; fixes the layout of the unknowns.
 
-    log kappa of all lobes, then log gamma of all lobes, then center of the ring lobes; centered lobes come first.
+    Attributes
+    ----------
+    rings : tuple of bool
+        For each lobe whether it has a center.
+    amplitude_knots, shape_knots, elongation_knots : ndarray
+        Angles theta_diff [rad].
+    family : str
+        One of `dsbrdf.model.lobes.FAMILIES`.
     """
 
-    centered: int
-    rings: int = 0
+    rings: tuple[bool, ...]
+    amplitude_knots: Array
+    shape_knots: Array
+    elongation_knots: Array
+    family: str
 
     @property
-    def count(self) -> int:
-        """Number of lobes."""
-        return self.centered + self.rings
+    def n_lobes(self) -> int:
+        """Number K of lobes."""
+        return len(self.rings)
 
     @property
-    def n_parameters(self) -> int:
-        """Number P of unknowns of a knot."""
-        return 2 * self.count + self.rings
+    def n_rings(self) -> int:
+        """Number of lobes that have a center."""
+        return sum(self.rings)
 
-    def bounds(self, largest_kappa: Array) -> tuple[Array, Array]:
-        """Bounds of the unknowns, each (3, D, P), for the largest kappa (3, D) at each knot."""
-        low, high = np.empty((2, *largest_kappa.shape, self.n_parameters))
-        for array, side in ((low, 0), (high, 1)):
-            kappas, gammas, centers = self.split(array)
-            kappas[...] = np.log(KAPPA_BOUNDS[0] if side == 0 else largest_kappa[..., None])
-            gammas[...], centers[...] = np.log(GAMMA_BOUNDS[side]), CENTER_BOUNDS[side]
-        return low, high
+    @property
+    def n_unknowns(self) -> int:
+        """How many numbers describe the mixture."""
+        return sum(rows * columns for rows, columns in self._blocks)
+
+    @property
+    def _blocks(self) -> tuple[tuple[int, int], ...]:
+        """Control values and parameters of amplitudes, shapes and elongations."""
+        count = [n_control_values(k.size) for k in (self.amplitude_knots, self.shape_knots, self.elongation_knots)]
+        k = self.n_lobes
+        return (count[0], 3 * k), (count[1], 2 * k + self.n_rings), (count[2], k)
 
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Views on log kappa, log gamma (..., count) and center (..., rings)."""
-        n = self.count
-        return unknowns[..., :n], unknowns[..., n : 2 * n], unknowns[..., 2 * n :]
+        """Views on the unknowns.
+
+        Returns
+        -------
+        amplitude : ndarray, shape (D, 3 K)
+            Logarithms, channel by channel.
+        shape : ndarray, shape (S, 2 K + rings)
+            log kappa, log gamma, center of the ring lobes.
+        elongation : ndarray, shape (E, K)
+        """
+        ends = np.cumsum([rows * columns for rows, columns in self._blocks])
+        parts = np.split(unknowns, ends[:-1])
+        amplitude, shape, elongation = (p.reshape(block) for p, block in zip(parts, self._blocks, strict=True))
+        return amplitude, shape, elongation
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the unknowns, shape (n_unknowns,) each."""
+        sides = []
+        for side in (0, 1):
+            bound = np.empty(self.n_unknowns)
+            amplitude, shape, elongation = self.split(bound)
+            k = self.n_lobes
+            amplitude[...] = LOG_AMPLITUDE_BOUNDS[side]
+            shape[:, :k], shape[:, k : 2 * k] = np.log(KAPPA_BOUNDS[side]), np.log(GAMMA_BOUNDS[side])
+            shape[:, 2 * k :], elongation[...] = CENTER_BOUNDS[side], ELONGATION_BOUNDS[side]
+            sides.append(bound)
+        return sides[0], sides[1]
 
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Profiles with the weights that the fit gives them.
+    """Folded profiles on chosen rows and columns, with the weights that the fit gives them.
 
     Attributes
     ----------
-    mean, weight, within : ndarray, shape (3, 90, 90)
-        As in `Profiles`; weight 0 for what is masked.
-    peak : ndarray, shape (3, 90)
-        Largest value of each row [1/sr]; bounds kappa.
+    mean, weight : ndarray, shape (3, R, N, 9)
+    cos2_phi : ndarray, shape (R, N, 9)
+    rows, columns : ndarray of int, shapes (R,), (N,)
+        On the axes of theta_diff and theta_half.
     """
 
     mean: Array
     weight: Array
-    within: Array
-    peak: Array
+    cos2_phi: Array
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+
+    @classmethod
+    def select(
+        cls, folded: FoldedProfiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> "FitData":
+        """Take rows of theta_diff and columns of theta_half."""
+        chosen = np.ix_(np.arange(3), rows, columns)
+        cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
+        return cls(folded.mean[chosen], weight[chosen], cos2_phi, rows, columns)
+
+    def merge_bins(self, count: int) -> "FitData":
+        """Join ``count`` neighbouring bins of phi_diff, a divisor of their number, to one."""
+        groups = self.weight.reshape(*self.weight.shape[:3], -1, count)
+        total = groups.sum(axis=4)
+        share = groups / np.where(total > 0.0, total, 1.0)[..., None]
+        mean = np.sum(share * self.mean.reshape(groups.shape), axis=4)
+        cos2_phi = np.sum(share.mean(axis=0) * self.cos2_phi.reshape(groups.shape[1:]), axis=3)
+        return replace(self, mean=mean, weight=total, cos2_phi=cos2_phi)
+
+    @property
+    def signal(self) -> float:
+        """Weighted sum of squares."""
+        return float(np.sum(self.weight * self.mean**2))
 
 
-class ProfileProblem:
-    """Profiles on chosen rows and columns, ready for least squares.
+@dataclass(frozen=True, eq=False)
+class _Lobes:
+    """Values and derivatives of the lobes on the data, each (lobes, R, N, 9)."""
+
+    value: Array
+    by_shape: Array
+    by_elongation: Array
+
+
+class MixtureProblem:
+    """The cost of a mixture on data, and its derivatives.
 
     Parameters
     ----------
     data : FitData
-    knots, rows : ndarray of int
-        Rows of the theta_diff axis: where the knots stand, and which to fit.
-    columns : ndarray of int, optional
-        Columns of theta_half to fit; all of them by default.
-    smoothing, coupling : float, optional
+    structure : Structure
+    smoothing : float, optional
         See the module.
     """
 
-    def __init__(
-        self,
-        data: FitData,
-        knots: NDArray[np.intp],
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp] = ALL_COLUMNS,
-        smoothing: float = SMOOTHING,
-        coupling: float = COUPLING,
-    ) -> None:
-        chosen = np.ix_(np.arange(3), rows, columns)
-        mean, weight, within = data.mean[chosen], data.weight[chosen], data.within[chosen]
-        self.theta_half = THETA_HALF[columns]
-        self.log_cos = np.log(np.cos(self.theta_half))
-        self.knots, self.rows = knots, rows
-        self.mean, self.weight = mean, weight
-        self.root = np.sqrt(self.weight)
-        self.data = self.root * self.mean
-        self.floor = within.sum(axis=(1, 2))
-        signal = np.einsum("crn,crn->c", self.data, self.data) + self.floor
-        self.signal = np.where(signal > 0, signal, 1.0)  # a black channel is fitted absolutely
-        self.largest_kappa = _largest_kappa(data.peak, knots)
-        self.basis = spline_basis(THETA_DIFF[knots], THETA_DIFF[rows])
-        self.smoothing = smoothing * roughness(np.degrees(THETA_DIFF[knots]))
-        self.coupling = coupling
-        pairs = self.basis[:, :, None] * self.basis[:, None, :]
-        self._pairs = np.ascontiguousarray(pairs.reshape(rows.size, -1).T)
+    def __init__(self, data: FitData, structure: Structure, smoothing: float = SMOOTHING) -> None:
+        self.data, self.structure = data, structure
+        angles = THETA_DIFF[data.rows]
+        knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
+        self.bases = tuple(spline_basis(k, angles) for k in knots)
+        self._squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
+        self._log_cos = np.log(np.maximum(np.cos(angles), SMALLEST_COSINE))[:, None, None]
+        self._smoothing = smoothing * data.signal
+        self._rough = tuple(roughness(basis.shape[1]) for basis in self.bases[:2])
 
-    def residuals(self, lobes: Lobes, unknowns: Array, channels: NDArray[np.intp] | None = None) -> Array:
-        """Weighted residuals (channels, rows, N) for unknowns (channels, D, P)."""
-        residual, _ = self._evaluate(lobes, unknowns, _all(unknowns, channels), derivatives=False)
-        return residual
+    def values(self, unknowns: Array) -> Array:
+        """Values of the mixture, shape (3, R, N, 9) [1/sr]."""
+        amplitude, shape, elongation = self.row_parameters(unknowns)
+        return np.einsum("crk,krnp->crnp", amplitude, self._values(shape, elongation), optimize=True)
 
-    def squared_error(self, lobes: Lobes, unknowns: Array) -> Array:
-        """Weighted squared error of the profiles per channel, without the floor."""
-        residual = self.residuals(lobes, unknowns)
-        return np.asarray(np.einsum("crn,crn->c", residual, residual))
+    def cost(self, unknowns: Array) -> float:
+        """Weighted squared error plus smoothing."""
+        residual = self.values(unknowns) - self.data.mean
+        return float(np.einsum("crnp,crnp,crnp->", self.data.weight, residual, residual)) + self._pull(unknowns)
 
-    def linearize(
-        self, lobes: Lobes, unknowns: Array, anchor: Array, channels: NDArray[np.intp]
-    ) -> tuple[Array, Array, Array]:
-        """Cost (C,), normal matrix (C, D P, D P) and gradient (C, D P), with the pulls towards smoothness and anchor.
+    def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
+        """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
+        amplitude, shape, elongation = self.structure.split(unknowns)
+        k = self.structure.n_lobes
+        logs = (self.bases[0] @ amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
+        return np.exp(logs), self.bases[1] @ shape, self.bases[2] @ elongation
 
-        The anchor (D, P) counts for log gamma and center.
-        """
-        residual, jacobian = self._evaluate(lobes, unknowns, channels, derivatives=True)
-        c, d, p = unknowns.shape
-        rows = residual.shape[1]
-        products = jacobian @ np.swapaxes(jacobian, 2, 3)
-        normal = (self._pairs @ products.reshape(c, rows, p * p)).reshape(c, d, d, p, p)
-        normal = np.ascontiguousarray(normal.transpose(0, 1, 3, 2, 4))
-        smoothing = self.signal[channels, None, None] * self.smoothing
-        each = np.arange(p)
-        normal[:, :, each, :, each] += smoothing
-        gradient = np.einsum("rd,crp->cdp", self.basis, (jacobian @ residual[..., None])[..., 0])
-        pull = smoothing @ unknowns
-        cost = np.einsum("crn,crn->c", residual, residual) + np.einsum("cdp,cdp->c", unknowns, pull)
-        strength = self.coupling * self.signal[channels]
-        shape = slice(lobes.count, None)
-        apart = unknowns[:, :, shape] - anchor[:, shape]
-        cost += strength * np.einsum("cdp,cdp->c", apart, apart)
-        pull[:, :, shape] += strength[:, None, None] * apart
-        for k in range(lobes.count, p):
-            normal[:, np.arange(d), k, np.arange(d), k] += strength[:, None]
-        return cost, normal.reshape(c, d * p, d * p), (gradient + pull).reshape(c, d * p)
+    def linearize(self, unknowns: Array) -> tuple[float, Array, Array]:
+        """Cost, Gauss-Newton matrix (U, U) and half the gradient (U,)."""
+        amplitude, shape, elongation = self.row_parameters(unknowns)
+        lobes = self._derivatives(shape, elongation)
+        k = self.structure.n_lobes
+        n_rows = len(self.data.rows)
+        curves = np.concatenate([lobes.value, lobes.by_shape, lobes.by_elongation])
+        curves = np.ascontiguousarray(curves.reshape(len(curves), n_rows, -1).transpose(1, 0, 2))
+        rings = np.flatnonzero(self.structure.rings)
+        lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
+        within, across, shared = _empty_blocks(n_rows, k, lobe_of.size)
+        by_amplitude, by_shared = np.zeros((n_rows, 3, k)), np.zeros((n_rows, lobe_of.size))
+        cost = 0.0
+        for channel in range(3):
+            height, weight = amplitude[channel], self.data.weight[channel].reshape(n_rows, 1, -1)
+            residual = np.einsum("rk,rkn->rn", height, curves[:, :k]) - self.data.mean[channel].reshape(n_rows, -1)
+            weighted = curves * weight
+            product = weighted @ curves.transpose(0, 2, 1)
+            slope = np.einsum("rmn,rn->rm", weighted, residual)
+            cost += float(np.einsum("rn,rn,rn->", weight[:, 0], residual, residual))
+            scale = height[:, lobe_of]
+            within[:, channel, :, channel] = product[:, :k, :k] * height[:, :, None] * height[:, None, :]
+            across[:, channel] = product[:, :k, k:] * height[:, :, None] * scale[:, None, :]
+            shared += product[:, k:, k:] * scale[:, :, None] * scale[:, None, :]
+            by_amplitude[:, channel] = slope[:, :k] * height
+            by_shared += slope[:, k:] * scale
+        rows = _join_rows(within.reshape(n_rows, 3 * k, 3 * k), across.reshape(n_rows, 3 * k, -1), shared)
+        gradient_rows = np.concatenate([by_amplitude.reshape(n_rows, -1), by_shared], axis=1)
+        matrix, gradient = self._assemble(rows, gradient_rows)
+        self._add_pull(unknowns, matrix, gradient)
+        return cost + self._pull(unknowns), matrix, gradient
 
-    def _evaluate(
-        self, lobes: Lobes, unknowns: Array, channels: NDArray[np.intp], *, derivatives: bool
-    ) -> tuple[Array, Array]:
-        """Weighted residuals (C, rows, N), and their derivatives (C, rows, P, N) if asked for."""
-        free = self.basis @ unknowns
-        slack = np.where(np.arange(lobes.n_parameters) < 2 * lobes.count, OVERSHOOT, CENTER_OVERSHOOT)
-        low, high = unknowns.min(axis=1, keepdims=True) - slack, unknowns.max(axis=1, keepdims=True) + slack
-        parameters = np.clip(free, low, high)
-        log_kappa, log_gamma, center = lobes.split(parameters)
-        gamma = np.exp(log_gamma)[..., None]
-        offset = self.theta_half - center[..., None]
-        ring_log_cos = np.log(np.maximum(np.cos(offset), 1e-9))
-        n = lobes.centered
-        log_power = np.concatenate([gamma[:, :, :n] * self.log_cos, gamma[:, :, n:] * ring_log_cos], axis=2)
-        exponent = np.exp(np.minimum(log_kappa[..., None] + log_power, np.log(_LARGEST_EXPONENT)))
-        value = np.expm1(exponent)
-        root = self.root[channels]
-        residual = root * value.sum(axis=2) - self.data[channels]
-        if not derivatives:
-            return residual, np.empty(0)
-        jacobian = np.empty((*residual.shape[:2], lobes.n_parameters, residual.shape[2]))
-        by_log_kappa, by_log_gamma, by_center = (jacobian[:, :, part] for part in _slices(lobes))
-        np.multiply(exponent, value + 1.0, out=by_log_kappa)
-        by_log_kappa *= root[:, :, None]
-        np.multiply(by_log_kappa, log_power, out=by_log_gamma)
-        tangent = np.tan(np.clip(offset, -1.5, 1.5))
-        np.multiply(by_log_kappa[:, :, n:], gamma[:, :, n:] * tangent, out=by_center)
-        kept = free == parameters
-        if not kept.all():
-            jacobian *= kept[..., None]
-        return residual, jacobian
+    def _assemble(self, rows: Array, gradient_rows: Array) -> tuple[Array, Array]:
+        """Normal equations of the unknowns from those of each row's parameters."""
+        k = self.structure.n_lobes
+        ends = np.cumsum([0, 3 * k, 2 * k + self.structure.n_rings, k])
+        parts = [slice(start, stop) for start, stop in zip(ends[:-1], ends[1:], strict=True)]
+        blocks: list[list[Array]] = [[np.empty(0)] * 3 for _ in range(3)]
+        for i, first in enumerate(self.bases):
+            for j in range(i, 3):
+                block = _spread(first, self.bases[j], rows[:, parts[i], parts[j]])
+                blocks[i][j], blocks[j][i] = block, block.T
+        gradient = [(basis.T @ gradient_rows[:, part]).ravel() for basis, part in zip(self.bases, parts, strict=True)]
+        return np.block(blocks), np.concatenate(gradient)
+
+    def _pull(self, unknowns: Array) -> float:
+        parts = self.structure.split(unknowns)
+        terms = (np.einsum("dp,de,ep->", part, rough, part) for part, rough in zip(parts, self._rough, strict=False))
+        return self._smoothing * float(sum(terms))
+
+    def _add_pull(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
+        start = 0
+        for part, rough in zip(self.structure.split(unknowns), self._rough, strict=False):
+            block = slice(start, start + part.size)
+            matrix[block, block] += self._smoothing * np.kron(rough, np.eye(part.shape[1]))
+            gradient[block] += self._smoothing * (rough @ part).ravel()
+            start += part.size
+
+    def _each(self, shape: Array) -> list[tuple[Array, Array, Array | None]]:
+        """kappa, gamma and center of each lobe, shape (R, 1, 1)."""
+        k, ring, parameters = self.structure.n_lobes, 0, []
+        for lobe, is_ring in enumerate(self.structure.rings):
+            center = None
+            if is_ring:
+                center, ring = shape[:, 2 * k + ring, None, None], ring + 1
+            parameters.append((np.exp(shape[:, lobe, None, None]), np.exp(shape[:, k + lobe, None, None]), center))
+        return parameters
+
+    def _values(self, shape: Array, elongation: Array) -> Array:
+        values = []
+        for lobe, (kappa, gamma, center) in enumerate(self._each(shape)):
+            stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, elongation[:, lobe, None, None])
+            values.append(lobe_values(stretched.squared_tangent, kappa, gamma, center, self.structure.family))
+        return np.stack(values)
+
+    def _derivatives(self, shape: Array, elongation: Array) -> _Lobes:
+        found, by_elongation = [], []
+        for lobe, (kappa, gamma, center) in enumerate(self._each(shape)):
+            stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, elongation[:, lobe, None, None])
+            found.append(lobe_derivatives(stretched.squared_tangent, kappa, gamma, center, self.structure.family))
+            by_elongation.append(found[-1].by_squared_tangent * stretched.by_elongation)
+        centers = [one.by_center for one, is_ring in zip(found, self.structure.rings, strict=True) if is_ring]
+        by_shape = [one.by_log_kappa for one in found] + [one.by_log_gamma for one in found] + centers
+        return _Lobes(np.stack([one.value for one in found]), np.stack(by_shape), np.stack(by_elongation))
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class Solution:
     """Outcome of `minimize`.
 
     Attributes
     ----------
-    unknowns : ndarray, shape (3, D, P)
-    iterations : ndarray of int, shape (3,)
-        Steps tried for each channel.
-    converged : ndarray of bool, shape (3,)
-        Whether the steps had become unimportant, rather than the bound on their number reached.
+    unknowns : ndarray
+    cost : float
+    converged : bool
+        Whether the cost stopped falling within the iterations allowed.
+    iterations : int
     """
 
     unknowns: Array
-    iterations: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    cost: float
+    converged: bool
+    iterations: int
 
 
 def minimize(
-    problem: ProfileProblem,
-    lobes: Lobes,
+    problem: MixtureProblem,
     start: Array,
     *,
     tolerance: float,
     iterations: int,
     on_iteration: Callable[[int], None] | None = None,
-) -> Refined:
-    """Least-squares fit of all channels by bounded Levenberg-Marquardt.
+) -> Solution:
+    """Levenberg-Marquardt within the bounds of the structure.
 
     Parameters
     ----------
-    problem : ProfileProblem
-    lobes : Lobes
-    start : ndarray, shape (3, D, P)
+    problem : MixtureProblem
+    start : ndarray
         Unknowns to start from.
     tolerance : float
-        A channel has converged when two steps in a row lower its squared error, floor included, by less than this
-        share, or when no step does.
+        Relative decrease of the cost below which an iteration counts as stalled.
     iterations : int
-        Bound on the steps.
+        Bound on the number of steps tried.
     on_iteration : callable, optional
-        Called with the number of each iteration.
+        Called with the number of each step.
 
     Returns
     -------
-    Refined
+    Solution
     """
-    low, high = lobes.bounds(problem.largest_kappa)
+    low, high = problem.structure.bounds()
     unknowns = np.clip(start, low, high)
-    anchor = unknowns.mean(axis=0)
-    channels = len(unknowns)
-    cost, normal, gradient = problem.linearize(lobes, unknowns, anchor, np.arange(channels))
-    damping, growth = np.full(channels, 1e-3), np.full(channels, 2.0)
-    small, used, active = np.zeros(channels, int), np.zeros(channels, np.int64), np.arange(channels)
-    for iteration in range(1, iterations + 1):
-        old, floor = unknowns[active], problem.floor[active]
-        least, most = low[active], high[active]
-        step = _step(old, least, most, normal[active], gradient[active], damping[active], problem.signal[active])
-        new = np.clip(old + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP), least, most)
-        new_cost, new_normal, new_gradient = problem.linearize(lobes, new, anchor, active)
-        gain = cost[active] - new_cost
-        promised = np.maximum(
-            _predicted_gain(new - old, normal[active], gradient[active]), 1e-150 * cost[active] + 1e-300
-        )
-        ratio = np.clip(gain / promised, -0.5, 1.5)
-        better = gain > 0
-        used[active] = iteration
-        share = gain < tolerance * (cost[active] + floor)
-        small[active] = np.where(better, np.where(share, small[active] + 1, 0), small[active])
-        shrink = np.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
-        damping[active] = np.where(
-            better, np.maximum(damping[active] * shrink, 1e-12), damping[active] * growth[active]
-        )
-        growth[active] = np.where(better, 2.0, 2.0 * growth[active])
-        taken = active[better]
-        unknowns[taken], cost[taken] = new[better], new_cost[better]
-        normal[taken], gradient[taken] = new_normal[better], new_gradient[better]
-        active = active[(small[active] < 2) & (damping[active] < _LARGEST_DAMPING)]
+    cost, matrix, gradient = problem.linearize(unknowns)
+    damping, growth, stalled = 1e-3, 2.0, 0
+    for number in range(1, iterations + 1):
         if on_iteration is not None:
-            on_iteration(iteration)
-        if active.size == 0:
-            break
-    converged = np.ones(channels, bool)
-    converged[active] = False
-    return Refined(unknowns, used, converged)
+            on_iteration(number)
+        held = ((unknowns <= low) & (gradient > 0)) | ((unknowns >= high) & (gradient < 0))
+        step = _step(matrix, gradient, damping, held)
+        proposed = np.clip(unknowns + step, low, high)
+        step = proposed - unknowns
+        predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
+        new_cost = problem.cost(proposed) if predicted > 0.0 else np.inf
+        gain = (cost - new_cost) / predicted if predicted > 0.0 else -1.0
+        if gain > 0.0:
+            stalled = stalled + 1 if cost - new_cost < tolerance * cost else 0
+            unknowns, damping, growth = proposed, damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+            if stalled >= _STALLED_STEPS:
+                return Solution(unknowns, new_cost, True, number)
+            cost, matrix, gradient = problem.linearize(unknowns)
+        else:
+            damping, growth = damping * growth, growth * 2.0
+            if damping > _LARGEST_DAMPING:
+                return Solution(unknowns, cost, True, number)
+    return Solution(unknowns, cost, False, iterations)
 
 
-def _step(
-    unknowns: Array, low: Array, high: Array, normal: Array, gradient: Array, damping: Array, signal: Array
-) -> Array:
-    """Damped step (C, D, P) over the unknowns that are not held at a bound."""
-    slope = gradient.reshape(unknowns.shape)
-    held = ((unknowns <= low) & (slope > 0)) | ((unknowns >= high) & (slope < 0))
-    free = ~held.reshape(gradient.shape)
-    diagonal = np.einsum("cii->ci", normal)
-    added = damping[:, None] * np.maximum(diagonal, 1e-10 * signal[:, None]) + 1e-15 * signal[:, None]
-    matrix = np.where(free[:, :, None] & free[:, None, :], normal, 0.0)
-    each = np.arange(gradient.shape[1])
-    matrix[:, each, each] = np.where(free, diagonal + added, 1.0)
-    solution = np.linalg.solve(matrix, np.where(free, -gradient, 0.0)[..., None])[..., 0]
-    return np.asarray(solution.reshape(unknowns.shape))
+def _step(matrix: Array, gradient: Array, damping: float, held: NDArray[np.bool_]) -> Array:
+    """Damped Gauss-Newton step of the unknowns that are not held; 0 for the others."""
+    free = np.flatnonzero(~held)
+    scale = np.diag(matrix)
+    scale = scale + 1e-12 * scale.max()
+    damped = matrix[np.ix_(free, free)] + np.diag(damping * scale[free])
+    step = np.zeros_like(gradient)
+    try:
+        factor = cho_factor(damped, overwrite_a=True, check_finite=False)
+    except LinAlgError:  # singular to rounding: no step, so that the damping grows
+        return step
+    step[free] = np.clip(-cho_solve(factor, gradient[free], check_finite=False), -_LARGEST_STEP, _LARGEST_STEP)
+    return step
 
 
-def _predicted_gain(step: Array, normal: Array, gradient: Array) -> Array:
-    """What the quadratic model of the cost promised for a step."""
-    flat = step.reshape(gradient.shape)
-    curvature = np.einsum("ci,ci->c", flat, (normal @ flat[..., None])[..., 0])
-    return -(2.0 * np.einsum("ci,ci->c", flat, gradient) + curvature)
+def _empty_blocks(n_rows: int, k: int, n_shared: int) -> tuple[Array, Array, Array]:
+    return np.zeros((n_rows, 3, k, 3, k)), np.zeros((n_rows, 3, k, n_shared)), np.zeros((n_rows, n_shared, n_shared))
 
 
-def _largest_kappa(peak: Array, knots: NDArray[np.intp]) -> Array:
-    """Kappa whose lobe peaks at `_PEAK_ROOM` times the largest value of the rows around each knot, shape (3, D)."""
-    first = np.concatenate([[0], knots[:-1]])
-    last = np.concatenate([knots[1:], [peak.shape[1] - 1]])
-    around = np.stack([peak[:, a : b + 1].max(axis=1) for a, b in zip(first, last, strict=True)], axis=1)
-    # Where there are no data around a knot those of the whole channel must do.
-    around = np.where(around > 0, around, peak.max(axis=1, keepdims=True))
-    return np.clip(np.log1p(_PEAK_ROOM * around), 10.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1])
+def _join_rows(within: Array, across: Array, shared: Array) -> Array:
+    upper, lower = np.concatenate([within, across], axis=2), np.concatenate([across.transpose(0, 2, 1), shared], axis=2)
+    return np.concatenate([upper, lower], axis=1)
 
 
-def _slices(lobes: Lobes) -> tuple[slice, slice, slice]:
-    n = lobes.count
-    return slice(0, n), slice(n, 2 * n), slice(2 * n, lobes.n_parameters)
-
-
-def _all(unknowns: Array, channels: NDArray[np.intp] | None) -> NDArray[np.intp]:
-    return np.arange(len(unknowns)) if channels is None else channels
+def _spread(first: Array, second: Array, rows: Array) -> Array:
+    """Sum over rows of (first x second) x block, shape (D P, E Q) for blocks (R, P, Q)."""
+    outer = np.einsum("rd,re->rde", first, second).reshape(len(first), -1)
+    d, e, (_, p, q) = first.shape[1], second.shape[1], rows.shape
+    spread = (outer.T @ rows.reshape(len(rows), -1)).reshape(d, e, p, q)
+    return spread.transpose(0, 2, 1, 3).reshape(d * p, e * q)

@@ -1,132 +1,244 @@
-"""Growing a mixture lobe by lobe, by matching pursuit.
+"""Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
-A new lobe is looked for where the current mixture leaves the largest residual: lobes of many widths (and, for ring
-lobes, centers) are projected on it, the most promising few are fitted together with all the others for some
-iterations, and the best is kept.  All channels get the same new lobe, so that lobes mean the same in every channel.
+A new lobe is looked for where the current mixture leaves the largest residual: lobes of many widths, centers and
+elongations are projected on it, and the one that explains most is fitted together with all the others for some
+iterations.  Lobes about the normal and ring lobes compete on the same terms.  All channels get the same new lobe.
 
-Compared with starting from Algorithm 1 at the knots this ends in better optima and costs less, because each number
-of lobes continues from the one before.
+Whether it pays is decided on columns of theta_half that no mixture was fitted to: a lobe that follows noise does not
+lower the error there.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.fitting.em import KAPPA_BOUNDS
-from dsbrdf.fitting.least_squares import Lobes, ProfileProblem, minimize
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Structure, minimize
 from dsbrdf.model.hemi_epd import half_width
+from dsbrdf.model.lobes import SMALLEST_COSINE, lobe_values, stretch
+from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
 
-_HALF_WIDTHS = np.radians([0.7, 1.2, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0])
-_RING_HALF_WIDTHS = np.radians([0.3, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0])
-_RING_CENTERS = np.radians([1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0])
-_TRIES = 3
-_ITERATIONS = 25
-_TOLERANCE = 1e-4
+MAX_LOBES = 12
+"""Most lobes of a mixture whose number is found."""
+PAYS = 0.06
+"""Share of the error on the columns held out by which a lobe has to lower it."""
+NEGLIGIBLE = 1e-6
+"""... and share of the weighted squared signal: errors below 0.1 % are nobody's material."""
+_DEGREE = np.pi / 180.0
+_WIDTHS = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
+_RING_WIDTHS = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
+_RING_CENTERS = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
+_CUSP_WIDTHS = (0.7, 1.5, 3.0, 6.0, 9.0)
+_CUSP_CENTER = -1.5  # half widths
+_ELONGATIONS = (0.0, 1.0)
+_START_ELONGATION = 0.5  # of the candidate's
+_START_KAPPA = 1.0
+_FAINTEST_START = 0.02  # of the lobe's typical amplitude: one that starts too faint has no derivative to grow by
+_START_SMOOTHING = 3e-2
+_ITERATIONS, _TOLERANCE = 12, 1e-3
+_PATIENCE = 1  # lobes that do not pay before the next one may: two can need each other
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Lobes and their unknowns, shape (3, D, P)."""
+    """A structure and its unknowns."""
 
-    lobes: Lobes
+    structure: Structure
     unknowns: Array
 
 
-def grow(problem: ProfileProblem, mixture: Mixture | None, *, ring: bool, tick: Callable[[], None]) -> Mixture:
-    """Add one lobe to a mixture and fit all of them.
+@dataclass(frozen=True)
+class GrowthStep:
+    """One lobe tried.
+
+    Attributes
+    ----------
+    n_lobes, ring_lobes : int
+        Lobes about the normal, and ring lobes, with it.
+    error : float
+        Weighted squared error on the columns held out, as a share of the squared signal there.
+    pays : bool
+        Whether it was kept.
+    """
+
+    n_lobes: int
+    ring_lobes: int
+    error: float
+    pays: bool
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    width: float
+    center: float
+    elongation: float
+
+    @property
+    def is_ring(self) -> bool:
+        return self.center != 0.0
+
+    @property
+    def gamma(self) -> float:
+        """Shape of a lobe of kappa 1 that has the half width: log-cosines scale with 1 / gamma."""
+        return float(np.log(np.cos(half_width(_START_KAPPA, 1.0))) / np.log(np.cos(self.width)))
+
+
+def grow(
+    fitted: FitData,
+    held_out: FitData,
+    empty: Structure,
+    n_lobes: int | Literal["auto"],
+    ring_lobes: int | Literal["auto"],
+    on_try: Callable[[], None],
+) -> tuple[Mixture, list[GrowthStep]]:
+    """Grow a mixture.
 
     Parameters
     ----------
-    problem : ProfileProblem
-    mixture : Mixture or None
-        What to add to; None starts a new one.
-    ring : bool
-        Whether the new lobe is a ring lobe.
-    tick : callable
-        Called before each try.
+    fitted, held_out : FitData
+        The samples that mixtures are fitted to, and those that judge them.
+    empty : Structure
+        Without lobes: the knots and the family.
+    n_lobes, ring_lobes : int or "auto"
+        As in `FitOptions`.
+    on_try : callable
+        Called before each fit.
 
     Returns
     -------
-    Mixture
-        The best of a few tries.
+    mixture : Mixture
+    steps : list of GrowthStep
     """
-    residual = _residual(problem, mixture)
-    tries = []
-    for width, center in _promising(problem, residual, ring=ring):
-        tick()
-        start = _append(problem, mixture, residual, width, center, ring=ring)
-        fitted = minimize(problem, start.lobes, start.unknowns, tolerance=_TOLERANCE, iterations=_ITERATIONS)
-        tries.append(Mixture(start.lobes, fitted.unknowns))
-    return min(tries, key=lambda m: float(problem.squared_error(m.lobes, m.unknowns).sum()))
+    curves = {}
+    for candidate in _candidates():
+        curves[candidate] = _curve(fitted, candidate, empty.family)
+    mixture, steps = Mixture(empty, np.zeros(0)), list[GrowthStep]()
+    best, error, signal, failures = mixture, held_out.signal, held_out.signal, 0
+    while mixture.structure.n_lobes < MAX_LOBES or _is_short(mixture.structure, n_lobes, ring_lobes):
+        rings = mixture.structure.n_rings
+        wanted = _kinds_wanted(mixture.structure.n_lobes - rings, rings, n_lobes, ring_lobes)
+        if not wanted:
+            break
+        allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in wanted}
+        must = _is_short(mixture.structure, n_lobes, ring_lobes)
+        mixture = _add_best(fitted, mixture, allowed, on_try)
+        new_error = _error(held_out, mixture)
+        pays = must or error - new_error > PAYS * error + NEGLIGIBLE * signal
+        count = mixture.structure
+        steps.append(GrowthStep(count.n_lobes - count.n_rings, count.n_rings, new_error / signal, pays))
+        if pays:
+            best, error, failures = mixture, min(error, new_error), 0
+        else:
+            failures += 1
+            if failures > _PATIENCE:
+                break
+    return best, steps
 
 
-def _residual(problem: ProfileProblem, mixture: Mixture | None) -> Array:
-    """What the mixture leaves, (3, rows, N) [1/sr]; 0 where there are no data."""
-    if mixture is None:
-        return problem.mean
-    weighted = problem.residuals(mixture.lobes, mixture.unknowns)
-    return np.asarray(-weighted / np.where(problem.root > 0, problem.root, np.inf))
+def _kinds_wanted(
+    n_lobes: int, n_rings: int, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
+) -> set[bool]:
+    """Which kinds the next lobe may be: False about the normal, True a ring.  The first is about the normal."""
+    kinds = set()
+    if wanted == "auto" or n_lobes < wanted:
+        kinds.add(False)
+    if (n_lobes or wanted == 0) and (wanted_rings == "auto" or n_rings < wanted_rings):
+        kinds.add(True)
+    return kinds
 
 
-def _promising(problem: ProfileProblem, residual: Array, *, ring: bool) -> list[tuple[float, float]]:
-    """Widths and centers of the lobes that promise the largest gain, the best first, no two alike."""
-    scored = []
-    for center in _RING_CENTERS if ring else (0.0,):
-        for width in _RING_HALF_WIDTHS if ring else _HALF_WIDTHS:
-            if width < max(0.1 * center, 0.3 * min(center, np.radians(5.0))):
-                continue  # narrower than the steps of the grid there
-            along, size = _project(problem, residual, _shape(problem.theta_half, width, center))
-            gain = np.maximum(along, 0.0) ** 2 / np.where(size > 0, size, np.inf)
-            scored.append((float(gain.sum()), float(width), float(center)))
-    chosen: list[tuple[float, float]] = []
-    for _, width, center in sorted(scored, reverse=True):
-        if all(_differ(width, center, *other) for other in chosen):
-            chosen.append((width, center))
-    return chosen[:_TRIES]
+def _is_short(structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]) -> bool:
+    """Whether lobes that were asked for are still missing, or there is none at all."""
+    centered = structure.n_lobes - structure.n_rings
+    missing = (wanted != "auto" and centered < wanted) or (wanted_rings != "auto" and structure.n_rings < wanted_rings)
+    return missing or structure.n_lobes == 0
 
 
-def _differ(width: float, center: float, other_width: float, other_center: float) -> bool:
-    apart = 0.45 * max(center, other_center, np.radians(2.0))
-    return abs(np.log(width / other_width)) > 0.6 or abs(center - other_center) > apart
+def _candidates() -> list[_Candidate]:
+    shapes = [(width, 0.0) for width in _WIDTHS]
+    shapes += [(width, _CUSP_CENTER * width) for width in _CUSP_WIDTHS]
+    # Not narrower than the steps of the grid at the center.
+    shapes += [(w, c) for c in _RING_CENTERS for w in _RING_WIDTHS if w >= max(0.12 * c, 0.3 * min(c, 5.0))]
+    return [_Candidate(w * _DEGREE, c * _DEGREE, e) for e in _ELONGATIONS for w, c in shapes]
 
 
-def _shape(theta_half: Array, width: float, center: float) -> Array:
-    """Shape of a faint lobe of this half width: cos(theta - center)**gamma."""
-    cosine = np.maximum(np.cos(theta_half - center), 1e-9)
-    return np.asarray(cosine ** (np.log(0.5) / np.log(np.cos(width))))
+def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
+    """Values of a candidate, shape (R, N * 9)."""
+    squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
+    log_cos = np.log(np.maximum(np.cos(THETA_DIFF[data.rows]), SMALLEST_COSINE))[:, None, None]
+    at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent
+    center = np.array(candidate.center) if candidate.is_ring else None
+    values = lobe_values(at, np.array(_START_KAPPA), np.array(candidate.gamma), center, family)
+    return np.ascontiguousarray(values.reshape(len(data.rows), -1))
 
 
-def _project(problem: ProfileProblem, residual: Array, shape: Array) -> tuple[Array, Array]:
-    """Inner products of the shape with the residual, and with itself, for each channel and row."""
-    return (problem.weight * residual) @ shape, problem.weight @ shape**2
-
-
-def _append(
-    problem: ProfileProblem, mixture: Mixture | None, residual: Array, width: float, center: float, *, ring: bool
+def _add_best(
+    data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]
 ) -> Mixture:
-    """Add a lobe of given width and center, with the amplitude that the residual asks for at each knot."""
-    along, size = _project(problem, residual, _shape(problem.theta_half, width, center))
-    total = problem.weight.sum(axis=2)
-    level = np.sqrt(np.einsum("crn,crn->cr", problem.data, problem.data) / np.where(total > 0, total, np.inf))
-    # A lobe that starts too faint has no derivative to grow by.
-    amplitude = np.maximum(along / np.where(size > 0, size, np.inf), 0.03 * level + 1e-8)
-    basis = problem.basis
-    ridge = 1e-9 * np.eye(basis.shape[1]) + 1e-2 * problem.smoothing / max(
-        np.abs(problem.smoothing).max(initial=0), 1e-300
-    )
-    log_kappa = np.linalg.solve(basis.T @ basis + ridge, basis.T @ np.log(np.log1p(amplitude)).T).T
-    log_kappa = np.clip(log_kappa, np.log(KAPPA_BOUNDS[0]), np.log(problem.largest_kappa))
-    # At this kappa a lobe of gamma 1 has a known half width; its log-cosine scales with 1 / gamma.
-    log_gamma = np.log(np.log(np.cos(half_width(np.exp(log_kappa), 1.0))) / np.log(np.cos(width)))
-    old = Lobes(0) if mixture is None else mixture.lobes
-    unknowns = np.zeros((*log_kappa.shape, 0)) if mixture is None else mixture.unknowns
-    place = old.count if ring else old.centered
-    kappas, gammas, centers = old.split(unknowns)
-    parts = [np.insert(kappas, place, log_kappa, axis=2), np.insert(gammas, place, log_gamma, axis=2), centers]
-    if ring:
-        parts.append(np.full((*log_kappa.shape, 1), center))
-    return Mixture(Lobes(old.centered + (not ring), old.rings + ring), np.concatenate(parts, axis=2))
+    residual = data.mean
+    if mixture.structure.n_lobes:
+        residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
+    gain, amplitude = _project(data, residual, np.stack(list(curves.values())))
+    best = int(np.argmax(gain))
+    on_try()
+    start = _append(data, mixture, list(curves)[best], amplitude[:, :, best])
+    problem = MixtureProblem(data, start.structure)
+    solution = minimize(problem, start.unknowns, tolerance=_TOLERANCE, iterations=_ITERATIONS)
+    return Mixture(start.structure, solution.unknowns)
+
+
+def _project(data: FitData, residual: Array, curves: Array) -> tuple[Array, Array]:
+    """Gain (n,) of each curve alone, and its amplitude in each channel and row (3, R, n), zero or positive."""
+    n_rows = len(data.rows)
+    by_row = np.ascontiguousarray(curves.transpose(1, 0, 2))
+    squares = by_row**2
+    gain, amplitude = np.zeros(len(curves)), np.zeros((3, n_rows, len(curves)))
+    for channel in range(3):
+        weight = data.weight[channel].reshape(n_rows, -1, 1)
+        along = (by_row @ (weight * residual[channel].reshape(n_rows, -1, 1)))[..., 0]
+        size = (squares @ weight)[..., 0]
+        size = np.where(size > 0.0, size, np.inf)
+        amplitude[channel] = np.maximum(along, 0.0) / size
+        gain += np.sum(amplitude[channel] ** 2 * np.where(np.isfinite(size), size, 0.0), axis=0)
+    return gain, amplitude
+
+
+def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: Array) -> Mixture:
+    """Add a lobe with the amplitude that the residual asks for, (3, R); rings come last."""
+    old = mixture.structure
+    place = old.n_lobes if candidate.is_ring else old.n_lobes - old.n_rings
+    rings = old.rings[:place] + (candidate.is_ring,) + old.rings[place:]
+    structure = replace(old, rings=rings)
+    basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
+    level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
+    target = np.log(np.maximum(amplitude, _FAINTEST_START * level + 1e-9))
+    ridge = _START_SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
+    control = np.linalg.solve(basis.T @ basis + ridge, basis.T @ target.T)  # (D, 3)
+    unknowns = np.zeros(structure.n_unknowns)
+    amplitudes, shapes, elongations = structure.split(unknowns)
+    k = structure.n_lobes
+    others = [lobe for lobe in range(k) if lobe != place]
+    heights = amplitudes.reshape(-1, 3, k)
+    heights[:, :, place] = control
+    if others:
+        old_amplitudes, old_shapes, old_elongations = old.split(mixture.unknowns)
+        n = old.n_lobes
+        heights[:, :, others] = old_amplitudes.reshape(-1, 3, n)
+        shapes[:, others], shapes[:, [k + lobe for lobe in others]] = old_shapes[:, :n], old_shapes[:, n : 2 * n]
+        shapes[:, 2 * k : 2 * k + old.n_rings] = old_shapes[:, 2 * n :]
+        elongations[:, others] = old_elongations
+    shapes[:, place], shapes[:, k + place] = np.log(_START_KAPPA), np.log(candidate.gamma)
+    elongations[:, place] = _START_ELONGATION * candidate.elongation
+    if candidate.is_ring:
+        shapes[:, -1] = candidate.center
+    return Mixture(structure, unknowns)
+
+
+def _error(data: FitData, mixture: Mixture) -> float:
+    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
+    return float(np.sum(data.weight * residual**2))

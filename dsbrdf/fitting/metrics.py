@@ -3,14 +3,19 @@
 Over all nodes that are valid, whose directions are both within the horizon cutoff of the normal, and whose
 theta_half is at least 1 degree, the three channels pooled and every node weighing the same:
 
-    relative_rms = sqrt( sum (f - fit)**2 / sum f**2 )
-    floor        = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
-    excess       = relative_rms / floor
-    male         = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
+    relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
+    floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
+    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal isotropic one does
+    excess          = relative_rms / floor
+    male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
-The first three need the `Profiles` only; male needs the samples.
+What people see, over all directions:
+
+    albedo_error = mean over theta_out = 0, 30, 60, 75 degrees and channels of |albedo of fit - of data| / of data
+    psnr, ssim   = of a lit sphere, see `dsbrdf.model.render`
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -19,86 +24,53 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, used_nodes
+from dsbrdf.data.reduction import used_nodes
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.render import render_sphere, sphere_likeness
 
 Array = NDArray[np.float64]
 
-_NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
 BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
 """Bands of theta_diff that errors are reported for [rad]."""
 OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
-"""Nodes of the theta_half axis that the metrics, and the fit of the lobes, use; shape (90,)."""
+"""Nodes of the theta_half axis that the first five metrics, and the paper's procedure, use; shape (90,)."""
+ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
+"""Directions that the albedo is compared at [rad]."""
+METRICS = (
+    "relative_rms", "floor", "symmetric_floor", "excess", "male", "albedo_error", "psnr", "ssim",
+)  # fmt: skip
+_NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
+_SPHERE_SIZE = 64
+_QUARTER = PHI_DIFF.size // 2 + 1
+_FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
 
 
-def on_grid(model: DSBRDF) -> Array:
-    """Values of the model at the profile nodes, shape (3, 90 theta_diff, 90 theta_half) [1/sr]."""
-    return np.moveaxis(model.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
+@dataclass(frozen=True, eq=False)
+class SampleErrors:
+    """Sums over the samples, each of shape (3 channels, 90 theta_diff).
 
-
-def relative_errors(model: DSBRDF, profiles: Profiles) -> dict[str, float | None]:
-    """Squared-error metrics of a model on plain profiles.
-
-    Parameters
+    Attributes
     ----------
-    model : DSBRDF
-    profiles : Profiles
-        With plain weighting and without outlier weights, as the definitions ask.
-
-    Returns
-    -------
-    dict
-        ``relative_rms``, ``floor``, ``excess`` (None where the floor is zero).
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the profiles are weighted, or hold no data.
+    power, error, scatter, asymmetry : ndarray
+        Of f**2, (f - fit)**2, and of the squared deviation from the mean over phi_diff and from the folded mean.
+    log_error, count : ndarray
+        Of |log(1 + f cos_in) - log(1 + fit cos_in)|, and of samples.
     """
-    if profiles.weighting != "plain" or profiles.robust:
-        raise InvalidArgumentError("the metrics are defined on plain profiles without outlier weights")
-    every = np.ones(THETA_DIFF.size, bool)
-    errors = _relative_errors(on_grid(model), profiles, slice(None), every)
-    if errors is None:
-        raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
-    return errors
+
+    power: Array
+    error: Array
+    scatter: Array
+    asymmetry: Array
+    log_error: Array
+    count: Array
 
 
-def error_tables(model: DSBRDF, profiles: Profiles) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Squared-error metrics of each channel and of bands of theta_diff.
-
-    Parameters
-    ----------
-    model : DSBRDF
-    profiles : Profiles
-        Plain, as for `relative_errors`.
-
-    Returns
-    -------
-    by_channel : list of dict
-        ``channel`` and the metrics, for channels that are not black.
-    by_theta_diff : list of dict
-        ``theta_diff``: first and last angle of the band [rad], the last one excluded, and the metrics, for bands with
-        data.
-    """
-    fit, every = on_grid(model), np.ones(THETA_DIFF.size, bool)
-    by_channel = []
-    for index, channel in enumerate(CHANNELS):
-        errors = _relative_errors(fit, profiles, slice(index, index + 1), every)
-        if errors is not None:
-            by_channel.append({"channel": channel} | errors)
-    by_theta_diff = []
-    for first, last in pairwise(BANDS):
-        errors = _relative_errors(fit, profiles, slice(None), (THETA_DIFF >= first - 1e-9) & (THETA_DIFF < last - 1e-9))
-        if errors is not None:
-            by_theta_diff.append({"theta_diff": [float(first), float(last)]} | errors)
-    return by_channel, by_theta_diff
-
-
-def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> float:
-    """Mean absolute logarithmic error (male) of a model over the samples.
+def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> SampleErrors:
+    """Compare a model with every sample that counts.
 
     Parameters
     ----------
@@ -107,45 +79,116 @@ def mean_absolute_log_error(model: DSBRDF, measurement: Measurement, horizon_cut
     horizon_cutoff : float or None
         Largest angle of either direction to the normal [rad]; None is the horizon.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     InvalidArgumentError
-        If the cutoff leaves no samples.
+        If there is nothing but zeros to compare with.
     """
-    fit = np.maximum(on_grid(model), 0.0)
-    total, count = 0.0, 0
+    sums = SampleErrors(*(np.zeros((3, THETA_DIFF.size)) for _ in range(6)))
+    diff, phi = np.meshgrid(THETA_DIFF, PHI_DIFF[:_QUARTER], indexing="ij")
     for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
         used = used_nodes(measurement, i, horizon_cutoff)
-        cos_in, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF)
-        row, _ = np.nonzero(used)
-        cosine = cos_in[used]
-        samples = measurement.stored[:, i][:, used] * measurement.scale[:, None]
-        difference = np.log1p(samples * cosine) - np.log1p(fit[:, row, i] * cosine)
-        total += float(np.abs(difference).sum())
-        count += difference.size
-    if count == 0:
-        raise InvalidArgumentError("there are no data to compare with: the horizon cutoff leaves no valid sample")
-    return total / count
+        rows = np.flatnonzero(used.any(axis=1))
+        if not rows.size:
+            continue
+        angles = np.full(rows.size * _QUARTER, THETA_HALF[i]), diff[rows].ravel(), phi[rows].ravel()
+        fit = model.evaluate_unmasked(*angles).T.reshape(3, rows.size, _QUARTER)[:, :, _FOLD]
+        cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
+        _add_row(sums, measurement.stored[:, i, rows] * measurement.scale[:, None, None], fit, used[rows], cosine, rows)
+    if not sums.power.any():
+        raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
+    return sums
 
 
-def _relative_errors(
-    fit: Array, profiles: Profiles, channels: slice, rows: NDArray[np.bool_]
-) -> dict[str, float | None] | None:
-    """Metrics of some channels and rows; None where there is nothing but zeros."""
-    part = np.ix_(np.arange(3)[channels], rows, OUTSIDE_CENTER)
-    mean, weight, within = profiles.mean[part], profiles.weight[part], profiles.within[part]
-    power = float(np.sum(weight * mean**2 + within))
+def _add_row(
+    sums: SampleErrors, samples: Array, fit: Array, used: NDArray[np.bool_], cosine: Array, rows: NDArray[np.intp]
+) -> None:
+    count = used.sum(axis=1)
+    mean = np.sum(samples * used, axis=2) / np.maximum(count, 1)
+    # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material.
+    partner = (PHI_DIFF.size - np.arange(PHI_DIFF.size)) % PHI_DIFF.size
+    both = used & used[:, partner]
+    folded = np.where(both, 0.5 * (samples + samples[:, :, partner]), samples)
+    positive = np.where(used, cosine, 0.0)
+    difference = np.log1p(np.where(used, samples, 0.0) * positive) - np.log1p(fit * positive)
+    for total, part in (
+        (sums.power, samples**2),
+        (sums.error, (samples - fit) ** 2),
+        (sums.scatter, (samples - mean[:, :, None]) ** 2),
+        (sums.asymmetry, (samples - folded) ** 2),
+        (sums.log_error, np.abs(difference)),
+    ):
+        total[:, rows] += np.sum(part * used, axis=2)
+    sums.count[:, rows] += count
+
+
+def relative_errors(sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)) -> dict[str, Any] | None:
+    """Errors of some channels and rows of theta_diff; None where there is nothing but zeros.
+
+    Returns
+    -------
+    dict or None
+        ``relative_rms``, ``floor``, ``symmetric_floor``, ``excess`` (None where the floor is zero), ``male``.
+    """
+    power, error, scatter, asymmetry, log_error, count = (
+        float(part[channels, rows].sum()) for part in vars(sums).values()
+    )
     if power == 0.0:
         return None
-    scatter = float(within.sum())
-    error = float(np.sum(weight * (mean - fit[part]) ** 2)) + scatter
     relative_rms, floor = float(np.sqrt(error / power)), float(np.sqrt(scatter / power))
     return {
         "relative_rms": relative_rms,
         "floor": floor,
+        "symmetric_floor": float(np.sqrt(asymmetry / power)),
         "excess": relative_rms / floor if floor > _NO_FLOOR else None,
+        "male": log_error / count,
     }
+
+
+def error_tables(sums: SampleErrors) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Errors of each channel and of bands of theta_diff.
+
+    Returns
+    -------
+    by_channel : list of dict
+        ``channel`` and the errors, for channels that are not black.
+    by_theta_diff : list of dict
+        ``theta_diff``: first and last angle of the band [rad], the last one excluded, and the errors, for bands with
+        data.
+    """
+    by_channel = []
+    for index, channel in enumerate(CHANNELS):
+        errors = relative_errors(sums, slice(index, index + 1))
+        if errors is not None:
+            by_channel.append({"channel": channel} | errors)
+    by_theta_diff = []
+    for first, last in pairwise(BANDS):
+        start, stop = np.searchsorted(THETA_DIFF, [first - 1e-9, last - 1e-9]).tolist()
+        errors = relative_errors(sums, rows=slice(start, stop))
+        if errors is not None:
+            by_theta_diff.append({"theta_diff": [float(first), float(last)]} | errors)
+    return by_channel, by_theta_diff
+
+
+def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[str, float]:
+    """Errors of what people see.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    measurement : Measurement
+    albedo : ndarray, shape (4, 3)
+        The model's directional albedo at `ALBEDO_ANGLES`.
+
+    Returns
+    -------
+    dict
+        ``albedo_error``, ``psnr`` [dB] and ``ssim``, under three lights.
+    """
+    data = interpolate(measurement)
+    # A table has no lobes narrower than its rows: a coarse rule is enough.
+    measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
+    error = np.abs(albedo - measured) / np.where(measured > 0.0, measured, np.inf)
+    lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
+    psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
+    return {"albedo_error": float(error.mean()), "psnr": min(psnr, 200.0), "ssim": ssim}

@@ -6,12 +6,14 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
-from dsbrdf.data.reduction import WEIGHTINGS, check_horizon_cutoff
+from dsbrdf.data.reduction import check_horizon_cutoff
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.lobes import FAMILIES
 
 MAX_LOBES = 8
 METHODS = ("global", "paper")
-MAX_RING_LOBES = 2
+MAX_RING_LOBES = 8
+WEIGHTINGS = ("balanced", "plain", "cosine", "log")
 MAX_MASK = 10.0
 MAX_EM_ITERATIONS = 10_000
 
@@ -23,23 +25,27 @@ class FitOptions:
     Attributes
     ----------
     n_lobes : int or "auto"
-        Number of lobes about the normal, 1 to 8; "auto" takes the smallest number that is not significantly worse
-        than 5 (Nishino 2009, section 5), and 3 with the method "paper".
+        Number of lobes about the normal, 1 to 8; "auto" adds them while they lower the error on samples held out, and
+        is 3 with the method "paper".
     method : {"global", "paper"}
         "global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.
     ring_lobes : int or "auto"
-        Number of lobes with a center of their own, 0 to 2, beside the others; "auto" adds them while they pay.  The
+        Number of lobes with a center of their own, 0 to 8, beside the others; "auto" adds them while they pay.  The
         method "paper" has none.
+    lobe : {"hemi_epd", "student"}
+        Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
     knots : tuple of float or None
-        Angles theta_diff at which the method "global" has its knots, whole degrees, increasing [rad]; None places
-        14 where the data ask for them.
+        Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
+        [rad]; None takes 9 that lie closer towards grazing angles.
     horizon_cutoff : float or None
-        Samples with a direction further than this from the normal are left out [rad]; None is the horizon.
+        Samples with a direction further than this from the normal are left out of the metrics and of the method
+        "paper"; the method "global" trusts them less, down to nothing at the horizon [rad].  None is the horizon.
     mask : float or None
         Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
         mask) for "global", 1 for "paper".
-    weighting : {"plain", "cosine", "log"}
-        Weights of the samples, see `dsbrdf.profiles`.
+    weighting : {"balanced", "plain", "cosine", "log"} or None
+        Weights of the samples, see `dsbrdf.fitting.weighting`; None is the method's own: "balanced" for "global",
+        "plain" for "paper", which has no "balanced".
     robust : bool
         Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half.
     em_iterations : int
@@ -54,14 +60,19 @@ class FitOptions:
     n_lobes: int | Literal["auto"] = "auto"
     method: Literal["global", "paper"] = "global"
     ring_lobes: int | Literal["auto"] = "auto"
+    lobe: Literal["hemi_epd", "student"] = "hemi_epd"
     knots: tuple[float, ...] | None = None
     horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF
     mask: float | None = None
-    weighting: Literal["plain", "cosine", "log"] = "plain"
+    weighting: Literal["balanced", "plain", "cosine", "log"] | None = None
     robust: bool = False
     em_iterations: int = 100
 
     def __post_init__(self) -> None:
+        for name in ("n_lobes", "ring_lobes", "em_iterations", "robust"):
+            value = getattr(self, name)
+            if isinstance(value, np.bool_ | np.integer):  # an option taken from an array means the same
+                object.__setattr__(self, name, value.item())
         if self.n_lobes != "auto" and not _is_integer(self.n_lobes, 1, MAX_LOBES):
             raise InvalidArgumentError(
                 f'n_lobes must be an integer from 1 to {MAX_LOBES} or "auto", not {self.n_lobes!r}'
@@ -76,7 +87,13 @@ class FitOptions:
             raise InvalidArgumentError('the method "paper" has no ring lobes: use ring_lobes 0 or "auto"')
         if self.method == "paper" and self.knots is not None:
             raise InvalidArgumentError('the method "paper" has its slices every 5 degrees: leave the knots out')
-        if self.weighting not in WEIGHTINGS:
+        if self.lobe not in FAMILIES:
+            raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {self.lobe!r}")
+        if self.method == "paper" and self.lobe != "hemi_epd":
+            raise InvalidArgumentError('the method "paper" has the lobe "hemi_epd" only')
+        if self.method == "paper" and self.weighting == "balanced":
+            raise InvalidArgumentError('the method "paper" has no weighting "balanced": use "plain", "cosine" or "log"')
+        if self.weighting is not None and self.weighting not in WEIGHTINGS:
             raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {self.weighting!r}")
         _check_knots(self.knots)
         check_horizon_cutoff(self.horizon_cutoff)
@@ -88,6 +105,12 @@ class FitOptions:
             raise InvalidArgumentError(
                 f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
             )
+
+
+    @property
+    def resolved_weighting(self) -> str:
+        """The weighting, None being the method's own."""
+        return self.weighting or ("plain" if self.method == "paper" else "balanced")
 
 
 def _check_knots(knots: tuple[float, ...] | None) -> None:

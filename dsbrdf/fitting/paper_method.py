@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting import em
@@ -76,7 +76,7 @@ def fit_slicewise(
     nearest = _nearest_fitted(fitted)
     kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
     delta = _delta(data, rows, kappa, gamma)
-    model = DSBRDF(PAPER_SLICES, kappa, gamma, np.zeros_like(kappa), delta)
+    model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
     report = {
         "theta_diff": PAPER_SLICES.tolist(),
         "fitted": fitted.tolist(),
@@ -111,17 +111,17 @@ def _spread(values: NDArray[Any], fitted: NDArray[np.bool_], nearest: NDArray[np
 
 
 def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -> Array:
-    """Weighted mean residual where theta_half < 1 degree, shape (3, D); without data there that of the nearest slice.
+    """Mean residual where theta_half < 1 degree by solid angle, shape (3, D); without data that of the nearest slice.
 
-    It never takes away more than the lobes put there, so that the model stays positive.
+    Never negative: a term that is taken away somewhere would make the model negative between the nodes.
     """
     center = np.flatnonzero(~OUTSIDE_CENTER)
-    weight = data.weight[:, rows][:, :, center]
+    ends = np.concatenate([[0.0], 0.5 * (THETA_HALF[center][1:] + THETA_HALF[center][:-1]), [CENTER_CUTOFF]])
+    weight = data.weight[:, rows][:, :, center] * np.diff(-np.cos(ends))
     lobes = lobe(THETA_HALF[center], kappa[..., None], gamma[..., None]).sum(axis=2)
     total = weight.sum(-1)
     residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)
-    residual = np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1)
-    return np.maximum(residual, -lobes.min(axis=-1))
+    return np.maximum(np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1), 0.0)
 
 
 def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> NDArray[np.bool_]:

@@ -4,34 +4,34 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import MAX_ITERATIONS, fit_global
-from dsbrdf.fitting.metrics import error_tables, mean_absolute_log_error, relative_errors
+from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.metrics import (
+    ALBEDO_ANGLES,
+    METRICS,
+    error_tables,
+    relative_errors,
+    sample_errors,
+    seen_errors,
+)
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import fit_slicewise
 from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import energy
 from dsbrdf.version import versions
 
-__all__ = ["fit", "profiles_for", "with_samples"]
-
-Array = NDArray[np.float64]
+__all__ = ["add_sample_metrics", "fit", "profiles_for"]
 
 
 def fit(
     measurement: Measurement | Profiles,
     options: FitOptions | None = None,
     *,
-    plain: Profiles | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitResult:
     """Fit the model to a measurement.
@@ -39,11 +39,10 @@ def fit(
     Parameters
     ----------
     measurement : Measurement or Profiles
-        Profiles must have been made with the options' horizon cutoff, weighting and robustness.
+        Profiles must have been made with the options' horizon cutoff, weighting and robustness; the metrics need the
+        samples and are None then, see `add_sample_metrics`.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
-    plain : Profiles, optional
-        Where profiles are given that are weighted: those of the same measurement without weights, for the metrics.
     progress : callable, optional
         Called with the share of the work done, 0 to 1, at least once an iteration.  What it raises ends the fit and
         reaches the caller.
@@ -74,20 +73,30 @@ def fit(
     progress_fit = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
     if options.method == "paper":
         model, slices = fit_slicewise(data, options, progress_fit)
-        selection, rings, bound = [], [], options.em_iterations
+        growth, bound = list[GrowthStep](), options.em_iterations
         clock.lap("em")
     else:
         outcome = fit_global(data, options, progress_fit, clock.lap)
-        model, slices, selection, rings = outcome.model, outcome.slices, outcome.selection, outcome.rings
+        model, slices, growth = outcome.model, outcome.slices, outcome.growth
         bound = MAX_ITERATIONS
-    metrics, by_channel, by_theta_diff = _metrics(model, measurement, plain or data, options)
-    clock.lap("metrics")
-    energies = _energy(model)
-    clock.lap("energy")
+    albedo = model.albedo(ALBEDO_ANGLES)
+    clock.lap("albedo")
     chosen = asdict(options) | {"knots": None if options.knots is None else list(options.knots)}
     report = FitReport(
-        metrics, by_channel, by_theta_diff, slices, selection, rings, energies, clock.laps, chosen, versions()
+        metrics=dict.fromkeys(METRICS),
+        by_channel=[],
+        by_theta_diff=[],
+        slices=slices,
+        growth=[asdict(step) for step in growth],
+        albedo={"theta_out": ALBEDO_ANGLES.tolist(), "albedo": albedo.tolist()},
+        n_numbers=model.n_numbers,
+        timings=clock.laps,
+        options=chosen,
+        versions=versions(),
     )
+    result = FitResult(model, report)
+    if isinstance(measurement, Measurement):
+        result = add_sample_metrics(result, measurement)
     report_progress(1.0)
     open_slices = int(np.sum(np.logical_not(slices["converged"])))
     if open_slices:
@@ -96,7 +105,7 @@ def fit(
             ConvergenceWarning,
             stacklevel=2,
         )
-    return FitResult(model, report)
+    return result
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
@@ -111,17 +120,27 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
         return profiles(
             measurement,
             horizon_cutoff=options.horizon_cutoff,
-            weighting=options.weighting,
+            weighting=_profile_weighting(options),
             robust=options.robust,
         )
-    for name in ("horizon_cutoff", "weighting", "robust"):
-        made, asked = getattr(measurement, name), getattr(options, name)
+    asked_of = {
+        "horizon_cutoff": options.horizon_cutoff,
+        "weighting": _profile_weighting(options),
+        "robust": options.robust,
+    }
+    for name, asked in asked_of.items():
+        made = getattr(measurement, name)
         if made != asked:
             raise InvalidArgumentError(f"the profiles were made with {name} {made!r}, the options ask for {asked!r}")
     return measurement
 
 
-def with_samples(result: FitResult, measurement: Measurement) -> FitResult:
+def _profile_weighting(options: FitOptions) -> str:
+    """Weighting of the profiles; the method "global" weighs the folded bins, which are never weighted before."""
+    return options.resolved_weighting if options.method == "paper" else "plain"
+
+
+def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
     """Complete the report of a fit of profiles with what only the samples can tell.
 
     Parameters
@@ -135,37 +154,19 @@ def with_samples(result: FitResult, measurement: Measurement) -> FitResult:
     FitResult
         The same as a fit of `measurement` itself, apart from the timings.
     """
-    clock, report = _Clock(), result.report
-    male = mean_absolute_log_error(result.model, measurement, report.options["horizon_cutoff"])
+    clock, model, report = _Clock(), result.model, result.report
+    sums = sample_errors(model, measurement, report.options["horizon_cutoff"])
+    by_channel, by_theta_diff = error_tables(sums)
+    seen = seen_errors(model, measurement, np.array(report.albedo["albedo"]))
     clock.lap("metrics")
-    timings = report.timings | {"metrics": report.timings["metrics"] + clock.laps["metrics"]}
-    return FitResult(result.model, replace(report, metrics=report.metrics | {"male": male}, timings=timings))
-
-
-def _metrics(
-    model: DSBRDF, measurement: Measurement | Profiles, data: Profiles, options: FitOptions
-) -> tuple[dict[str, float | None], list[dict[str, Any]], list[dict[str, Any]]]:
-    male = None
-    if isinstance(measurement, Measurement):
-        if data.weighted:
-            data = profiles(measurement, horizon_cutoff=options.horizon_cutoff)
-        male = mean_absolute_log_error(model, measurement, options.horizon_cutoff)
-    elif data.weighted:
-        return dict.fromkeys(("relative_rms", "floor", "excess", "male")), [], []
-    by_channel, by_theta_diff = error_tables(model, data)
-    return relative_errors(model, data) | {"male": male}, by_channel, by_theta_diff
-
-
-def _energy(model: DSBRDF) -> dict[str, list[Any]]:
-    theta_out = np.radians([0.0, 30.0, 60.0, 75.0])
-    # A spline is smooth at its knots: without cuts there the quadrature takes a fifth of the time and is good to 1e-3.
-    kinks = model.theta_diff if model.interpolation == "linear" else model.theta_diff[[0, -1]]
-    albedo = directional_albedo(model.evaluate, theta_out, kinks)
-    return {
-        "theta_out": theta_out.tolist(),
-        "albedo": albedo.tolist(),
-        "sum_inverse_c": energy(model.kappa, model.gamma, model.center).sum(axis=2).tolist(),
-    }
+    complete = replace(
+        report,
+        metrics=(relative_errors(sums) or {}) | seen,
+        by_channel=by_channel,
+        by_theta_diff=by_theta_diff,
+        timings=report.timings | clock.laps,
+    )
+    return FitResult(model, complete)
 
 
 def _ignore(_: float) -> None:

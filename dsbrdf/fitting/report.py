@@ -13,22 +13,20 @@ class FitReport:
     Attributes
     ----------
     metrics : dict
-        ``relative_rms``, ``floor``, ``excess`` (None without a floor) and ``male``; see `dsbrdf.fitting.metrics`.
-        Where only the profiles were given ``male`` is None, and all of them are if those were weighted.
+        Those of `dsbrdf.fitting.metrics.METRICS`; ``excess`` is None without a floor, and all are None where only
+        profiles were given.
     by_channel, by_theta_diff : list of dict
-        ``relative_rms``, ``floor`` and ``excess`` of each channel, and of bands of theta_diff [rad]; empty where the
-        metrics are None.
+        The first five of them for each channel, and for bands of theta_diff [rad]; empty where they are None.
     slices : dict
-        ``theta_diff`` (D) [rad] and, for each channel and knot (3, D), ``fitted`` (False: no data, parameters of the
-        nearest fitted slice), ``converged``, ``iterations`` and ``bounds_hit``.
-    selection : list of dict
-        For each number of lobes tried: ``n_lobes``, ``e_p``, ``squared_error``, ``bic``, ``t``, ``critical_value``,
-        ``significant``; see `dsbrdf.fitting.lobe_selection`.  Empty for the method "paper".
-    rings : list of dict
-        For each ring lobe tried: ``ring_lobes``, ``squared_error``, ``pays``.
-    energy : dict
-        ``theta_out`` [rad], ``albedo``: directional albedo there, to about 1e-3, (n, 3); ``sum_inverse_c``: the
-        paper's sum of 1/C over the lobes, (3, D).
+        ``theta_diff`` [rad] of the knots and, for each channel and knot (3, knots), ``fitted`` (False: no data there),
+        ``converged``, ``iterations`` and ``bounds_hit``.
+    growth : list of dict
+        For each lobe tried: ``n_lobes``, ``ring_lobes``, ``error`` on the samples held out, as a share of their squared
+        signal, and ``pays``.  Empty for the method "paper".
+    albedo : dict
+        ``theta_out`` [rad], ``albedo``: directional albedo there, (n, 3).
+    n_numbers : int
+        How many numbers the model stores.
     timings : dict
         Seconds for each step.
     options : dict
@@ -41,9 +39,9 @@ class FitReport:
     by_channel: list[dict[str, Any]]
     by_theta_diff: list[dict[str, Any]]
     slices: dict[str, list[Any]]
-    selection: list[dict[str, Any]]
-    rings: list[dict[str, Any]]
-    energy: dict[str, list[Any]]
+    growth: list[dict[str, Any]]
+    albedo: dict[str, list[Any]]
+    n_numbers: int
     timings: dict[str, float]
     options: dict[str, Any]
     versions: dict[str, str]

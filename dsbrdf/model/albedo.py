@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from dsbrdf.data.grid import CENTER_CUTOFF
 
 Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array, Array], Array]
+
+_SMOOTH = np.zeros(0)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _AZIMUTH_NODES, _AZIMUTH_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -30,17 +33,17 @@ _AZIMUTH_ENDS = np.array([0.0, 0.2, 1.0])
 
 
 def directional_albedo(
-    evaluate: Callable[[Array, Array], Array], theta_out: Array, knots: Array, narrowest: float = np.pi / 2
+    evaluate: Evaluate, theta_out: Array, knots: Array = _SMOOTH, narrowest: float = np.pi / 2
 ) -> Array:
-    """Directional albedo of a bivariate BRDF.
+    """Directional albedo of a reciprocal isotropic BRDF.
 
     Parameters
     ----------
     evaluate : callable
-        ``evaluate(theta_half, theta_diff) -> (..., 3)`` [1/sr].
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (n, 3)`` [1/sr] for angles (n,).
     theta_out : ndarray, shape (...)
         Angles to the normal [rad].
-    knots : ndarray, shape (D,)
+    knots : ndarray, shape (D,), optional
         Values of theta_diff at which ``evaluate`` need not be smooth [rad].
     narrowest : float, optional
         Half width of the narrowest lobe that is not about the normal [rad].
@@ -55,7 +58,7 @@ def directional_albedo(
     return np.array(rows).reshape(*theta_out.shape, 3)
 
 
-def _albedo_at(evaluate: Callable[[Array, Array], Array], theta_out: float, knots: Array, width: float) -> Array:
+def _albedo_at(evaluate: Evaluate, theta_out: float, knots: Array, width: float) -> Array:
     theta_half, weight = _half_angle_rule(theta_out, knots, width)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
     theta_half, weight = theta_half[row, None], weight[row, None]
@@ -64,7 +67,12 @@ def _albedo_at(evaluate: Callable[[Array, Array], Array], theta_out: float, knot
     # The azimuth runs over half the circle: the other half is its mirror image.
     measure = 2.0 * weight * phi_weight * np.sin(theta_half) * 4.0 * cos_diff * np.maximum(cos_in, 0.0)
     theta_diff = np.arccos(np.clip(cos_diff, 0.0, 1.0))
-    return np.asarray(np.einsum("np,npc->c", measure, evaluate(theta_half, theta_diff)))
+    # cos_out = cos(theta_half) cos(theta_diff) + sin(theta_half) sin(theta_diff) cos(phi_diff)
+    swing = np.sin(theta_half) * np.sin(theta_diff)
+    cos_phi = (np.cos(theta_out) - np.cos(theta_half) * cos_diff) / np.where(swing > 0.0, swing, np.inf)
+    phi_diff = np.arccos(np.clip(cos_phi, -1.0, 1.0))
+    angles = (part.ravel() for part in np.broadcast_arrays(theta_half, theta_diff, phi_diff))
+    return np.asarray(measure.ravel() @ evaluate(*angles))
 
 
 def _half_angle_rule(theta_out: float, knots: Array, width: float) -> tuple[Array, Array]:

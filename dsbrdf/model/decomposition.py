@@ -1,59 +1,75 @@
 """Which lobes are the specular spike, the specular lobe and the diffuse part.
 
-A lobe is labelled by its angular half width at half maximum, not by its index: a spike is as narrow as the
-instrument's and the coating's spread, a diffuse part is wide.  A ring lobe reaches from the normal to beyond its
-center, so its center counts as width.  One label holds for a lobe over all theta_diff and all channels.  The half
-width of a lobe is its median over channels and knots, weighted by the share of the energy that the lobe has there, so
-that a lobe is judged where it can be seen.
+A lobe is labelled by how far it reaches from the normal, not by its index: a spike is as narrow as the instrument's and
+the coating's spread, a diffuse part is wide.  Its reach at one theta_diff is the largest theta' at which it has half of
+its height.  One label holds for a lobe over all theta_diff.
+
+Lobes whose reaches are close describe one peak and belong together, so that the border between two components is the
+widest gap between reaches near a threshold, not the threshold itself: a small change of the data does not move a lobe
+across it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import energy, half_width
+from dsbrdf.model.lobes import lobe_values
 
 Array = NDArray[np.float64]
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
-"""A lobe with a smaller half width belongs to the specular spike [rad of theta_half]."""
+"""Border between the specular spike and the specular lobe, where no gap decides [rad of theta_half]."""
 DIFFUSE_HALF_WIDTH = float(np.radians(25.0))
-"""A lobe with a larger half width belongs to the diffuse part [rad of theta_half]."""
+"""Border between the specular lobe and the diffuse part, where no gap decides [rad of theta_half]."""
+_GAP_RANGE = 1.8  # a border may move from a threshold by this factor
+_ANGLES = np.radians(np.arange(0.0, 81.0, 5.0))
+_REACHES = np.concatenate([[0.0], np.geomspace(np.radians(0.02), np.pi / 2, 300)])
 
 
 @dataclass(frozen=True, eq=False)
-class Component(DSBRDF):
-    """One component: a model made of the lobes that carry its label.
+class Component:
+    """One component: the lobes of a model that carry its label.
 
     Attributes
     ----------
     label : str
         One of `LABELS`.
+    model : DSBRDF
+        Made of the component's lobes.
     lobes : tuple of int
         Their indices in the model that was decomposed.
     half_width : float or None
-        Half width at half maximum of the lobes, their median weighted by power [rad]; None without lobes.
+        Largest theta_half at which the component has half of its height, at theta_diff = 0 [rad]; None without lobes.
     albedo : ndarray, shape (3,)
         Directional albedo at normal incidence, RGB.
     margin : float or None
-        How clear the label is: the smallest |log2| of the ratio of a lobe's half width to a threshold.  At 1 the
-        lobe is twice as wide or as narrow as the nearest threshold, at 0 it lies on it.  None without lobes.
+        How clear the split is: |log2| of the ratio of the nearest border and the nearest reach of a lobe.  At 1 the
+        lobe is twice as wide or as narrow, at 0 it lies on the border.  None without lobes.
     """
 
-    label: str = LABELS[0]
-    lobes: tuple[int, ...] = ()
-    half_width: float | None = None
-    albedo: Array = None  # type: ignore[assignment]
-    margin: float | None = None
+    label: str
+    model: DSBRDF
+    lobes: tuple[int, ...]
+    half_width: float | None
+    albedo: Array
+    margin: float | None
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
+        """Values of the component, see `DSBRDF.evaluate`."""
+        return self.model.evaluate(theta_half, theta_diff, phi_diff)
+
+    def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
+        """Values of the component, see `DSBRDF.evaluate_directions`."""
+        return self.model.evaluate_directions(omega_in, omega_out)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Decomposition:
     """The three components of a model; their values sum to the model's.
 
@@ -84,9 +100,9 @@ def decompose(
 
     Parameters
     ----------
-    model : DSBRDF
+    model : DSBRDF or FitResult
     spike_half_width, diffuse_half_width : float, optional
-        Thresholds on the half width of a lobe [rad of theta_half].
+        Thresholds on the reach of a lobe [rad of theta_half].
 
     Returns
     -------
@@ -98,55 +114,32 @@ def decompose(
     InvalidArgumentError
         Unless 0 < spike_half_width < diffuse_half_width <= pi/2.
     """
+    model = getattr(model, "model", model)
     if not 0.0 < spike_half_width < diffuse_half_width <= np.pi / 2:
         raise InvalidArgumentError(
             "the half width thresholds must satisfy 0 < spike_half_width < diffuse_half_width <= pi/2"
         )
-    thresholds = np.array([spike_half_width, diffuse_half_width])
-    widths, powers = lobe_widths(model)
-    groups = np.searchsorted(thresholds, widths, side="right")
+    widths = lobe_widths(model)
+    borders = np.array([_border(widths, threshold) for threshold in (spike_half_width, diffuse_half_width)])
+    groups = np.searchsorted(borders, widths, side="right")
     components = []
     for group, label in enumerate(LABELS):
         lobes = tuple(int(k) for k in np.flatnonzero(groups == group))
         part = model.select(lobes, with_delta=group == 0)
-        chosen = widths[list(lobes)]
-        components.append(
-            Component(
-                part.theta_diff,
-                part.kappa,
-                part.gamma,
-                part.center,
-                part.delta,
-                part.interpolation,
-                label=label,
-                lobes=lobes,
-                half_width=weighted_median(chosen, powers[list(lobes)]) if lobes else None,
-                albedo=part.directional_albedo(0.0),
-                margin=float(np.abs(np.log2(chosen[:, None] / thresholds)).min()) if lobes else None,
-            )
-        )
+        margin = float(np.abs(np.log2(widths[list(lobes)][:, None] / borders)).min()) if lobes else None
+        components.append(Component(label, part, lobes, _half_width(part), part.albedo(0.0), margin))
     return Decomposition(*components)
 
 
-def lobe_widths(model: DSBRDF) -> tuple[Array, Array]:
-    """Half width [rad] and weight of each lobe, shapes (K,), over all channels and knots.
+def lobe_widths(model: DSBRDF) -> Array:
+    """Reach of each lobe [rad], shape (K,): the median over theta_diff, weighted by the lobe's share of the light there.
 
-    A knot counts by the share that the lobe has, in a channel, of all energy there, and by the range of theta_diff that
-    the knot stands for: values near grazing are so large that they would decide alone otherwise.
+    Values near grazing are so large that they would decide alone if the light itself was the weight.
     """
-    extent, power = lobe_extents(model)
-    total = power.sum(axis=(0, 2), keepdims=True)
-    span = np.gradient(model.theta_diff) if model.theta_diff.size > 1 else np.ones(1)
-    weight = power / np.where(total > 0, total, 1.0) * span[:, None]
-    lobes = range(model.n_lobes)
-    medians = [weighted_median(extent[:, :, k].ravel(), weight[:, :, k].ravel()) for k in lobes]
-    return np.array(medians), weight.sum(axis=(0, 1))
-
-
-def lobe_extents(model: DSBRDF) -> tuple[Array, Array]:
-    """Center plus half width [rad], and energy on the hemisphere, of each lobe at each knot, shapes (3, D, K)."""
-    extent = model.center + half_width(model.kappa, model.gamma)
-    return extent, energy(model.kappa, model.gamma, model.center)
+    reach, power = lobe_reaches(model)
+    total = power.sum(axis=1, keepdims=True)
+    share = power / np.where(total > 0.0, total, 1.0)
+    return np.array([weighted_median(reach[:, k], share[:, k]) for k in range(model.n_lobes)])
 
 
 def weighted_median(values: Array, weights: Array) -> float:
@@ -154,3 +147,32 @@ def weighted_median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     share = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
+
+
+def lobe_reaches(model: DSBRDF) -> tuple[Array, Array]:
+    """Reach [rad] and light of each lobe, mean over the channels, at some theta_diff, shapes (angles, K)."""
+    parameters = model.parameters_at(_ANGLES)
+    squared = np.minimum(np.tan(_REACHES), 1e8) ** 2
+    kappa, gamma, center = (parameters[name].mean(axis=1)[..., None] for name in ("kappa", "gamma", "center"))
+    curves = lobe_values(squared, kappa, gamma, center, model.lobe)
+    last = curves.shape[-1] - 1 - np.argmax((curves >= 0.5 * curves.max(axis=-1, keepdims=True))[..., ::-1], axis=-1)
+    measure = np.sin(_REACHES) * np.cos(_REACHES) * np.gradient(_REACHES)
+    return np.maximum(_REACHES[last], _REACHES[1]), (curves @ measure) * parameters["amplitude"].mean(axis=1)
+
+
+def _border(widths: Array, threshold: float) -> float:
+    """Middle of the widest gap between reaches near the threshold, on a logarithmic scale."""
+    low, high = np.log(threshold / _GAP_RANGE), np.log(threshold * _GAP_RANGE)
+    inside = np.sort(np.log(widths[(np.log(widths) > low) & (np.log(widths) < high)]))
+    ends = np.concatenate([[low], inside, [high]])
+    if not inside.size:
+        return threshold
+    gap = int(np.argmax(np.diff(ends)))
+    return float(np.exp(0.5 * (ends[gap] + ends[gap + 1])))
+
+
+def _half_width(part: DSBRDF) -> float | None:
+    if part.n_lobes == 0 and not part.delta.any():
+        return None
+    values = part.evaluate(_REACHES, 0.0).sum(axis=1)
+    return float(_REACHES[np.flatnonzero(values >= 0.5 * values.max())[-1]])

@@ -1,54 +1,75 @@
-"""The Directional Statistics BRDF model: mixtures of hemi-EPDs whose parameters vary with theta_diff.
+"""The Directional Statistics BRDF model: mixtures of lobes whose parameters vary with theta_diff.
 
-    f(theta_half, theta_diff) = sum_k [exp(kappa_k cos(theta_half - center_k)**gamma_k) - 1]
-                                + delta [theta_half < 1 degree]
+    f_c = sum_k amplitude_ck(theta_diff) s_k(theta'_k) + delta_c(theta_diff) [theta_half < 1 degree]
 
-for each colour channel, where kappa, gamma, center and delta are interpolated in theta_diff between knots and
-held beyond the first and the last (Nishino 2009, eq. 5 and section 6).  delta runs linearly; the others either do
-too (the paper), or log kappa, log gamma and center follow a natural cubic spline, which needs fewer knots.  Where no
-data held the spline, in a gap between knots, it is kept near the values at the knots.
+with lobes s_k of height 1 (`dsbrdf.model.lobes`) whose shape is kappa_k, gamma_k and center_k, and theta'_k the angle
+theta_half stretched by elongation_k.  The shapes belong to all channels, so that a lobe has a colour, its amplitude;
+or, in the paper's model, to each channel.  The paper's lobe exp(kappa cos(theta_half)**gamma) - 1 is that of
+amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is the paper's too (section 6).
+
+Every term is non-negative, continuous where the delta term is 0, and does not change when the two directions change
+places.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.geometry import check_directions, half_difference
-from dsbrdf.data.grid import CENTER_CUTOFF, GRID_SHAPE, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import check_directions, half_difference, incident_cosines
+from dsbrdf.data.grid import CENTER_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.evaluation import Mixture, linear
-from dsbrdf.model.hemi_epd import half_width
+from dsbrdf.model.evaluation import Evaluator, ParameterCurves
+from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]
 
-INTERPOLATIONS = ("linear", "cubic")
-"""How parameters run between knots: linear in kappa and gamma, or a cubic spline in their logarithms."""
+INTERPOLATIONS = ("linear", "spline")
+"""How parameters run between knots, see `DSBRDF`."""
+_ARRAYS = (
+    "theta_diff",
+    "amplitude",
+    "kappa",
+    "gamma",
+    "center",
+    "elongation",
+    "shape_theta_diff",
+    "elongation_theta_diff",
+    "delta",
+)
+_LARGEST = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
+_LARGEST_ELONGATION = 10.0
+_HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
 
 
-# Beyond any reflectance, and far enough from the largest float64 for the sum of all lobes and between knots.
-_LARGEST = {
-    "linear": {"kappa": 700.0, "gamma": 1e100, "delta": 1e300},
-    "cubic": {"kappa": 350.0, "gamma": 1e100, "delta": 1e300},  # a spline may go to twice the values at its knots
-}
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DSBRDF:
     """A fitted model of an isotropic BRDF.
 
     Attributes
     ----------
-    theta_diff : ndarray, shape (D,)
-        Knots, increasing, 0 to pi/2 [rad].
-    kappa, gamma, center : ndarray, shape (3, D, K)
-        Scale, shape and ring angle [rad] of each lobe, per channel (red, green, blue) and knot.  K may be 0.
-    delta : ndarray, shape (3, D)
-        Height added where theta_half < 1 degree [1/sr].
-    interpolation : str
-        One of `INTERPOLATIONS`.
+    theta_diff : ndarray, shape (B,)
+        Knots of the amplitudes, increasing, 0 to pi/2 [rad].
+    amplitude : ndarray, shape (3, D, K)
+        Height of each lobe in each channel (red, green, blue) [1/sr], zero or positive; K may be 0.  With the
+        interpolation "linear" D = B and these are the values at the knots, log1p(amplitude) being linear between them;
+        with "spline" D = B + 2 and they are the control values of a cubic B-spline of the logarithm, then positive.
+    kappa, gamma, center : ndarray, shape (C, S, K)
+        Scale, shape and ring angle [rad] of each lobe, C = 1 for all channels or C = 3 for each, at the S control
+        values of the knots ``shape_theta_diff``; kappa and gamma run as amplitude does, center as it is.  A center
+        below 0 is a cusp at the normal.
+    elongation : ndarray, shape (E, K)
+        Stretch of each lobe, 0 for a round one, at the control values of ``elongation_theta_diff``.
+    shape_theta_diff, elongation_theta_diff : ndarray
+        Knots [rad]; those of the amplitudes and a single one if not given.
+    delta : ndarray, shape (3, B)
+        Height added where theta_half < 1 degree [1/sr], linear between the knots; zero or positive, 0 if not given.
+    interpolation : {"linear", "spline"}
+    lobe : {"hemi_epd", "student"}
 
     Raises
     ------
@@ -57,36 +78,86 @@ class DSBRDF:
     """
 
     theta_diff: Array
+    amplitude: Array
     kappa: Array
     gamma: Array
-    center: Array
-    delta: Array
-    interpolation: str = "linear"
+    center: Array = None  # type: ignore[assignment]
+    elongation: Array = None  # type: ignore[assignment]
+    shape_theta_diff: Array = None  # type: ignore[assignment]
+    elongation_theta_diff: Array = None  # type: ignore[assignment]
+    delta: Array = None  # type: ignore[assignment]
+    interpolation: str = "spline"
+    lobe: str = "hemi_epd"
 
     def __post_init__(self) -> None:
-        for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
-            array = np.array(getattr(self, name), dtype=float)
+        defaults = {
+            "center": lambda: np.zeros_like(self.kappa),
+            "elongation": lambda: np.zeros((1, self.kappa.shape[-1] if self.kappa.ndim else 0)),
+            "shape_theta_diff": lambda: self.theta_diff,
+            "elongation_theta_diff": lambda: np.zeros(1),
+            "delta": lambda: np.zeros((3, self.theta_diff.size)),
+        }
+        for name in _ARRAYS:
+            value = getattr(self, name)
+            try:
+                array = np.array(defaults[name]() if value is None else value, dtype=float)
+            except (TypeError, ValueError):
+                raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         _check_model(self)
 
     @property
     def n_lobes(self) -> int:
-        """Number K of lobes in each channel."""
-        return int(self.kappa.shape[2])
+        """Number K of lobes."""
+        return int(self.amplitude.shape[2])
 
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers the model stores, knots apart; centers, elongations and deltas count where one is not 0."""
+        rings = int(np.count_nonzero(self.is_ring))
+        stored = self.amplitude.size + self.kappa.size + self.gamma.size + rings * self.center[..., 0:1].size
+        return int(stored + sum(array.size for array in (self.elongation, self.delta) if array.any()))
+
+    @property
+    def is_ring(self) -> NDArray[np.bool_]:
+        """Lobes whose center is not 0 everywhere, shape (K,)."""
+        return np.asarray(np.any(self.center != 0.0, axis=(0, 1)))
+
+    def __repr__(self) -> str:
+        knots = f"{self.theta_diff.size} knots" if self.theta_diff.size > 1 else "1 knot"
+        lobes = f"{self.n_lobes} lobes" if self.n_lobes != 1 else "1 lobe"
+        return f"<DSBRDF: {lobes} ({self.lobe}), {knots}, {self.n_numbers} numbers>"
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+    def __hash__(self) -> int:
+        return hash(tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in self._state().values()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(self._state().values())
+
+    def _state(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """BRDF values for half and difference angles.
 
         Parameters
         ----------
         theta_half, theta_diff : array_like
-            Angles, 0 to pi/2 [rad]; they broadcast together.
+            Angles, 0 to pi/2 [rad].
+        phi_diff : array_like, optional
+            Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
+            the normal.  The three broadcast together.
 
         Returns
         -------
         ndarray, shape (..., 3)
-            RGB values [1/sr].
+            RGB values [1/sr]; 0 where one of the directions is below the horizon.
 
         Raises
         ------
@@ -94,20 +165,33 @@ class DSBRDF:
             If an angle is not a number or out of range, or the shapes do not broadcast.
         """
         theta_half, theta_diff = _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
-        try:
-            if theta_half.shape != theta_diff.shape:  # a check that costs as much as a point
-                theta_half, theta_diff = np.broadcast_arrays(theta_half, theta_diff)
-        except ValueError:
-            shapes = f"{theta_half.shape} and {theta_diff.shape}"
-            raise InvalidArgumentError(
-                f"theta_half and theta_diff must broadcast together, not have {shapes}"
-            ) from None
-        flat_half, flat_diff = theta_half.ravel(), theta_diff.ravel()
-        values = self._mixture.values(flat_half, flat_diff)
-        inside = flat_half < CENTER_CUTOFF
-        if inside.any():
-            values[inside] += linear(self.theta_diff, self.delta.T, flat_diff[inside])
+        phi_diff = np.asarray(phi_diff, dtype=float)
+        if not np.isfinite(phi_diff).all():
+            raise InvalidArgumentError("phi_diff must be finite")
+        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # a check that costs as much as a point
+            try:
+                theta_half, theta_diff, phi_diff = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
+            except ValueError:
+                shapes = f"{theta_half.shape}, {theta_diff.shape} and {phi_diff.shape}"
+                raise InvalidArgumentError(
+                    f"theta_half, theta_diff and phi_diff must broadcast together, not have {shapes}"
+                ) from None
+        flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
+        values = self.evaluate_unmasked(*flat)
+        below = np.minimum(*incident_cosines(*flat)) < _HORIZON
+        if below.any():
+            values[below] = 0.0
         return values.reshape(*theta_half.shape, 3)
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        values = self._evaluator.values(theta_half, theta_diff, phi_diff)
+        if self.delta.any():
+            inside = theta_half < CENTER_CUTOFF
+            for channel in range(3):
+                height = np.interp(theta_diff[inside], self.theta_diff, self.delta[channel])
+                values[inside, channel] += height
+        return values
 
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
         """BRDF values for pairs of directions.
@@ -115,22 +199,26 @@ class DSBRDF:
         Parameters
         ----------
         omega_in, omega_out : array_like, shape (..., 3)
-            Unit vectors on the upper hemisphere, the normal being (0, 0, 1); they broadcast together.
+            Unit vectors, the normal being (0, 0, 1); they broadcast together.
 
         Returns
         -------
         ndarray, shape (..., 3)
-            RGB values [1/sr].
+            RGB values [1/sr]; 0 where one of the directions is below the horizon (z < 0).
 
         Raises
         ------
         InvalidArgumentError
-            If a direction is not a unit vector or lies below the horizon.
+            If a direction is not a unit vector.
         """
-        theta_half, theta_diff, _ = half_difference(
-            check_directions("omega_in", omega_in), check_directions("omega_out", omega_out)
-        )
-        return self.evaluate(theta_half, theta_diff)
+        first = check_directions("omega_in", omega_in, below_horizon=True)
+        second = check_directions("omega_out", omega_out, below_horizon=True)
+        below = np.minimum(first[..., 2], second[..., 2]) < 0.0
+        theta_half, theta_diff, phi_diff = half_difference(first, second)
+        flat = (np.minimum(theta_half, np.pi / 2).ravel(), theta_diff.ravel(), phi_diff.ravel())
+        values = self.evaluate_unmasked(*flat).reshape(*below.shape, 3)
+        values[below] = 0.0
+        return values
 
     def tabulate(self) -> Array:
         """Values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
@@ -138,10 +226,18 @@ class DSBRDF:
         Nodes below the horizon get the model's value too, so that programs that interpolate in the table meet
         no marker there.
         """
-        grid = self.evaluate(THETA_HALF[:, None], THETA_DIFF)
-        return np.repeat(np.moveaxis(grid, -1, 0)[..., None], GRID_SHAPE[2], axis=-1)
+        grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
+        # The model is the same at phi_diff and pi - phi_diff: a quarter turn is enough.
+        phi = PHI_DIFF[: PHI_DIFF.size // 2 + 1]
+        mesh = [part.ravel() for part in np.meshgrid(THETA_DIFF, phi, indexing="ij")]
+        for row, theta_half in enumerate(THETA_HALF):
+            values = self.evaluate_unmasked(np.full(mesh[0].size, theta_half), *mesh)
+            quarter = values.T.reshape(3, THETA_DIFF.size, phi.size)
+            grid[:, row, :, : phi.size] = quarter
+            grid[:, row, :, phi.size :] = quarter[:, :, -2:0:-1]
+        return grid
 
-    def parameters_at(self, theta_diff: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
         """Interpolated parameters.
 
         Parameters
@@ -151,28 +247,29 @@ class DSBRDF:
 
         Returns
         -------
-        kappa, gamma, center : ndarray, shape (..., 3, K)
-        delta : ndarray, shape (..., 3)
+        dict
+            ``amplitude`` (..., 3, K), ``kappa``, ``gamma`` and ``center`` (..., C, K), ``elongation`` (..., K),
+            ``delta`` (..., 3).
         """
         theta_diff = _check_angle("theta_diff", theta_diff)
-        flat, shape = theta_diff.ravel(), theta_diff.shape
-        kappa, gamma, center = (p.reshape(*shape, 3, self.n_lobes) for p in self._mixture.parameters(flat))
-        return kappa, gamma, center, linear(self.theta_diff, self.delta.T, flat).reshape(*shape, 3)
+        flat = theta_diff.ravel()
+        delta = np.stack([np.interp(flat, self.theta_diff, row) for row in self.delta], axis=-1)
+        parts = (*self._evaluator.parameters(flat), delta)
+        names = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
+        return {name: part.reshape(theta_diff.shape + part.shape[1:]) for name, part in zip(names, parts, strict=True)}
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
         """Return the part of the model made of some of its lobes, with or without the delta term."""
         index = list(lobes)
-        return DSBRDF(
-            self.theta_diff,
-            self.kappa[:, :, index],
-            self.gamma[:, :, index],
-            self.center[:, :, index],
-            self.delta if with_delta else np.zeros_like(self.delta),
-            self.interpolation,
-        )
+        chosen = {name: getattr(self, name)[..., index] for name in ("amplitude", "kappa", "gamma", "center")}
+        rest = {
+            "elongation": self.elongation[:, index],
+            "delta": self.delta if with_delta else np.zeros_like(self.delta),
+        }
+        return DSBRDF(**(self._state() | chosen | rest))
 
-    def directional_albedo(self, theta_out: ArrayLike) -> Array:
-        """Share of the light from each direction that is reflected, by quadrature.
+    def albedo(self, theta_out: ArrayLike) -> Array:
+        """Directional albedo: share of the light from each direction that is reflected, by quadrature.
 
         Parameters
         ----------
@@ -184,47 +281,84 @@ class DSBRDF:
         ndarray, shape (..., 3)
             ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
-        widths = half_width(self.kappa, self.gamma)[self.center > 0.0]
-        narrowest = float(widths.min(initial=np.pi / 2))
-        return directional_albedo(self.evaluate, _check_angle("theta_out", theta_out), self.theta_diff, narrowest)
+        return directional_albedo(self.evaluate_unmasked, _check_angle("theta_out", theta_out))
 
     @cached_property
-    def _mixture(self) -> Mixture:
-        return Mixture(self.theta_diff, self.kappa, self.gamma, self.center, cubic=self.interpolation == "cubic")
+    def _evaluator(self) -> Evaluator:
+        spline, shape = self.interpolation == "spline", (self.kappa, self.gamma)
+        amplitude = np.log(self.amplitude) if spline else np.log1p(self.amplitude)
+        scaled = [np.log(part) if spline else part for part in shape]
+        rows = [part.transpose(1, 0, 2).reshape(part.shape[1], -1) for part in (amplitude, *scaled, self.center)]
+        return Evaluator(
+            ParameterCurves(self.theta_diff, rows[0]),
+            ParameterCurves(self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
+            ParameterCurves(self.elongation_theta_diff, self.elongation),
+            n_lobes=self.n_lobes,
+            n_shapes=self.kappa.shape[0],
+            is_ring=self.is_ring,
+            family=self.lobe,
+            spline=spline,
+        )
 
 
 def _check_angle(name: str, angle: ArrayLike) -> Array:
     angle = np.asarray(angle, dtype=float)
-    slack = 1e-9  # degrees converted to radians may round to just above pi/2
+    slack = 1e-6  # degrees converted to radians, and single precision, may round to just above pi/2
     if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)
 
 
 def _check_model(model: DSBRDF) -> None:
-    knots, kappa = model.theta_diff, model.kappa
-    if knots.ndim != 1 or knots.size == 0:
-        raise InvalidArgumentError("theta_diff must be a sequence of at least one knot")
-    if not (knots[0] >= 0 and knots[-1] <= np.pi / 2 + 1e-9 and np.all(np.diff(knots) > 0)):
-        raise InvalidArgumentError("the knots theta_diff must increase from 0 or more to at most pi/2")
-    if kappa.ndim != 3 or kappa.shape[:2] != (3, knots.size):
-        raise InvalidArgumentError(f"kappa must have shape (3, {knots.size}, lobes), not {kappa.shape}")
-    for name in ("gamma", "center"):
-        if getattr(model, name).shape != kappa.shape:
-            raise InvalidArgumentError(f"{name} must have the shape of kappa, {kappa.shape}")
-    if model.delta.shape != (3, knots.size):
-        raise InvalidArgumentError(f"delta must have shape (3, {knots.size}), not {model.delta.shape}")
-    if not (np.all((kappa > 0) & (kappa < np.inf)) and np.all((model.gamma >= 0) & (model.gamma < np.inf))):
-        raise InvalidArgumentError("every kappa must be positive, every gamma zero or positive, and both finite")
-    if not (np.all((model.center >= 0) & (model.center <= np.pi / 2)) and np.all(np.isfinite(model.delta))):
-        raise InvalidArgumentError("every center must lie between 0 and pi/2, and every delta must be finite")
-    if model.interpolation == "cubic" and not np.all(model.gamma > 0):
-        raise InvalidArgumentError(
-            "every gamma must be positive for cubic interpolation, which is one of its logarithm"
-        )
     if model.interpolation not in INTERPOLATIONS:
-        known = ", ".join(INTERPOLATIONS)
-        raise InvalidArgumentError(f"interpolation must be one of {known}, not {model.interpolation!r}")
-    for name, largest in _LARGEST[model.interpolation].items():
-        if getattr(model, name).max(initial=-np.inf) > largest or getattr(model, name).min(initial=np.inf) < -largest:
+        raise InvalidArgumentError(
+            f"interpolation must be one of {', '.join(INTERPOLATIONS)}, not {model.interpolation!r}"
+        )
+    if model.lobe not in FAMILIES:
+        raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {model.lobe!r}")
+    for name in ("theta_diff", "shape_theta_diff", "elongation_theta_diff"):
+        _check_knots(name, getattr(model, name))
+    if model.amplitude.ndim != 3 or model.kappa.ndim != 3:
+        raise InvalidArgumentError("amplitude and kappa must have three axes: channel, control value and lobe")
+    count = n_control_values if model.interpolation == "spline" else int
+    values = {name: count(getattr(model, name).size) for name in ("theta_diff", "shape_theta_diff")}
+    lobes, n_shapes = model.amplitude.shape[2], 1 if model.kappa.shape[0] == 1 else 3
+    shapes = {
+        "amplitude": (3, values["theta_diff"], lobes),
+        **dict.fromkeys(("kappa", "gamma", "center"), (n_shapes, values["shape_theta_diff"], lobes)),
+        "elongation": (count(model.elongation_theta_diff.size), lobes),
+        "delta": (3, model.theta_diff.size),
+    }
+    for name, shape in shapes.items():
+        array = getattr(model, name)
+        if array.shape != shape:
+            raise InvalidArgumentError(f"{name} must have shape {shape}, not {array.shape}")
+        if not np.isfinite(array).all():
+            raise InvalidArgumentError(f"every {name} must be finite")
+    _check_ranges(model)
+
+
+def _check_knots(name: str, knots: Array) -> None:
+    if knots.ndim != 1 or knots.size == 0:
+        raise InvalidArgumentError(f"{name} must be a sequence of at least one knot")
+    if not (knots[0] >= 0 and knots[-1] <= np.pi / 2 + 1e-9 and np.all(np.diff(knots) > 0)):
+        raise InvalidArgumentError(f"the knots {name} must increase from 0 or more to at most pi/2")
+
+
+def _check_ranges(model: DSBRDF) -> None:
+    spline = model.interpolation == "spline"
+    if not np.all(model.kappa > 0):
+        raise InvalidArgumentError("every kappa must be positive")
+    for name in ("amplitude", "gamma", "delta"):
+        array = getattr(model, name)
+        if spline and name != "delta" and not np.all(array > 0):
+            raise InvalidArgumentError(f"every {name} must be positive for a spline, which is one of its logarithm")
+        if not np.all(array >= 0):
+            raise InvalidArgumentError(f"every {name} must be zero or positive")
+    for name, largest in _LARGEST.items():
+        if getattr(model, name).max(initial=0.0) > largest:
             raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
+    if np.abs(model.center).max(initial=0.0) > np.pi / 2:
+        raise InvalidArgumentError("every center must lie between -pi/2 and pi/2")
+    if np.abs(model.elongation).max(initial=0.0) > _LARGEST_ELONGATION:
+        raise InvalidArgumentError(f"every elongation must lie between -{_LARGEST_ELONGATION:g} and its opposite")

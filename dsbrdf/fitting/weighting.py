@@ -1,0 +1,105 @@
+"""What a bin of samples counts in the fit of all rows.
+
+``plain``
+    Every sample within the horizon cutoff counts alike: the paper's squared error of f.  Beyond the cutoff, where
+    measurements cannot be trusted, samples count with the eighth power of the cosine to the horizon, and where
+    theta_half < 1 degree, where nodes crowd, by their solid angle.
+``cosine``
+    As ``plain``, times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
+``log``
+    As ``cosine``, divided by (1 + mean)**2: about the squared error of log(1 + f).
+``balanced``
+    The sum of two errors, each in units of what the best model without phi_diff would have: ``plain``, times
+    `PLAIN_SHARE`, and the error that a lit sphere shows.  There a node counts by its solid angle and by
+    cos(theta_in) cos(theta_out), and a screen shows about f**0.4 of radiance f, so that errors count relative to
+    f**1.2.  The first alone leaves the diffuse part to chance, the second alone the height of grazing highlights.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import FoldedProfiles
+
+Array = NDArray[np.float64]
+
+PLAIN_SHARE = 2.0
+"""What the plain error counts beside the seen one."""
+SEEN_POWER = 1.2
+"""Power of f that an error counts relative to."""
+_DARK = 0.05  # of the median: errors of values below count alike
+_SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
+_TRUST_POWER = 8
+_SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none
+
+
+def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | None) -> Array:
+    """Weights of the bins, shape (3, 90 theta_diff, 90 theta_half, 9).
+
+    Parameters
+    ----------
+    folded : FoldedProfiles
+    weighting : {"balanced", "plain", "cosine", "log"}
+    horizon_cutoff : float or None
+        Angle to the normal beyond which samples count less [rad]; None trusts all of them.
+    """
+    plain = folded.weight * _trust(folded, horizon_cutoff) * _center_share()[:, None]
+    if weighting == "plain":
+        return plain
+    cosines = np.maximum(_cosine_product(folded), 0.0)
+    mean = _over_phi(folded.mean, folded.weight)[..., None]
+    if weighting == "cosine":
+        return plain * cosines
+    if weighting == "log":
+        return plain * cosines / (1.0 + mean) ** 2
+    measured = folded.weight.sum(axis=3) > 0
+    median = float(np.median(mean[measured])) if measured.any() else 1.0
+    across = np.maximum(np.sin(2.0 * THETA_DIFF), 0.0) + 0.1
+    solid_angle = across[:, None, None] * _solid_angles()[:, None]
+    seen = folded.weight * cosines * solid_angle / (mean + _DARK * median + 1e-12) ** SEEN_POWER
+    return PLAIN_SHARE * plain / _floor(folded, plain) + seen / _floor(folded, seen)
+
+
+def _floor(folded: FoldedProfiles, weight: Array) -> float:
+    """Weighted squared error of the mean over phi_diff, but never less than a trace of the squared signal."""
+    mean = _over_phi(folded.mean, weight)[..., None]
+    scatter = float(np.sum(weight * (folded.mean - mean) ** 2))
+    signal = float(np.sum(weight * folded.mean**2))
+    return scatter + _SMALLEST_FLOOR * signal + np.finfo(float).tiny
+
+
+def _over_phi(values: Array, weight: Array) -> Array:
+    total = weight.sum(axis=3)
+    return np.asarray(np.sum(weight * values, axis=3) / np.where(total > 0.0, total, 1.0))
+
+
+def _cosine_product(folded: FoldedProfiles) -> Array:
+    level, swing = _level_and_swing()
+    return np.asarray(level**2 - swing**2 * folded.cos2_phi)
+
+
+def _trust(folded: FoldedProfiles, horizon_cutoff: float | None) -> Array:
+    if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
+        return np.ones_like(folded.cos2_phi)
+    level, swing = _level_and_swing()
+    lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
+    return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
+
+
+def _level_and_swing() -> tuple[Array, Array]:
+    """Both cosines are level -/+ swing cos(phi_diff); each of shape (90, 90, 1)."""
+    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
+    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
+    return level, swing
+
+
+def _center_share() -> Array:
+    """1 from 1 degree on; below, the solid angle of a node in units of that at 1 degree, shape (90,)."""
+    return np.asarray(np.minimum((THETA_HALF / CENTER_CUTOFF) ** 1.5 + _SMALLEST_SHARE, 1.0))
+
+
+def _solid_angles() -> Array:
+    """Share of the hemisphere of half vectors that each theta_half node stands for, shape (90,)."""
+    middle = 0.5 * (THETA_HALF[1:] + THETA_HALF[:-1])
+    ends = np.concatenate([[0.0], middle, [np.pi / 2]])
+    return np.asarray(np.cos(ends[:-1]) - np.cos(ends[1:]))

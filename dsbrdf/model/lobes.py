@@ -1,0 +1,184 @@
+"""The lobe of the model in the form that fitting and evaluation share: height 1, with derivatives.
+
+A lobe of either family is a decreasing function of the distance of ``theta'`` from its center, divided by its largest
+value, so that its amplitude is its height in 1/sr:
+
+    hemi_epd    s = expm1(kappa cos(theta' - center)**gamma) / expm1(kappa)        (Nishino 2009, eq. 3)
+    student     s = (1 + gamma tan(theta' - center)**2)**-kappa                    (Student's t over slopes)
+
+``center = 0`` is the paper's lobe about the normal; ``center > 0`` peaks on a ring; ``center < 0`` is the flank of such
+a lobe, a cusp at the normal, where it is then largest.
+
+``theta'`` is theta_half stretched along and across the plane of incidence by one number, the elongation e:
+
+    tan(theta')**2 = tan(theta_half)**2 (cos(phi_diff)**2 c**-e + sin(phi_diff)**2 c**e),    c = cos(theta_diff).
+
+``e = 0`` is the paper's lobe, round about the half vector.  Turning phi_diff by half a turn, which swaps the two
+directions, leaves theta' as it is: every lobe is reciprocal.
+
+All arrays broadcast; the first axis is as a rule the lobe.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FAMILIES = ("hemi_epd", "student")
+"""Known lobes."""
+SMALLEST_COSINE = 1e-6
+"""cos(theta_diff) below this counts as this: at the horizon itself the stretch would be infinite."""
+_LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
+
+
+class Stretch(NamedTuple):
+    """Squared tangents of theta' and their derivative in the elongation."""
+
+    squared_tangent: Array
+    by_elongation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LobeDerivatives:
+    """A lobe of height 1 and its derivatives, arrays of one shape.
+
+    Attributes
+    ----------
+    value : ndarray
+    by_log_kappa, by_log_gamma : ndarray
+    by_center : ndarray
+        Per radian; 0 where no center was given.
+    by_squared_tangent : ndarray
+        Derivative in tan(theta')**2.
+    """
+
+    value: Array
+    by_log_kappa: Array
+    by_log_gamma: Array
+    by_center: Array
+    by_squared_tangent: Array
+
+
+def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elongation: Array) -> Stretch:
+    """Stretch theta_half along and across the plane of incidence.
+
+    Parameters
+    ----------
+    squared_tangent : ndarray
+        ``tan(theta_half)**2``.
+    cos2_phi : ndarray
+        ``cos(phi_diff)**2``.
+    log_cos_diff : ndarray
+        ``log(cos(theta_diff))``, not below that of `SMALLEST_COSINE`.
+    elongation : ndarray
+    """
+    along = cos2_phi * np.exp(-elongation * log_cos_diff)
+    across = (1.0 - cos2_phi) * np.exp(elongation * log_cos_diff)
+    return Stretch(squared_tangent * (along + across), squared_tangent * log_cos_diff * (across - along))
+
+
+def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str) -> Array:
+    """Values of lobes of height 1.
+
+    Parameters
+    ----------
+    squared_tangent : ndarray
+        ``tan(theta')**2``.
+    kappa, gamma : ndarray
+        Positive.
+    center : ndarray or None
+        Angle of the ring [rad]; None for lobes about the normal.
+    family : str
+        One of `FAMILIES`.
+    """
+    if family == "student":
+        at = squared_tangent if center is None else np.tan(_offset(squared_tangent, center)) ** 2
+        top = 0.0 if center is None else np.log1p(gamma * np.tan(np.minimum(center, 0.0)) ** 2)
+        return np.exp(np.maximum(-kappa * (np.log1p(gamma * at) - top), _LOWEST_LOG))
+    if center is None:
+        exponent, top = kappa * _power(gamma * (-0.5 * np.log1p(squared_tangent))), kappa
+    else:
+        log_cos, log_cos_top = _log_cos(_offset(squared_tangent, center)), np.log(np.cos(np.minimum(center, 0.0)))
+        top = kappa * _power(gamma * log_cos_top)
+        exponent = top * _power(gamma * (log_cos - log_cos_top))
+    return np.expm1(exponent) / np.expm1(top)
+
+
+def lobe_derivatives(
+    squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
+) -> LobeDerivatives:
+    """Values and derivatives of lobes of height 1.
+
+    Parameters are those of `lobe_values`.
+    """
+    if center is None:
+        offset, negative, inside = None, np.zeros(()), True
+    else:
+        offset, negative = _offset(squared_tangent, center), np.minimum(center, 0.0)
+        inside = np.abs(offset) < np.pi / 2 - 1e-9
+    compute = _student_derivatives if family == "student" else _hemi_epd_derivatives
+    value, by_log_kappa, by_log_gamma, by_offset, by_top = compute(squared_tangent, kappa, gamma, offset, negative)
+    if offset is None:
+        return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
+    by_offset = np.where(inside, by_offset, 0.0)
+    root = np.sqrt(squared_tangent)
+    by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * (1.0 + squared_tangent))
+    by_center = np.where(center < 0.0, by_top, 0.0) - by_offset
+    return LobeDerivatives(value, by_log_kappa, by_log_gamma, by_center, by_squared_tangent)
+
+
+def _hemi_epd_derivatives(
+    squared_tangent: Array, kappa: Array, gamma: Array, offset: Array | None, negative: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Value, and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative center."""
+    log_cos = -0.5 * np.log1p(squared_tangent) if offset is None else _log_cos(offset)
+    log_cos_top = np.log(np.cos(negative))
+    top = kappa * _power(gamma * log_cos_top)
+    ratio = _power(gamma * (log_cos - log_cos_top))
+    scale = 1.0 / np.expm1(top)
+    exponent = top * ratio
+    value = np.expm1(exponent) * scale
+    by_log_ratio = exponent * np.exp(exponent) * scale
+    by_log_top = by_log_ratio - value * (top * np.exp(top) * scale)
+    by_log_gamma = by_log_ratio * gamma * (log_cos - log_cos_top) + by_log_top * gamma * log_cos_top
+    slope = by_log_ratio * gamma
+    # d log cos / d negative = -tan(negative), and the ratio is taken to the top.
+    by_top = (by_log_top - by_log_ratio) * gamma * -np.tan(negative)
+    by_offset = -0.5 * slope / (1.0 + squared_tangent) if offset is None else -slope * _tangent(offset)
+    return value, by_log_top, by_log_gamma, by_offset, by_top
+
+
+def _student_derivatives(
+    squared_tangent: Array, kappa: Array, gamma: Array, offset: Array | None, negative: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """As `_hemi_epd_derivatives`."""
+    tangent = None if offset is None else _tangent(offset)
+    square = squared_tangent if tangent is None else tangent**2
+    tangent_top = np.tan(negative)
+    at, top = gamma * square, gamma * tangent_top**2
+    fall = np.maximum(-kappa * (np.log1p(at) - np.log1p(top)), _LOWEST_LOG)
+    value = np.exp(fall)
+    by_log_gamma = -value * kappa * (at / (1.0 + at) - top / (1.0 + top))
+    by_square = -value * kappa * gamma / (1.0 + at)
+    by_top = value * kappa * gamma / (1.0 + top) * 2.0 * tangent_top * (1.0 + tangent_top**2)
+    by_offset = by_square if tangent is None else by_square * 2.0 * tangent * (1.0 + square)
+    return value, value * fall, by_log_gamma, by_offset, by_top
+
+
+def _offset(squared_tangent: Array, center: Array) -> Array:
+    return np.arctan(np.sqrt(squared_tangent)) - center
+
+
+def _tangent(offset: Array) -> Array:
+    return np.tan(np.clip(offset, -1.57, 1.57))
+
+
+def _log_cos(offset: Array) -> Array:
+    return np.log(np.maximum(np.cos(offset), 1e-12))
+
+
+def _power(log_power: Array) -> Array:
+    return np.exp(np.maximum(log_power, _LOWEST_LOG))
