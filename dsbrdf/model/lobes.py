@@ -95,7 +95,8 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
         One of `FAMILIES`.
     """
     if family == "student":
-        at = squared_tangent if center is None else np.tan(_offset(squared_tangent, center)) ** 2
+        # Behind a right angle from the center the tangent would come back.
+        at = squared_tangent if center is None else _tangent(_offset(squared_tangent, center)) ** 2
         top = 0.0 if center is None else np.log1p(gamma * np.tan(np.minimum(center, 0.0)) ** 2)
         return np.exp(np.maximum(-kappa * (np.log1p(gamma * at) - top), _LOWEST_LOG))
     if center is None:
