@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import directions
 from dsbrdf.model.hemi_epd import lobe
 from dsbrdf.model.lobes import FAMILIES, LobeDerivatives, lobe_derivatives, lobe_values, stretch
 
@@ -62,7 +63,7 @@ def test_values_and_derivatives_against_60_digits(family: str, center: float | N
                 orders.append((0, 0, 1, 0))
             if squared > 0.0 or center is None:
                 step = {"h": mp.mpf(10) ** -25, "direction": 1} if squared == 0.0 else {}
-                slope = mp.diff(lambda s: curve(*point[:3], s), point[3], **step)
+                slope = mp.diff(lambda s, point=point: curve(*point[:3], s), point[3], **step)
             else:
                 slope = mp.mpf(0)  # infinite, but by_elongation is 0 there: any finite number will do
             exactly = [float(mp.diff(curve, point, order)) for order in orders]
@@ -157,8 +158,6 @@ def test_stretch_of_no_elongation_and_at_normal_incidence_is_none() -> None:
 
 def test_elongation_of_one_makes_a_narrow_lobe_round_about_the_mirror_direction() -> None:
     """Phong's lobe: to first order theta' is half the angle between omega_in and the mirror image of omega_out."""
-    from dsbrdf.data.geometry import directions
-
     theta_half, theta_diff = 1e-4, 1.0
     for phi in np.linspace(0.0, np.pi, 9).tolist():
         omega_in, omega_out = directions(theta_half, theta_diff, phi)
