@@ -79,9 +79,7 @@ def expected_values(model: DSBRDF, theta_half: Array, theta_diff: Array, phi_dif
     for k in range(model.n_lobes):
         e = curve(model, model.elongation_theta_diff, model.elongation[:, k], theta_diff)
         with np.errstate(over="ignore"):
-            squared = np.tan(theta_half) ** 2 * (
-                np.cos(phi_diff) ** 2 * cosine**-e + np.sin(phi_diff) ** 2 * cosine**e
-            )
+            squared = np.tan(theta_half) ** 2 * (np.cos(phi_diff) ** 2 * cosine**-e + np.sin(phi_diff) ** 2 * cosine**e)
         for channel in range(3):
             c = min(channel, model.kappa.shape[0] - 1)
             knots = model.shape_theta_diff
