@@ -32,6 +32,7 @@ FAMILIES = ("hemi_epd", "student")
 SMALLEST_COSINE = 1e-6
 """cos(theta_diff) below this counts as this: at the horizon itself the stretch would be infinite."""
 _SMALLEST_COSINE_OF_OFFSET = 1e-12
+_LARGEST_TANGENT = 1e12
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
 
 
@@ -122,8 +123,9 @@ def lobe_derivatives(
         log_cos = _log_cos(squared_tangent, center)
         found = _hemi_epd_derivatives(squared_tangent, log_cos, kappa, gamma, tangent, negative)
     value, by_log_kappa, by_log_gamma, by_offset, by_top = found
-    if center is None:
+    if center is None or tangent is None:
         return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
+    by_offset = np.where(tangent < _LARGEST_TANGENT, by_offset, 0.0)
     root = np.sqrt(squared_tangent)
     by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * (1.0 + squared_tangent))
     by_center = np.where(center < 0.0, by_top, 0.0) - by_offset
@@ -170,11 +172,10 @@ def _student_derivatives(
 
 
 def _tangent(squared_tangent: Array, center: Array) -> Array:
-    """tan(theta' - center); 0 from a quarter turn on, where no lobe reaches."""
+    """tan(theta' - center); as good as infinite from a right angle on, where the tangent would come back."""
     root, tan_center = np.sqrt(squared_tangent), np.tan(center)
     below = 1.0 + root * tan_center
-    inside = below > _SMALLEST_COSINE_OF_OFFSET
-    return np.where(inside, (root - tan_center) / np.where(inside, below, 1.0), 0.0)
+    return np.minimum((root - tan_center) / np.maximum(below, _SMALLEST_COSINE_OF_OFFSET), _LARGEST_TANGENT)
 
 
 def _log_cos(squared_tangent: Array, center: Array | None) -> Array:
