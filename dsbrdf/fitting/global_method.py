@@ -24,6 +24,7 @@ from dsbrdf.fitting.least_squares import (
     MixtureProblem,
     Solution,
     Structure,
+    change_knots,
     minimize,
 )
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
@@ -38,6 +39,7 @@ AMPLITUDE_KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
+_SEARCH_KNOTS = (AMPLITUDE_KNOTS[[0, 2, 4, 6, 8]], SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
 TOLERANCE = 1e-4
 MAX_ITERATIONS = 60
 _ROBUST_ROUNDS = 3
@@ -85,7 +87,7 @@ def fit_global(
     """
     weight = _weights(data, options)
     measured_rows = np.flatnonzero(weight.sum(axis=(0, 2, 3)) > 0)
-    empty = _knots(measured_rows, options)
+    coarse = _structure(measured_rows, _SEARCH_KNOTS, options)
     fitted, held_out = (
         _select(data, weight, _SEARCH_ROWS, columns) for columns in (_SEARCH_COLUMNS, _HELD_OUT_COLUMNS)
     )
@@ -93,7 +95,10 @@ def fit_global(
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
-    mixture, growth = grow(fitted, held_out, empty, options.n_lobes, options.ring_lobes, counter.count)
+    mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
+    fine = AMPLITUDE_KNOTS if options.knots is None else np.asarray(options.knots), SHAPE_KNOTS, ELONGATION_KNOTS
+    structure = replace(_structure(measured_rows, fine, options), rings=mixture.structure.rings)
+    mixture = Mixture(structure, change_knots(mixture.structure, mixture.unknowns, structure))
     on_stage("search")
     solution = _refine(
         _select(data, weight, _FIT_ROWS, _FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
@@ -124,16 +129,15 @@ def _weights(data: Profiles, options: FitOptions) -> Array:
     return weight
 
 
-def _knots(rows: NDArray[np.intp], options: FitOptions) -> Structure:
-    """Knots within the rows that have data."""
+def _structure(rows: NDArray[np.intp], knots: tuple[Array, Array, Array], options: FitOptions) -> Structure:
+    """No lobes yet, on knots within the rows that have data."""
     first, last = THETA_DIFF[rows[0]], THETA_DIFF[rows[-1]]
 
-    def within(knots: Array) -> Array:
-        inner = knots[(knots > first) & (knots < last)]
+    def within(angles: Array) -> Array:
+        inner = angles[(angles > first) & (angles < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
-    amplitude = within(AMPLITUDE_KNOTS) if options.knots is None else np.asarray(options.knots)
-    return Structure((), amplitude, within(SHAPE_KNOTS), within(ELONGATION_KNOTS), options.lobe)
+    return Structure((), within(knots[0]), within(knots[1]), within(knots[2]), options.lobe)
 
 
 def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:

@@ -16,7 +16,7 @@ A weak pull decides what the data leave open: `SMOOTHING` times the squared sign
 control values.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
-from dsbrdf.model.lobes import SMALLEST_COSINE, lobe_derivatives, lobe_values, stretch
+from dsbrdf.model.lobes import SMALLEST_COSINE, Stretch, lobe_derivatives, lobe_values, stretch
 from dsbrdf.model.splines import n_control_values, roughness, spline_basis
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Structure:
     Attributes
     ----------
     rings : tuple of bool
-        For each lobe whether it has a center.
+        For each lobe whether it has a center; those that have come last.
     amplitude_knots, shape_knots, elongation_knots : ndarray
         Angles theta_diff [rad].
     family : str
@@ -115,6 +115,18 @@ class Structure:
         return sides[0], sides[1]
 
 
+def change_knots(old: Structure, unknowns: Array, new: Structure) -> Array:
+    """Unknowns of the same mixture on other knots: exact where the old knots are among the new ones."""
+    changed = np.empty(new.n_unknowns)
+    knots = ("amplitude_knots", "shape_knots", "elongation_knots")
+    for name, part, into in zip(knots, old.split(unknowns), new.split(changed), strict=True):
+        first, last = getattr(new, name)[[0, -1]]
+        angles = np.linspace(first, last, 8 * len(into))
+        values = spline_basis(getattr(old, name), angles) @ part
+        into[...] = np.linalg.lstsq(spline_basis(getattr(new, name), angles), values, rcond=None)[0]
+    return changed
+
+
 @dataclass(frozen=True, eq=False)
 class FitData:
     """Folded profiles on chosen rows and columns, with the weights that the fit gives them.
@@ -155,15 +167,6 @@ class FitData:
     def signal(self) -> float:
         """Weighted sum of squares."""
         return float(np.sum(self.weight * self.mean**2))
-
-
-@dataclass(frozen=True, eq=False)
-class _Lobes:
-    """Values and derivatives of the lobes on the data, each (lobes, R, N, 9)."""
-
-    value: Array
-    by_shape: Array
-    by_elongation: Array
 
 
 class MixtureProblem:
@@ -207,10 +210,9 @@ class MixtureProblem:
     def linearize(self, unknowns: Array) -> tuple[float, Array, Array]:
         """Cost, Gauss-Newton matrix (U, U) and half the gradient (U,)."""
         amplitude, shape, elongation = self.row_parameters(unknowns)
-        lobes = self._derivatives(shape, elongation)
         k = self.structure.n_lobes
         n_rows = len(self.data.rows)
-        curves = np.concatenate([lobes.value, lobes.by_shape, lobes.by_elongation])
+        curves = self._derivatives(shape, elongation)
         curves = np.ascontiguousarray(curves.reshape(len(curves), n_rows, -1).transpose(1, 0, 2))
         rings = np.flatnonzero(self.structure.rings)
         lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
@@ -262,32 +264,33 @@ class MixtureProblem:
             gradient[block] += self._smoothing * (rough @ part).ravel()
             start += part.size
 
-    def _each(self, shape: Array) -> list[tuple[Array, Array, Array | None]]:
-        """kappa, gamma and center of each lobe, shape (R, 1, 1)."""
-        k, ring, parameters = self.structure.n_lobes, 0, []
-        for lobe, is_ring in enumerate(self.structure.rings):
-            center = None
-            if is_ring:
-                center, ring = shape[:, 2 * k + ring, None, None], ring + 1
-            parameters.append((np.exp(shape[:, lobe, None, None]), np.exp(shape[:, k + lobe, None, None]), center))
-        return parameters
+    def _kinds(self, shape: Array, elongation: Array) -> Iterator[tuple[Stretch, Array, Array, Array | None]]:
+        """Stretch, kappa, gamma and center of the lobes about the normal, then of the ring lobes, (lobes, R, 1, 1)."""
+        k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
+        by_lobe = shape.T[..., None, None]
+        stretches = elongation.T[..., None, None]
+        for part, center in ((slice(0, centered), None), (slice(centered, k), by_lobe[2 * k :])):
+            if part.stop > part.start:
+                stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, stretches[part])
+                yield stretched, np.exp(by_lobe[:k][part]), np.exp(by_lobe[k : 2 * k][part]), center
 
     def _values(self, shape: Array, elongation: Array) -> Array:
-        values = []
-        for lobe, (kappa, gamma, center) in enumerate(self._each(shape)):
-            stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, elongation[:, lobe, None, None])
-            values.append(lobe_values(stretched.squared_tangent, kappa, gamma, center, self.structure.family))
-        return np.stack(values)
+        family = self.structure.family
+        parts = [lobe_values(at.squared_tangent, *rest, family) for at, *rest in self._kinds(shape, elongation)]
+        return np.concatenate(parts)
 
-    def _derivatives(self, shape: Array, elongation: Array) -> _Lobes:
-        found, by_elongation = [], []
-        for lobe, (kappa, gamma, center) in enumerate(self._each(shape)):
-            stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, elongation[:, lobe, None, None])
-            found.append(lobe_derivatives(stretched.squared_tangent, kappa, gamma, center, self.structure.family))
-            by_elongation.append(found[-1].by_squared_tangent * stretched.by_elongation)
-        centers = [one.by_center for one, is_ring in zip(found, self.structure.rings, strict=True) if is_ring]
-        by_shape = [one.by_log_kappa for one in found] + [one.by_log_gamma for one in found] + centers
-        return _Lobes(np.stack([one.value for one in found]), np.stack(by_shape), np.stack(by_elongation))
+    def _derivatives(self, shape: Array, elongation: Array) -> Array:
+        """Values, then derivatives in log kappa, log gamma, center and elongation, each of all lobes that have it."""
+        values, by_log_kappa, by_log_gamma, by_center, by_elongation = ([] for _ in range(5))
+        for at, kappa, gamma, center in self._kinds(shape, elongation):
+            found = lobe_derivatives(at.squared_tangent, kappa, gamma, center, self.structure.family)
+            values.append(found.value)
+            by_log_kappa.append(found.by_log_kappa)
+            by_log_gamma.append(found.by_log_gamma)
+            by_elongation.append(found.by_squared_tangent * at.by_elongation)
+            if center is not None:
+                by_center.append(found.by_center)
+        return np.concatenate(values + by_log_kappa + by_log_gamma + by_center + by_elongation)
 
 
 @dataclass(frozen=True, eq=False)

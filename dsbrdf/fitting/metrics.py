@@ -85,16 +85,16 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
         If there is nothing but zeros to compare with.
     """
     sums = SampleErrors(*(np.zeros((3, THETA_DIFF.size)) for _ in range(6)))
-    diff, phi = np.meshgrid(THETA_DIFF, PHI_DIFF[:_QUARTER], indexing="ij")
-    for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
+    columns = np.flatnonzero(OUTSIDE_CENTER)
+    grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:_QUARTER])
+    for i, values in zip(columns.tolist(), grid, strict=True):
         used = used_nodes(measurement, i, horizon_cutoff)
         rows = np.flatnonzero(used.any(axis=1))
         if not rows.size:
             continue
-        angles = np.full(rows.size * _QUARTER, THETA_HALF[i]), diff[rows].ravel(), phi[rows].ravel()
-        fit = model.evaluate_unmasked(*angles).T.reshape(3, rows.size, _QUARTER)[:, :, _FOLD]
         cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
-        _add_row(sums, measurement.stored[:, i, rows] * measurement.scale[:, None, None], fit, used[rows], cosine, rows)
+        samples = measurement.stored[:, i, rows] * measurement.scale[:, None, None]
+        _add_row(sums, samples, values[:, rows][:, :, _FOLD], used[rows], cosine, rows)
     if not sums.power.any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums

@@ -11,6 +11,7 @@ Every term is non-negative, continuous where the delta term is 0, and does not c
 places.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -193,6 +194,13 @@ class DSBRDF:
                 values[inside, channel] += height
         return values
 
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
+            if angle < CENTER_CUTOFF and self.delta.any():
+                values += np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta])[..., None]
+            yield values
+
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
         """BRDF values for pairs of directions.
 
@@ -228,13 +236,10 @@ class DSBRDF:
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
         # The model is the same at phi_diff and pi - phi_diff: a quarter turn is enough.
-        phi = PHI_DIFF[: PHI_DIFF.size // 2 + 1]
-        mesh = [part.ravel() for part in np.meshgrid(THETA_DIFF, phi, indexing="ij")]
-        for row, theta_half in enumerate(THETA_HALF):
-            values = self.evaluate_unmasked(np.full(mesh[0].size, theta_half), *mesh)
-            quarter = values.T.reshape(3, THETA_DIFF.size, phi.size)
-            grid[:, row, :, : phi.size] = quarter
-            grid[:, row, :, phi.size :] = quarter[:, :, -2:0:-1]
+        quarter = PHI_DIFF.size // 2 + 1
+        for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:quarter])):
+            grid[:, row, :, :quarter] = values
+            grid[:, row, :, quarter:] = values[:, :, -2:0:-1]
         return grid
 
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:

@@ -6,7 +6,7 @@ that they lie in; there each coefficient is a single number, and the lobes are t
 is computed stays in the cache.  Both ways carry out the same operations on every point.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +104,29 @@ class Evaluator:
             block = slice(start, start + _BLOCK)
             self._fill(result[block], squared[block], theta_diff[block], phi_diff[block])
         return result
+
+    def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
+
+        The parameters and the stretch are found once for all of them.
+        """
+        amplitude, kappa, gamma, center, elongation = self.parameters(theta_diff)
+        log_cos = np.log(np.maximum(np.cos(theta_diff), SMALLEST_COSINE))[:, None]
+        cos2 = np.square(np.cos(phi_diff))
+        ratios = [np.exp(elongation[:, lobe, None] * log_cos) for lobe in range(self._n_lobes)]
+        factors = [cos2 / ratio + (1.0 - cos2) * ratio for ratio in ratios]
+        for angle in theta_half.tolist():
+            squared = min(np.tan(angle), _LARGEST_TANGENT) ** 2
+            total = np.zeros((3, theta_diff.size, phi_diff.size))
+            for lobe, factor in enumerate(factors):
+                at = squared * factor
+                for channel in range(self._n_shapes):
+                    shape = (part[:, channel, lobe, None] for part in (kappa, gamma))
+                    ring = center[:, channel, lobe, None] if self._is_ring[lobe] else None
+                    value = lobe_values(at, *shape, ring, self._family)
+                    into = slice(None) if self._n_shapes == 1 else slice(channel, channel + 1)
+                    total[into] += amplitude[:, into, lobe].T[..., None] * value
+            yield total
 
     def _fill(self, result: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> None:
         """Write the values of one block, piece by piece."""
