@@ -1,24 +1,41 @@
 """Models and reports that several tests use."""
 
+from dataclasses import fields
+
 import numpy as np
 
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
-from dsbrdf.fitting.metrics import on_grid
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.splines import n_control_values
 
-ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
+TEXTS = ("interpolation", "lobe")
+ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 
 
-def make_model(n_lobes: int = 3, n_knots: int = 5) -> DSBRDF:
-    """Parameters of every magnitude, with all 53 bits in use."""
-    generator = np.random.default_rng(n_lobes)
-    shape = (3, n_knots, n_lobes)
+def make_model(n_lobes: int = 3, n_knots: int = 5, interpolation: str = "spline") -> DSBRDF:
+    """Parameters of every magnitude, with all 53 bits in use; one shape for each channel unless it is a spline."""
+    random = np.random.default_rng(n_lobes)
+    spline = interpolation == "spline"
+    count = n_control_values if spline else int
+    n_shape_knots, n_elongation_knots = n_knots + 1, 2
+    shape = (1 if spline else 3, count(n_shape_knots), n_lobes)
+
+    def knots(number: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.sort(random.uniform(0.0, np.pi / 2, number))
+
     return DSBRDF(
-        theta_diff=np.sort(generator.uniform(0.0, np.pi / 2, n_knots)),
-        kappa=10.0 ** generator.uniform(-300.0, 1.0, shape),
-        gamma=10.0 ** generator.uniform(-320.0, 7.0, shape),
-        center=generator.uniform(0.0, np.pi / 2, shape),
-        delta=generator.standard_normal((3, n_knots)) * 10.0 ** generator.uniform(-200.0, 200.0, (3, n_knots)),
+        theta_diff=knots(n_knots),
+        amplitude=10.0 ** random.uniform(-300.0, 300.0, (3, count(n_knots), n_lobes)),
+        kappa=10.0 ** random.uniform(-300.0, 2.8, shape),
+        gamma=10.0 ** random.uniform(-320.0, 100.0, shape),
+        center=random.uniform(-np.pi / 2, np.pi / 2, shape),
+        elongation=random.uniform(-10.0, 10.0, (count(n_elongation_knots), n_lobes)),
+        shape_theta_diff=knots(n_shape_knots),
+        elongation_theta_diff=knots(n_elongation_knots),
+        delta=10.0 ** random.uniform(-300.0, 300.0, (3, n_knots)),
+        interpolation=interpolation,
+        lobe="student" if spline else "hemi_epd",
     )
 
 
@@ -27,10 +44,11 @@ def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
         first, second = getattr(got, name), getattr(expected, name)
         assert first.shape == second.shape
         assert first.tobytes() == second.tobytes()
-    assert got.interpolation == expected.interpolation
+    for name in TEXTS:
+        assert getattr(got, name) == getattr(expected, name)
 
 
 def curve_error(found: DSBRDF, truth: DSBRDF, data: Profiles) -> float:
-    """Weighted relative distance of the two models on the nodes used."""
-    a, b = on_grid(found), on_grid(truth)
+    """Weighted relative distance of the two models on the nodes used, at phi_diff = 90 degrees."""
+    a, b = (model.evaluate(THETA_HALF, THETA_DIFF[:, None]).transpose(2, 0, 1) for model in (found, truth))
     return float(np.sqrt(np.sum(data.weight * (a - b) ** 2) / np.sum(data.weight * b**2)))
