@@ -34,8 +34,8 @@ SMOOTHING = 1e-7
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 """From nothing to the largest value that a measurement may have."""
 KAPPA_BOUNDS = (1e-2, 10.0)
-GAMMA_BOUNDS = (1e-2, 2e4)
-"""From flat to a quarter of a degree, the narrowest peak that the grid resolves."""
+GAMMA_BOUNDS = (1e-2, 5e4)
+"""From flat to a sixth of a degree, about the narrowest peak that the grid resolves."""
 CENTER_BOUNDS = (-0.25, float(np.pi / 2))
 ELONGATION_BOUNDS = (-2.5, 2.5)
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
