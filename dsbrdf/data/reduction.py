@@ -144,7 +144,9 @@ def profiles(
             typical = _summarize(samples, weights)[0][..., None] if weighting == "log" else 0.0
             weights = weights * (cos_in / (1.0 + typical * np.maximum(cos_in, 0.0))) ** 2
         mean[:, :, i], weight[:, :, i], within[:, :, i] = _summarize(samples, weights)
-    return Profiles(mean, weight, within, folded, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256)
+    return Profiles(
+        mean, weight, within, folded, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256
+    )
 
 
 def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:

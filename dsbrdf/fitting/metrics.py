@@ -122,7 +122,9 @@ def _add_row(
     sums.count[:, rows] += count
 
 
-def relative_errors(sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)) -> dict[str, Any] | None:
+def relative_errors(
+    sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
+) -> dict[str, Any] | None:
     """Errors of some channels and rows of theta_diff; None where there is nothing but zeros.
 
     Returns
