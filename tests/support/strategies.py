@@ -12,11 +12,9 @@ SPECIAL = (np.nan, np.inf, -np.inf, -1.0, -0.0, 0.0, 5e-324, 1.7e308, 1.5e11, -1
 
 MODEL = DSBRDF(
     theta_diff=np.array([0.0, 0.7, 1.5]),
-    kappa=np.full((3, 3, 2), 0.3),
-    gamma=np.full((3, 3, 2), 4.0),
-    center=np.zeros((3, 3, 2)),
-    delta=np.zeros((3, 3)),
-    interpolation="cubic",
+    amplitude=np.full((3, 5, 2), 0.3),
+    kappa=np.full((1, 5, 2), 0.3),
+    gamma=np.full((1, 5, 2), 4.0),
 )
 
 
