@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.decomposition import Component, Decomposition, decompose
     from dsbrdf.model.dsbrdf import DSBRDF
-    from dsbrdf.output.serialize import load, save
+    from dsbrdf.model.render import render_sphere
+    from dsbrdf.output.serialize import load, load_result, save
     from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = [
@@ -54,9 +55,11 @@ __all__ = [
     "decompose",
     "fit",
     "load",
+    "load_result",
     "parse_merl",
     "profiles",
     "read_merl",
+    "render_sphere",
     "save",
     "write_merl",
 ]
@@ -80,7 +83,8 @@ _DEFINED_IN = {
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
-    "dsbrdf.output.serialize": ("load", "save"),
+    "dsbrdf.model.render": ("render_sphere",),
+    "dsbrdf.output.serialize": ("load", "load_result", "save"),
     "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),
 }
 _MODULE_OF = {name: module for module, names in _DEFINED_IN.items() for name in names}

@@ -5,7 +5,7 @@ from importlib.metadata import version
 
 __version__ = version("dsbrdf")
 
-ALGORITHM_VERSION = "1"
+ALGORITHM_VERSION = "2"
 """Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
 
 

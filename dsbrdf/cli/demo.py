@@ -28,7 +28,7 @@ from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, overview_figure
-from dsbrdf.output.report_text import bands_table, components_table, metrics_line, parameters_table, selection_table
+from dsbrdf.output.report_text import bands_table, components_table, growth_table, metrics_line, parameters_table
 from dsbrdf.output.serialize import from_json
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) ->
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
     _title("How many lobes")
-    _print(*selection_table(report))
+    _print(*growth_table(report))
     _title("Metrics")
     _print(metrics_line(metrics), "", *bands_table(report))
 

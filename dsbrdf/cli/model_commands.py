@@ -86,7 +86,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _component(model: DSBRDF, label: str | None) -> DSBRDF:
-    return model if label is None else decompose(model)[label]
+    return model if label is None else decompose(model)[label].model
 
 
 @contextmanager

@@ -12,8 +12,12 @@ Array = NDArray[np.float64]
 
 def add_point_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that name points; each may be given several times."""
-    for name in ("--theta-half", "--theta-diff"):
-        parser.add_argument(name, nargs="+", action="extend", type=float, metavar="DEGREES", help="one or more angles")
+    for name, purpose in (
+        ("--theta-half", "one or more angles"),
+        ("--theta-diff", "one or more angles"),
+        ("--phi-diff", "one or more angles (default: 90, where both directions make the same angle with the normal)"),
+    ):
+        parser.add_argument(name, nargs="+", action="extend", type=float, metavar="DEGREES", help=purpose)
     for name in ("--omega-in", "--omega-out"):
         parser.add_argument(
             name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be given several times"
@@ -26,26 +30,26 @@ def given_points(arguments: argparse.Namespace) -> dict[str, Array]:
     Returns
     -------
     dict
-        ``theta_half_deg`` and ``theta_diff_deg`` of shape (n,) [degrees], or ``omega_in`` and ``omega_out`` of shape
-        (n, 3).  An angle or a direction that is given once is combined with all values of the other.
+        ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or ``omega_in`` and
+        ``omega_out`` of shape (n, 3).  What is given once is combined with all values of the others.
 
     Raises
     ------
     InvalidArgumentError
-        If one of the two is missing, angles and directions are mixed, or their numbers differ and neither is 1.
+        If an angle or a direction is missing, angles and directions are mixed, or numbers differ and are not 1.
     """
-    by_angles = arguments.theta_half or arguments.theta_diff
+    by_angles = arguments.theta_half or arguments.theta_diff or arguments.phi_diff
     if by_angles and (arguments.omega_in or arguments.omega_out):
         raise InvalidArgumentError("give either --theta-half and --theta-diff or --omega-in and --omega-out")
     if arguments.omega_in or arguments.omega_out:
-        names = {"omega_in": "omega_in", "omega_out": "omega_out"}
+        columns = {name: _given(arguments, name) for name in ("omega_in", "omega_out")}
     else:
-        names = {"theta_half_deg": "theta_half", "theta_diff_deg": "theta_diff"}
-    columns = {column: _given(arguments, name) for column, name in names.items()}
+        columns = {f"{name}_deg": _given(arguments, name) for name in ("theta_half", "theta_diff")}
+        columns["phi_diff_deg"] = np.array(arguments.phi_diff or [90.0])
     length = max(len(array) for array in columns.values())
     if any(len(array) not in (1, length) for array in columns.values()):
-        counts = " and ".join(f"{len(array)} {name}" for name, array in columns.items())
-        raise InvalidArgumentError(f"{counts} cannot be combined: give equally many of both, or one of one of them")
+        counts = ", ".join(f"{len(array)} {name}" for name, array in columns.items())
+        raise InvalidArgumentError(f"{counts} cannot be combined: give equally many of each, or one")
     return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
 
 

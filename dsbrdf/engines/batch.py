@@ -18,7 +18,7 @@ from dsbrdf.engines.local import LocalEngine
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import from_json, save
+from dsbrdf.output.serialize import result_from_json, save
 from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
@@ -243,10 +243,7 @@ def _file_fit(file: Path, outcome: Outcome) -> FileFit:
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    model, report = from_json(outcome.document)
-    if report is None:
-        raise ValueError("the document of a fit has a report")
-    return FileFit(file, result=FitResult(model, report), warnings=outcome.warnings)
+    return FileFit(file, result=result_from_json(outcome.document), warnings=outcome.warnings)
 
 
 def _unreadable(file: Path) -> FileFit | None:
@@ -286,10 +283,10 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions) -> FileFit | Non
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
             return None
-        model, report = from_json(output.read_text(encoding="utf-8"))
+        result = result_from_json(output.read_text(encoding="utf-8"))
     except (FileNotFoundError, UnicodeDecodeError, ModelFormatError):
         return None
     wanted = json.loads(json.dumps(asdict(options)))
-    if report is None or report.options != wanted or report.versions.get("algorithm") != ALGORITHM_VERSION:
+    if result.report.options != wanted or result.report.versions.get("algorithm") != ALGORITHM_VERSION:
         return None
-    return FileFit(file, output, FitResult(model, report), resumed=True)
+    return FileFit(file, output, result, resumed=True)

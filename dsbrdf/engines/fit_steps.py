@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dsbrdf.data.merl import read_merl
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit, profiles_for, with_samples
+from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import from_json, to_json
+from dsbrdf.output.serialize import result_from_json, to_json
 
 logger = logging.getLogger(__name__)
 
@@ -38,16 +38,12 @@ class _Payload:
 
     Attributes
     ----------
-    fitted : Profiles
-        The profiles to fit.
-    unweighted : Profiles or None
-        The profiles that the metrics refer to, where they are others.
+    profiles : Profiles
     seconds : float
         Time that the reduction took [s].
     """
 
-    fitted: Profiles
-    unweighted: Profiles | None
+    profiles: Profiles
     seconds: float
 
 
@@ -86,13 +82,11 @@ def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
-    """Reduce the measurement of a task to the payload that a fit needs: about 0.3 MB, or 0.6 MB if it is weighted."""
+    """Reduce the measurement of a task to the payload that a fit needs, some MB."""
     measurement = read_merl(task.path)
     begin = time.perf_counter()
-    fitted = profiles_for(measurement, task.options)
-    seconds = time.perf_counter() - begin
-    unweighted = profiles(measurement, horizon_cutoff=task.options.horizon_cutoff) if fitted.weighted else None
-    payload = _Payload(fitted, unweighted, seconds)
+    profiles = profiles_for(measurement, task.options)
+    payload = _Payload(profiles, time.perf_counter() - begin)
     return ReducedMeasurement(zlib.compress(pickle.dumps(payload), 1), measurement.sha256)
 
 
@@ -101,20 +95,17 @@ def fit_payload(payload: bytes, options: FitOptions, on_progress: OnProgress) ->
     # Unpickling is safe here: whoever sends the payload also sends the code that reads it.
     content: _Payload = pickle.loads(zlib.decompress(payload))  # noqa: S301  # nosec B301
     with _convergence_messages() as messages:
-        result = fit(content.fitted, options, plain=content.unweighted, progress=on_progress)
+        result = fit(content.profiles, options, progress=on_progress)
     timings = result.report.timings | {"profiles": content.seconds}
     return _fitted(FitResult(result.model, replace(result.report, timings=timings)), messages)
 
 
 def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -> Outcome:
     """Add the metrics that need the samples to the report of `fit_payload`; the file must not have changed."""
-    model, report = from_json(fitted.document)
-    if report is None:
-        raise ValueError("the document of a fit has a report")
     measurement = read_merl(task.path)
     if measurement.sha256 != sha256:
         return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
-    return _fitted(with_samples(FitResult(model, report), measurement), fitted.warnings)
+    return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement), fitted.warnings)
 
 
 @contextmanager

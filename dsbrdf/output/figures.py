@@ -3,6 +3,9 @@
 Every function returns a new `matplotlib.figure.Figure`.  Neither pyplot nor other global state is used, so figures may
 be made in any thread.  Matplotlib is the extra ``plot``.
 
+Measured profiles are means over phi_diff.  The model's curves are means over the same directions: those within the
+horizon cutoff of the normal; where there are none, values at phi_diff = 90 degrees.
+
 Profiles are mirrored to -90..90 degrees of theta_half, as in the paper.  They span orders of magnitude, so every
 slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as
 in the paper.
@@ -43,6 +46,7 @@ LOBE_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
 DELTA_COLOUR = "#868e96"
 LINE_STYLES = ("-", "--", ":", "-.")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
+PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
 ROW_HEIGHT = 3.4  # of a row of panels, in inches
 
 
@@ -52,7 +56,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[f
     Parameters
     ----------
     profiles : Profiles
-        The measurement, averaged over phi_diff.
+        The measurement, averaged over phi_diff; the model's curves are averaged over the same directions.
     model : DSBRDF
         The fit.
     theta_diff : sequence of float, optional
@@ -125,7 +129,7 @@ def overview_figure(
     figure = _empty_figure(len(rows), height=2 * ROW_HEIGHT + 0.3)
     figure.suptitle(profiles.name, fontsize=12)
     (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
-    above.suptitle("(a) measured, mean over $\\phi_\\mathrm{diff}$ (squares), and fit (lines)", fontsize=10)
+    above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) lobes of the {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
     _lobes_row(below, profiles, model, rows, index)
@@ -164,7 +168,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
     """Draw all channels, in two panels for each slice, with a legend."""
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
-        fitted = model.evaluate(CURVE_ANGLES, THETA_DIFF[row])
+        fitted = _fitted(profiles, model, row)
         data = [_measured(profiles, row, channel) for channel in range(3)]
         _set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
         for ax in pair:
@@ -180,29 +184,40 @@ def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequ
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
-        fitted = model.evaluate(CURVE_ANGLES, THETA_DIFF[row])[:, channel]
+        fitted = _fitted(profiles, model, row)[:, channel]
         _set_limits(pair, row, fitted, points[1])
         for ax in pair:
             _draw_points(ax, *points, "black", "o", "measured")
             _draw_curve(ax, fitted, "black", label="fit, all lobes")
             for label, colour, style, lobe in lobes:
-                curve = lobe.evaluate(CURVE_ANGLES, THETA_DIFF[row])[:, channel]
+                curve = _fitted(profiles, lobe, row)[:, channel]
                 _draw_curve(ax, curve, colour, style=style, label=label)
-        lowest = min((float(lobe.evaluate(0.0, THETA_DIFF[row])[channel]) for *_, lobe in lobes), default=0.0)
-        pair[1].set_ylim(bottom=min(0.0, 1.2 * lowest))  # shows a negative delta term too
     _draw_legend(figure, pairs[0][0], columns=2 * len(rows))
 
 
 def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
     """Yield label, colour, line style and model of the delta term, if there is one, and of each lobe of a component."""
-    if np.any(component.delta):
+    if np.any(component.model.delta):
         yield "delta term", DELTA_COLOUR, LINE_STYLES[0], model.select((), with_delta=True)
-    widths, rings = np.degrees(lobe_widths(model)[0]), np.any(model.center > 0.0, axis=(0, 1))
+    widths, rings = np.degrees(lobe_widths(model)), model.is_ring
     for number, lobe in enumerate(component.lobes):
         kind = f"{component.label.replace('_', ' ')}{' (ring)' if rings[lobe] else ''}"
         label = f"{lobe}: {kind}, half width {widths[lobe]:.2g}°"
         part = model.select((lobe,), with_delta=False)
         yield label, LOBE_COLOURS[component.label], LINE_STYLES[number % len(LINE_STYLES)], part
+
+
+def _fitted(profiles: Profiles, model: DSBRDF, row: int) -> Array:
+    """Return the model's mean over the phi_diff that count in the profiles, at `CURVE_ANGLES`, shape (n, 3) [1/sr].
+
+    Both cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some
+    phi_diff and 90 degrees, and their mirror images.
+    """
+    cutoff = np.pi / 2 if profiles.horizon_cutoff is None else profiles.horizon_cutoff
+    level, swing = np.cos(CURVE_ANGLES) * np.cos(THETA_DIFF[row]), np.sin(CURVE_ANGLES) * np.sin(THETA_DIFF[row])
+    first = np.arccos(np.clip((level - np.cos(cutoff)) / np.maximum(swing, 1e-12), 0.0, 1.0))
+    phi_diff = np.pi / 2 - (np.pi / 2 - first)[:, None] * PHI_SHARES
+    return model.evaluate(CURVE_ANGLES[:, None], THETA_DIFF[row], phi_diff).mean(axis=1)
 
 
 def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:

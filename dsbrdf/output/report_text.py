@@ -40,60 +40,44 @@ def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
 def parameters_table(
     model: DSBRDF, *, channel: str = "red", theta_diff_deg: Sequence[float] = SHOWN_THETA_DIFF
 ) -> list[str]:
-    """Return a table of the parameters of one channel: kappa, gamma and, for ring lobes, center."""
-    kappa, gamma, center, _ = model.parameters_at(np.radians(theta_diff_deg))
-    column, rings = CHANNELS.index(channel), ring_lobes(model)
+    """Return a table of the parameters of one channel, with center and elongation where they are not 0."""
+    parameters = model.parameters_at(np.radians(theta_diff_deg))
+    column = CHANNELS.index(channel)
+    shape_column = column if model.kappa.shape[0] == 3 else 0
     head = "".join(f"{angle:>10.0f}°" for angle in theta_diff_deg)
-    lines = [f"{f'{channel} channel, theta_diff':<30}{head}"]
-    for lobe, width in enumerate(np.degrees(lobe_widths(model)[0])):
-        lead = f"{'ring lobe' if rings[lobe] else 'lobe'} {lobe}, {width:.2f}°"
-        parameters = [("kappa", kappa), ("gamma", gamma)] + ([("center", np.degrees(center))] if rings[lobe] else [])
-        for name, values in parameters:
-            unit = "°" if name == "center" else " "
-            cells = "".join(f"{value:>10.4g}{unit}" for value in values[:, column, lobe])
-            lines.append(f"{lead:<22}{name:<8}{cells}".rstrip())
+    lines = [f"{f'{channel} channel, theta_diff':<34}{head}"]
+    for lobe, width in enumerate(np.degrees(lobe_widths(model))):
+        rows = [("amplitude", parameters["amplitude"][:, column, lobe])]
+        rows += [(name, parameters[name][:, shape_column, lobe]) for name in ("kappa", "gamma")]
+        if model.is_ring[lobe]:
+            rows.append(("center", np.degrees(parameters["center"][:, shape_column, lobe])))
+        if model.elongation[:, lobe].any():
+            rows.append(("elongation", parameters["elongation"][:, lobe]))
+        lead = f"{'ring lobe' if model.is_ring[lobe] else 'lobe'} {lobe}, {width:.2f}°"
+        for name, values in rows:
+            cells = "".join(f"{value:>10.4g}{'°' if name == 'center' else ' '}" for value in values)
+            lines.append(f"{lead:<22}{name:<12}{cells}".rstrip())
             lead = ""
     return lines
 
 
-def ring_lobes(model: DSBRDF) -> NDArray[np.bool_]:
-    """Return which lobes are ring lobes, whose center is not 0, shape (K,)."""
-    return np.asarray(np.any(model.center > 0.0, axis=(0, 1)))
-
-
 def lobes_phrase(model: DSBRDF) -> str:
     """Return the numbers of lobes and ring lobes in words, such as ``3 lobes + 1 ring lobe``."""
-    rings = int(np.count_nonzero(ring_lobes(model)))
+    rings = int(np.count_nonzero(model.is_ring))
     centered = model.n_lobes - rings
     words = f"{centered} {'lobe' if centered == 1 else 'lobes'}"
     return words if rings == 0 else f"{words} + {rings} {'ring lobe' if rings == 1 else 'ring lobes'}"
 
 
-def selection_table(report: FitReport) -> list[str]:
-    """Return a table of how the numbers of lobes and ring lobes were chosen; empty if they were given.
+def growth_table(report: FitReport) -> list[str]:
+    """Return a table of the lobes that were tried, one after the other; empty if the fit did not search for them.
 
-    Each number of lobes has E_p, Williams' t of its difference to the largest number, the critical value and whether it
-    is enough.
+    The error is the weighted squared error on samples that no lobe was fitted to, as a share of their squared signal.
     """
-    lines = []
-    if len(report.selection) > 1:
-        lines.append(f"{'lobes tried':<14}{'E_p':>10}{'t':>10}{'critical value':>17}{'squared error':>16}{'BIC':>11}")
-    for row in report.selection if lines else ():
-        cells = "".join(
-            f"{'' if row[name] is None else format(row[name], form):>{width}}"
-            for name, form, width in (
-                ("e_p", ".4f", 10),
-                ("t", ".2f", 10),
-                ("critical_value", ".3f", 17),
-                ("squared_error", ".5g", 16),
-                ("bic", ".0f", 11),
-            )
-        )
-        verdict = "" if row["t"] is None else "   too few" if row["significant"] else "   enough"
-        lines.append(f"{row['n_lobes']:<14}{cells}{verdict}".rstrip())
-    if report.rings:
-        tried = (f"{row['ring_lobes']} {'pays' if row['pays'] else 'does not pay'}" for row in report.rings)
-        lines.append(f"ring lobes tried: {', '.join(tried)}")
+    lines = [f"{'lobes tried':<14}{'ring lobes':>10}{'error held out':>18}"] if report.growth else []
+    for row in report.growth:
+        verdict = "kept" if row["pays"] else "does not pay"
+        lines.append(f"{row['n_lobes']:<14}{row['ring_lobes']:>10}{row['error']:>18.3g}   {verdict}")
     return lines
 
 
@@ -111,12 +95,12 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def result_text(file: Path, result: FitResult) -> list[str]:
-    """Return the report of one fit: metrics, components, parameters, choice of the number of lobes, errors."""
+    """Return the report of one fit: metrics, components, parameters, lobes tried, errors."""
     lines = [headline(file, result)]
     for table in (
         components_table(component_documents(result.model)),
         parameters_table(result.model),
-        selection_table(result.report),
+        growth_table(result.report),
         bands_table(result.report),
     ):
         lines += ["", *table] if table else []
@@ -135,15 +119,19 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
 
 
 def lobes_document(model: DSBRDF) -> dict[str, Any]:
-    """Return the parameters as they are written to JSON: kappa, gamma, center_deg (3, D, K) and delta (3, D)."""
-    return {
+    """Return the parameters as they are written to JSON: those of `DSBRDF`, with angles in degrees."""
+    arrays: dict[str, Any] = {
         "theta_diff_deg": _degrees(model.theta_diff),
+        "amplitude": model.amplitude.tolist(),
+        "shape_theta_diff_deg": _degrees(model.shape_theta_diff),
         "kappa": model.kappa.tolist(),
         "gamma": model.gamma.tolist(),
         "center_deg": _degrees(model.center),
+        "elongation_theta_diff_deg": _degrees(model.elongation_theta_diff),
+        "elongation": model.elongation.tolist(),
         "delta": model.delta.tolist(),
-        "interpolation": model.interpolation,
     }
+    return arrays | {"interpolation": model.interpolation, "lobe": model.lobe}
 
 
 def component_document(component: Component) -> dict[str, Any]:
@@ -152,7 +140,7 @@ def component_document(component: Component) -> dict[str, Any]:
     return {
         "label": component.label,
         "lobes": list(component.lobes),
-        "parameters": lobes_document(component),
+        "parameters": lobes_document(component.model),
         "albedo": component.albedo.tolist(),
         "half_width_deg": None if width is None else float(np.degrees(width)),
         "margin": component.margin,

@@ -10,7 +10,7 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_origin, get_type_hints
 
@@ -28,21 +28,23 @@ __all__ = [
     "from_json",
     "from_npz",
     "load",
+    "load_result",
     "model_from_dict",
     "model_to_dict",
     "read_model_file",
     "report_from_dict",
     "report_to_dict",
+    "result_from_json",
     "save",
     "to_json",
     "to_npz",
 ]
 
 FORMAT = "dsbrdf"
-VERSION = 1
+VERSION = 2
 
-_ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
-_MODEL_KEYS = (*_ARRAYS, "interpolation")
+_TEXTS = ("interpolation", "lobe")
+_ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in _TEXTS)
 _MAX_FILE_SIZE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
 
 
@@ -85,13 +87,35 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
     Raises
     ------
     ModelFormatError
-        If the file is damaged, of another kind, or of a newer version.
+        If the file is damaged, of another kind, or of another version.
     InvalidArgumentError
         If the suffix is neither ``.json`` nor ``.npz``.
     OSError
         If the file does not exist or cannot be read.
     """
     return read_model_file(path)[0]
+
+
+def load_result(path: str | os.PathLike[str]) -> FitResult:
+    """Read the model in a ``.json`` or ``.npz`` file with the report of its fit.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its suffix determines the format.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    ModelFormatError
+        As `load`, and if the file has a model without a report.
+    InvalidArgumentError, OSError
+        As `load`.
+    """
+    return _result(*read_model_file(path))
 
 
 def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
@@ -121,7 +145,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
     Returns
     -------
     str
-        ``{"format": "dsbrdf", "version": 1, "model": {...}, "report": {...} or null}``.
+        ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``.
 
     Raises
     ------
@@ -143,7 +167,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
     Raises
     ------
     ModelFormatError
-        If the text is damaged, of another kind, or of a newer version.
+        If the text is damaged, of another kind, or of another version.
     """
     document = _parse(text)
     if not isinstance(document, dict):
@@ -154,6 +178,11 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
             raise ModelFormatError(f"The stored model lacks the key {key!r}.")
     model, report = document["model"], document["report"]
     return model_from_dict(model), None if report is None else report_from_dict(report)
+
+
+def result_from_json(text: str) -> FitResult:
+    """Return the result of a fit in a JSON text; errors are those of `load_result`."""
+    return _result(*from_json(text))
 
 
 def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
@@ -172,7 +201,7 @@ def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
         allow_pickle=False,
         format=np.array(FORMAT),
         version=np.array(VERSION),
-        interpolation=np.array(model.interpolation),
+        **{name: np.array(getattr(model, name)) for name in _TEXTS},
         report=np.array(_dump(None if report is None else report_to_dict(report))),
         **{name: getattr(model, name) for name in _ARRAYS},
     )
@@ -185,15 +214,14 @@ def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
     Raises
     ------
     ModelFormatError
-        If the bytes are damaged, of another kind, or of a newer version.
+        If the bytes are damaged, of another kind, or of another version.
     """
     stored = _unpack(data)
     _check_version(_scalar(stored.get("format")), _scalar(stored.get("version")))
     if "report" not in stored:
         raise ModelFormatError("The stored model lacks the key 'report'.")
     content = {name: value for name, value in stored.items() if name not in ("format", "version", "report")}
-    if "interpolation" in content:
-        content["interpolation"] = _scalar(content["interpolation"])
+    content |= {name: _scalar(content[name]) for name in _TEXTS if name in content}
     model = model_from_dict(content)
     text = _scalar(stored["report"])
     if not isinstance(text, str):
@@ -204,7 +232,8 @@ def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
 
 def model_to_dict(model: DSBRDF) -> dict[str, Any]:
     """Return a model as nested lists of numbers, keyed by the names of its attributes; angles in radians."""
-    return {name: getattr(model, name).tolist() for name in _ARRAYS} | {"interpolation": model.interpolation}
+    arrays = {name: getattr(model, name).tolist() for name in _ARRAYS}
+    return arrays | {name: getattr(model, name) for name in _TEXTS}
 
 
 def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
@@ -215,13 +244,14 @@ def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
     ModelFormatError
         If a key is missing or unknown, or a value has the wrong shape, is not finite or out of range.
     """
-    _check_keys("model", content, required=_MODEL_KEYS, known=_MODEL_KEYS)
-    arrays = {name: _numbers(name, content[name]) for name in _ARRAYS}
-    interpolation = content["interpolation"]
-    if not isinstance(interpolation, str):
-        raise ModelFormatError("The interpolation in the stored model is not a text.")
+    _check_keys("model", content, (*_ARRAYS, *_TEXTS))
+    parameters: dict[str, Any] = {name: _numbers(name, content[name]) for name in _ARRAYS}
+    for name in _TEXTS:
+        if not isinstance(content[name], str):
+            raise ModelFormatError(f"The {name} in the stored model is not a text.")
+        parameters[name] = content[name]
     try:
-        return DSBRDF(**arrays, interpolation=interpolation)
+        return DSBRDF(**parameters)
     except InvalidArgumentError as error:
         raise ModelFormatError(f"The stored model is not valid: {error}") from None
 
@@ -240,10 +270,7 @@ def report_from_dict(content: Mapping[str, Any]) -> FitReport:
         If a key is missing or unknown or a value is of the wrong kind.
     """
     hints = get_type_hints(FitReport)
-    required = [
-        field.name for field in fields(FitReport) if field.default is MISSING and field.default_factory is MISSING
-    ]
-    _check_keys("report", content, required=required, known=list(hints))
+    _check_keys("report", content, tuple(hints))
     for name, value in content.items():
         kind = get_origin(hints[name]) or hints[name]
         if isinstance(kind, type) and not isinstance(value, kind):
@@ -309,25 +336,27 @@ def _numbers(name: str, value: Any) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
+def _result(model: DSBRDF, report: FitReport | None) -> FitResult:
+    if report is None:
+        raise ModelFormatError("The stored model has no report of a fit: it was saved alone; read it with dsbrdf.load.")
+    return FitResult(model, report)
+
+
 def _check_version(name: object, version: object) -> None:
     if name != FORMAT:
         raise ModelFormatError(f"The data is not a stored model: its format is not {FORMAT!r}.")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
-    if version > VERSION:
-        raise ModelFormatError(
-            f"The stored model has version {version}, which is newer than the {VERSION} that this release reads."
-        )
+    if version != VERSION:
+        raise ModelFormatError(f"The stored model has version {version}; this release reads version {VERSION}.")
 
 
-def _check_keys(
-    what: str, content: Any, *, required: list[str] | tuple[str, ...], known: list[str] | tuple[str, ...]
-) -> None:
+def _check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
     if not isinstance(content, Mapping):
         raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
-    missing = [key for key in required if key not in content]
+    missing = [key for key in wanted if key not in content]
     if missing:
         raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
-    unknown = [key for key in content if key not in known]
+    unknown = [key for key in content if key not in wanted]
     if unknown:
         raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")

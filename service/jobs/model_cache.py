@@ -70,7 +70,7 @@ class ModelCache:
         decomposition = await self.decomposition(key)
         if label not in LABELS:
             raise NotFoundError(f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
-        return decomposition[label]
+        return decomposition[label].model
 
     async def decomposition(self, key: FitKey) -> Decomposition:
         """Return the components of a fit; raises as `get`."""

@@ -24,6 +24,7 @@ from service.wire.values import (
     DIRECTIONS,
     JSON,
     NPY,
+    PHI_DIFF,
     Points,
     from_angles,
     from_directions,
@@ -74,11 +75,12 @@ def _point_parameter(name: str, description: str, items: dict[str, Any], **examp
 _ANGLE = {"type": "number", "minimum": 0, "maximum": 90}
 _VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
 _IN_DEGREES = "Angles in degrees; repeat for several points."
-_UNIT_VECTORS = "Unit vectors x,y,z on the upper hemisphere; repeat for several points."
+_UNIT_VECTORS = "Unit vectors x,y,z; repeat for several points. Values are 0 where one is below the horizon (z < 0)."
 _QUERY = {
     "parameters": [
         _point_parameter(ANGLES[0], _IN_DEGREES, _ANGLE, example=[10]),
         _point_parameter(ANGLES[1], _IN_DEGREES, _ANGLE, example=[30]),
+        _point_parameter(PHI_DIFF, f"{_IN_DEGREES} 90 where it is left out.", {"type": "number"}, example=[90]),
         *(_point_parameter(name, _UNIT_VECTORS, _VECTOR) for name in DIRECTIONS),
     ]
 }
@@ -129,8 +131,9 @@ async def get_component_values(request: Request, context: TheContext, fit: TheFi
 async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
 
-    A .npy array holds (n, 2) half and difference angles in degrees, or (n, 6) or (n, 2, 3) directions;
-    the answer is (n, 3) float64. JSON may have 100,000 points, .npy a million.
+    A .npy array holds (n, 2) or (n, 3) angles in degrees: theta_half, theta_diff and, where it is not 90, phi_diff;
+    or (n, 6) or (n, 2, 3) directions. The answer is (n, 3) float64, 0 where a direction is below the horizon.
+    JSON may have 100,000 points, .npy a million.
     """
     return await _values_of_batch(request, context, fit, None)
 
@@ -198,7 +201,7 @@ def _from_json(body: bytes) -> Points:
         vectors = parse_document(DirectionsRequest, body, strict=True)
         return from_directions(vectors.omega_in, vectors.omega_out)
     angles = parse_document(AnglesRequest, body, strict=True)
-    return from_angles(angles.theta_half_deg, angles.theta_diff_deg)
+    return from_angles(angles.theta_half_deg, angles.theta_diff_deg, angles.phi_diff_deg)
 
 
 def _accepted_type(request: Request) -> str:

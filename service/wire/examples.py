@@ -3,6 +3,7 @@
 from typing import Any
 
 import dsbrdf
+from dsbrdf.output.serialize import FORMAT, VERSION
 from service.wire.fit_options import DEFAULTS
 
 FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
@@ -13,16 +14,31 @@ MEASUREMENT: dict[str, Any] = {"sha256": SHA256, "size": 34_992_012, "valid_node
 MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
 _PARAMETERS: dict[str, Any] = {
-    "kappa": [[[0.11]], [[0.05]], [[0.03]]],
-    "gamma": [[[0.2]], [[0.2]], [[0.2]]],
+    "amplitude": [[[0.11]], [[0.05]], [[0.03]]],
+    "kappa": [[[1.0]]],
+    "gamma": [[[0.2]]],
+    "elongation": [[0.0]],
     "delta": [[0.0], [0.0], [0.0]],
-    "interpolation": "linear",
+    "interpolation": "spline",
+    "lobe": "hemi_epd",
 }
-_LOBES: dict[str, Any] = {**_PARAMETERS, "theta_diff_deg": [0.0], "center_deg": [[[0.0]], [[0.0]], [[0.0]]]}
+_LOBES: dict[str, Any] = {
+    **_PARAMETERS,
+    "theta_diff_deg": [0.0],
+    "shape_theta_diff_deg": [0.0],
+    "elongation_theta_diff_deg": [0.0],
+    "center_deg": [[[0.0]]],
+}
 STORED_MODEL: dict[str, Any] = {
-    "format": "dsbrdf",
-    "version": 1,
-    "model": {**_PARAMETERS, "theta_diff": [0.0], "center": [[[0.0]], [[0.0]], [[0.0]]]},
+    "format": FORMAT,
+    "version": VERSION,
+    "model": {
+        **_PARAMETERS,
+        "theta_diff": [0.0],
+        "shape_theta_diff": [0.0],
+        "elongation_theta_diff": [0.0],
+        "center": [[[0.0]]],
+    },
     "report": None,
 }
 
@@ -32,7 +48,16 @@ _SUMMARY: dict[str, Any] = {
     "progress": 1.0,
     "measurement": SHA256,
     "options": DEFAULTS,
-    "metrics": {"relative_rms": 0.081, "floor": 0.062, "excess": 1.31, "male": 0.0041},
+    "metrics": {
+        "relative_rms": 0.031,
+        "floor": 0.062,
+        "symmetric_floor": 0.012,
+        "excess": 0.5,
+        "male": 0.0041,
+        "albedo_error": 0.006,
+        "psnr": 41.2,
+        "ssim": 0.993,
+    },
     "error": None,
     "created": _CREATED,
     "started": _STARTED,
@@ -46,12 +71,23 @@ CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, 
 RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
 
 SUBMISSION: dict[str, Any] = {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}}
-ANGLES: dict[str, Any] = {"theta_half_deg": [0, 10, 20], "theta_diff_deg": [0, 30, 30]}
+ANGLES: dict[str, Any] = {
+    "theta_half_deg": [0, 10, 20],
+    "theta_diff_deg": [0, 30, 30],
+    "phi_diff_deg": [90, 90, 45],
+}
 DIRECTIONS: dict[str, Any] = {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}
 VALUES: dict[str, Any] = {"values": [[0.42, 0.21, 0.11]]}
 
 _DIFFUSE = {"lobes": [0], "parameters": _LOBES, "albedo": [0.31, 0.13, 0.07], "half_width_deg": 62.5, "margin": 1.3}
-_NO_LOBES = {**_LOBES, "kappa": [[[]]] * 3, "gamma": [[[]]] * 3, "center_deg": [[[]]] * 3}
+_NO_LOBES = {
+    **_LOBES,
+    "amplitude": [[[]]] * 3,
+    "kappa": [[[]]],
+    "gamma": [[[]]],
+    "center_deg": [[[]]],
+    "elongation": [[]],
+}
 _EMPTY = {"lobes": [], "parameters": _NO_LOBES, "albedo": [0.0, 0.0, 0.0], "half_width_deg": None, "margin": None}
 _CONTENTS: dict[str, dict[str, Any]] = {"specular_spike": _EMPTY, "specular_lobe": _EMPTY, "diffuse": _DIFFUSE}
 COMPONENTS: dict[str, Any] = {"items": [{"label": label, **content} for label, content in _CONTENTS.items()]}

@@ -14,9 +14,17 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.data.reduction import WEIGHTINGS
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES, METHODS, FitOptions
+from dsbrdf.fitting.options import (
+    MAX_EM_ITERATIONS,
+    MAX_LOBES,
+    MAX_MASK,
+    MAX_RING_LOBES,
+    METHODS,
+    WEIGHTINGS,
+    FitOptions,
+)
+from dsbrdf.model.lobes import FAMILIES
 
 _ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
 _DECIMALS = 9  # of a degree: takes off what the conversion to radians and back has added
@@ -132,6 +140,7 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
     "n_lobes": {"anyOf": [{"type": "integer", "minimum": 1, "maximum": MAX_LOBES}, _AUTO]},
     "method": {"type": "string", "enum": [*METHODS]},
     "ring_lobes": {"anyOf": [{"type": "integer", "minimum": 0, "maximum": MAX_RING_LOBES}, _AUTO]},
+    "lobe": {"type": "string", "enum": [*FAMILIES]},
     "knots_deg": {
         "anyOf": [
             {
@@ -140,25 +149,26 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
                 "minItems": 2,
                 "maxItems": THETA_DIFF.size,
                 "uniqueItems": True,
-                "description": "Increasing, whole degrees; null places them where the data ask for it.",
+                "description": "Increasing, whole degrees; null takes nine that lie closer towards grazing angles.",
             },
             _NONE,
         ]
     },
     "horizon_cutoff_deg": {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 90}, _NONE]},
     "mask": {"anyOf": [{"type": "number", "minimum": 0, "maximum": MAX_MASK}, _NONE]},
-    "weighting": {"type": "string", "enum": [*WEIGHTINGS]},
+    "weighting": {"anyOf": [{"type": "string", "enum": [*WEIGHTINGS]}, _NONE]},
     "robust": {"type": "boolean"},
     "em_iterations": {"type": "integer", "minimum": 1, "maximum": MAX_EM_ITERATIONS},
 }
+_OF_THE_PAPER = {"lobe": {"const": "hemi_epd"}, "weighting": {"not": {"const": "balanced"}}}
 OPTIONS_SCHEMA: dict[str, Any] = {
     "type": "object",
     "title": "FitOptions",
     "description": "Options of a fit; what is not given is the default.",
     "additionalProperties": False,
     "properties": {name: {**schema, "default": DEFAULTS[name]} for name, schema in _PROPERTIES.items()},
-    # Algorithm 1 has neither ring lobes nor knots of its own choice.
+    # Algorithm 1 has neither ring lobes nor knots of its own choice, and the paper's lobe and weighting.
     "if": {"properties": {"method": {"const": "paper"}}, "required": ["method"]},
-    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}}},
+    "then": {"properties": {"ring_lobes": {"enum": ["auto", 0]}, "knots_deg": {"type": "null"}, **_OF_THE_PAPER}},
 }
 """JSON schema of the options; a test compares its ranges with those that the library checks."""

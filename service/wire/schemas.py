@@ -72,6 +72,9 @@ class AnglesRequest(_Input):
 
     theta_half_deg: list[Number]
     theta_diff_deg: list[Number]
+    phi_diff_deg: Annotated[
+        list[Number] | None, Field(description="90 where it is left out: both directions at one angle to the normal.")
+    ] = None
 
 
 class DirectionsRequest(_Input):
@@ -124,14 +127,23 @@ class FitFault(BaseModel):
 
 
 class Lobes(BaseModel):
-    """Parameters of lobes: per channel (red, green, blue), knot of theta_diff, and lobe."""
+    """Parameters of K lobes; control values of splines over theta_diff, or values at the knots where it is linear."""
 
-    theta_diff_deg: Annotated[list[float], Field(description="Knots, shape (D,).")]
-    kappa: Annotated[list[list[list[float]]], Field(description="Scale, shape (3, D, K).")]
-    gamma: Annotated[list[list[list[float]]], Field(description="Shape, shape (3, D, K).")]
-    center_deg: Annotated[list[list[list[float]]], Field(description="Ring angle, shape (3, D, K).")]
-    delta: Annotated[list[list[float]], Field(description="Height where theta_half < 1 degree [1/sr], shape (3, D).")]
-    interpolation: str
+    theta_diff_deg: Annotated[list[float], Field(description="Knots of amplitude and delta.")]
+    amplitude: Annotated[
+        list[list[list[float]]], Field(description="Height [1/sr] in red, green, blue, shape (3, D, K).")
+    ]
+    shape_theta_diff_deg: Annotated[list[float], Field(description="Knots of kappa, gamma and center.")]
+    kappa: Annotated[
+        list[list[list[float]]], Field(description="Scale, shape (C, S, K); C is 1 for all channels, or 3 for each.")
+    ]
+    gamma: Annotated[list[list[list[float]]], Field(description="Shape, shape (C, S, K).")]
+    center_deg: Annotated[list[list[list[float]]], Field(description="Ring angle, shape (C, S, K).")]
+    elongation_theta_diff_deg: Annotated[list[float], Field(description="Knots of elongation.")]
+    elongation: Annotated[list[list[float]], Field(description="Stretch, 0 for a round lobe, shape (E, K).")]
+    delta: Annotated[list[list[float]], Field(description="Height where theta_half < 1 degree [1/sr], shape (3, B).")]
+    interpolation: Annotated[str, Field(description="`spline` or `linear`.")]
+    lobe: Annotated[str, Field(description="Family of the lobes, `hemi_epd` or `student`.")]
 
 
 class FitSummary(BaseModel):

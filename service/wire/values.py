@@ -26,13 +26,15 @@ from service.operations.metrics import Metrics
 Array = NDArray[np.float64]
 
 ANGLES = ("theta_half_deg", "theta_diff_deg")
+PHI_DIFF = "phi_diff_deg"
 DIRECTIONS = ("omega_in", "omega_out")
 JSON = "application/json"
 NPY = "application/x-npy"
-_KNOWN = (*ANGLES, *DIRECTIONS)
+_KNOWN = (*ANGLES, PHI_DIFF, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
 _BLOCK = 8192  # directions converted at a time, so that intermediate arrays stay small
-_NPY_SHAPES = ((2,), (6,), (2, 3))  # of one point
+_NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
+_BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 _JSON_BLOCK = 4096  # points: while the text of a block is made, nothing else runs
@@ -47,19 +49,20 @@ class Points:
 
     theta_half: Array
     theta_diff: Array
+    phi_diff: Array
 
     def __len__(self) -> int:
         return len(self.theta_half)
 
     def values(self, model: DSBRDF) -> Array:
-        """Return the model's values, shape (n, 3) [1/sr]."""
-        return model.evaluate(self.theta_half, self.theta_diff)
+        """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
+        return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
 
     def blocks(self, size: int) -> "Iterator[Points]":
         """Yield the points in blocks of at most `size`; there is one, even if it is empty."""
         for start in range(0, max(len(self), 1), size):
             block = slice(start, start + size)
-            yield Points(self.theta_half[block], self.theta_diff[block])
+            yield Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
@@ -74,41 +77,57 @@ def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
         given.setdefault(name, []).append(text)
     first, second = _pair(given)
     if first == ANGLES[0]:
-        return from_angles([_angle(first, t) for t in given[first]], [_angle(second, t) for t in given[second]])
+        columns = ([_angle(name, text) for text in given[name]] for name in (first, second, PHI_DIFF) if name in given)
+        return from_angles(*columns)
     return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
 
 
-def from_angles(theta_half_deg: Sequence[float] | Array, theta_diff_deg: Sequence[float] | Array) -> Points:
-    """Return the points of two equally long sequences of angles in degrees."""
+def from_angles(
+    theta_half_deg: Sequence[float] | Array,
+    theta_diff_deg: Sequence[float] | Array,
+    phi_diff_deg: Sequence[float] | Array | None = None,
+) -> Points:
+    """Return the points of equally long sequences of angles in degrees; phi_diff is 90 where it is left out."""
     _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
-    return Points(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg))
+    if phi_diff_deg is None:
+        phi_diff = np.broadcast_to(np.pi / 2, len(theta_half_deg))
+    else:
+        _check_count((ANGLES[0], PHI_DIFF), len(theta_half_deg), len(phi_diff_deg))
+        phi_diff = np.radians(np.asarray(phi_diff_deg, dtype=float))
+        if not np.isfinite(phi_diff).all():
+            raise InvalidArgumentError(f"{PHI_DIFF} must be a finite number of degrees.")
+    return Points(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg), phi_diff)
 
 
 def from_directions(
     omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
 ) -> Points:
-    """Return the points of two equally long sequences of unit vectors."""
+    """Return the points of two equally long sequences of unit vectors, on either side of the horizon."""
     _check_count(DIRECTIONS, len(omega_in), len(omega_out))
     for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
         if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
             raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
     pairs = np.asarray(omega_in, dtype=float).reshape(-1, 3), np.asarray(omega_out, dtype=float).reshape(-1, 3)
-    points = Points(np.empty(len(omega_in)), np.empty(len(omega_in)))
-    for start in range(0, len(points), _BLOCK):
+    angles = np.empty((3, len(omega_in)))
+    for start in range(0, len(omega_in), _BLOCK):
         block = slice(start, start + _BLOCK)
-        checked = (check_directions(name, part[block]) for name, part in zip(DIRECTIONS, pairs, strict=True))
-        points.theta_half[block], points.theta_diff[block], _ = half_difference(*checked)
-    return points
+        first, second = (
+            check_directions(name, part[block], below_horizon=True)
+            for name, part in zip(DIRECTIONS, pairs, strict=True)
+        )
+        below = np.minimum(first[:, 2], second[:, 2]) < 0.0
+        angles[:, block] = np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second))
+    return Points(*angles)
 
 
 def from_npy(data: bytes | memoryview) -> Points:
-    """Return the points of a .npy array: (n, 2) angles in degrees, or (n, 6) or (n, 2, 3) directions.
+    """Return the points of a .npy array: (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
     Raises InvalidArgumentError if the bytes are not such an array.
     """
     array = _read_npy(data)
-    if array.shape[1:] == (2,):
-        return from_angles(array[:, 0], array[:, 1])
+    if array.shape[1:] in ((2,), (3,)):
+        return from_angles(*array.T)
     pairs = array.reshape(-1, 2, 3)
     return from_directions(pairs[:, 0], pairs[:, 1])
 
@@ -126,8 +145,8 @@ def _read_npy(data: bytes | memoryview) -> Array:
         raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
     if shape[1:] not in _NPY_SHAPES:
         raise InvalidArgumentError(
-            f"The array has the shape {str(shape)[:60]}; it must be (n, 2), theta_half and theta_diff in degrees, "
-            "or (n, 6) or (n, 2, 3), omega_in and omega_out."
+            f"The array has the shape {str(shape)[:60]}; it must be (n, 2) or (n, 3), theta_half, theta_diff and "
+            "phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out."
         )
     expected = math.prod(shape) * dtype.itemsize
     rest = len(data) - stream.tell()
@@ -139,8 +158,8 @@ def _read_npy(data: bytes | memoryview) -> Array:
 
 def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
     """Return the two names that are given, which have to belong together."""
-    names = set(given)
-    if names & set(ANGLES) and names & set(DIRECTIONS):
+    names = set(given) - {PHI_DIFF}
+    if set(given) & {*ANGLES, PHI_DIFF} and names & set(DIRECTIONS):
         raise InvalidArgumentError(f"The query mixes angles and directions; {_CHOICE}.")
     for pair in (ANGLES, DIRECTIONS):
         if names == set(pair):

@@ -1,4 +1,6 @@
-"""Models that several tests use."""
+"""Models and reports that several tests use."""
+
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,39 +9,37 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]
 
-ARRAYS = (
-    "theta_diff",
-    "amplitude",
-    "kappa",
-    "gamma",
-    "center",
-    "elongation",
-    "shape_theta_diff",
-    "elongation_theta_diff",
-    "delta",
-)
+TEXTS = ("interpolation", "lobe")
+ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 
 
-def make_model(n_lobes: int = 3, n_knots: int = 5, interpolation: str = "spline", lobe: str = "hemi_epd") -> DSBRDF:
-    """Parameters of every magnitude, with all 53 bits in use."""
+def make_model(n_lobes: int = 3, n_knots: int = 5, interpolation: str = "spline") -> DSBRDF:
+    """Parameters of every magnitude, with all 53 bits in use; one shape for each channel unless it is a spline."""
     random = np.random.default_rng(n_lobes)
-    n_values = n_knots + 2 if interpolation == "spline" else n_knots
-    shape = (1, n_values, n_lobes)
-    knots = np.sort(random.uniform(0.0, np.pi / 2, n_knots))
+    spline = interpolation == "spline"
+    count = n_control_values if spline else int
+    n_shape_knots, n_elongation_knots = n_knots + 1, 2
+    shape = (1 if spline else 3, count(n_shape_knots), n_lobes)
+
+    def knots(number: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.sort(random.uniform(0.0, np.pi / 2, number))
+
     return DSBRDF(
-        theta_diff=knots,
-        amplitude=10.0 ** random.uniform(-300.0, 300.0, (3, n_values, n_lobes)),
-        kappa=10.0 ** random.uniform(-300.0, 1.0, shape),
-        gamma=10.0 ** random.uniform(-320.0, 7.0, shape),
+        theta_diff=knots(n_knots),
+        amplitude=10.0 ** random.uniform(-300.0, 300.0, (3, count(n_knots), n_lobes)),
+        kappa=10.0 ** random.uniform(-300.0, 2.8, shape),
+        gamma=10.0 ** random.uniform(-320.0, 100.0, shape),
         center=random.uniform(-np.pi / 2, np.pi / 2, shape),
-        elongation=random.uniform(-2.0, 2.0, (n_values, n_lobes)),
-        elongation_theta_diff=knots,
-        delta=10.0 ** random.uniform(-200.0, 200.0, (3, n_knots)),
+        elongation=random.uniform(-10.0, 10.0, (count(n_elongation_knots), n_lobes)),
+        shape_theta_diff=knots(n_shape_knots),
+        elongation_theta_diff=knots(n_elongation_knots),
+        delta=10.0 ** random.uniform(-300.0, 300.0, (3, n_knots)),
         interpolation=interpolation,
-        lobe=lobe,
+        lobe="student" if spline else "hemi_epd",
     )
 
 
@@ -48,19 +48,15 @@ def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
         first, second = getattr(got, name), getattr(expected, name)
         assert first.shape == second.shape
         assert first.tobytes() == second.tobytes()
-    assert (got.interpolation, got.lobe) == (expected.interpolation, expected.lobe)
-
-
-def on_grid(model: DSBRDF) -> Array:
-    """Values at phi_diff = 90 degrees, in the order of the profiles, shape (3, 90, 90)."""
-    return np.moveaxis(model.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
+    for name in TEXTS:
+        assert getattr(got, name) == getattr(expected, name)
 
 
 def profile_of(model: DSBRDF, data: Profiles) -> Array:
     """Means over phi_diff of the nodes that the profiles use, shape (3, 90, 90)."""
     cutoff = np.pi / 2 if data.horizon_cutoff is None else data.horizon_cutoff
-    table, used = model.tabulate(), above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, cutoff)
-    mean = (table * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1)
+    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+    mean = (model.tabulate() * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1)
     return np.asarray(mean.swapaxes(1, 2))
 
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -28,7 +29,7 @@ def fitted(plastic: Measurement) -> Fitted:
     summary = profiles(plastic)
     # A delta term and two lobes of one component: what a picture must not lose.
     model = fit(summary, FitOptions(n_lobes=3, method="paper")).model
-    return summary, DSBRDF(model.theta_diff, model.kappa, model.gamma, model.center, np.full_like(model.delta, 0.25))
+    return summary, replace(model, delta=np.full_like(model.delta, 0.25))
 
 
 def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -92,7 +93,7 @@ def test_slice_without_data_is_drawn(fitted: Fitted) -> None:
 
 def test_flat_model_is_drawn_over_all_angles(fitted: Fitted) -> None:
     shape = (3, 1, 1)
-    flat = DSBRDF(np.zeros(1), np.full(shape, 0.2), np.zeros(shape), np.zeros(shape), np.zeros((3, 1)))
+    flat = DSBRDF(np.zeros(1), np.ones(shape), np.full(shape, 0.2), np.zeros(shape), interpolation="linear")
     peak = profiles_figure(fitted[0], flat, theta_diff=[0.0]).axes[1]
     assert peak.get_xlim() == (-90.0, 90.0)
 
@@ -133,10 +134,11 @@ def test_figures_change_no_global_matplotlib_state() -> None:
 import sys, numpy as np
 from dsbrdf.output.figures import encode_figure, overview_figure
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.reduction import FoldedProfiles, Profiles
 ones = np.ones((3, 90, 90))
-model = DSBRDF([0.0], ones[:, :1, :1], ones[:, :1, :1], ones[:, :1, :1] * 0, ones[:, :1, 0] * 0)
-encode_figure(overview_figure(Profiles(ones, ones, ones * 0, None, "plain", False, "flat", ""), model))
+folded = FoldedProfiles(np.ones((3, 90, 90, 9)), np.ones((3, 90, 90, 9)), np.ones((90, 90, 9)))
+model = DSBRDF([0.0], ones[:, :1, :1], ones[:1, :1, :1], ones[:1, :1, :1])
+encode_figure(overview_figure(Profiles(ones, ones, ones * 0, folded, None, "plain", False, "flat", ""), model))
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -5,27 +5,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.serialize import (
     from_json,
     from_npz,
     load,
+    load_result,
     model_from_dict,
     model_to_dict,
     report_from_dict,
     report_to_dict,
+    result_from_json,
     save,
     to_json,
     to_npz,
 )
-from tests.support.models import ARRAYS, assert_same_bits, make_model
+from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model
 
 
+@pytest.mark.parametrize("interpolation", ["spline", "linear"])
 @pytest.mark.parametrize(("n_lobes", "n_knots"), [(0, 4), (1, 1), (3, 18), (8, 19)])
-def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, report: FitReport) -> None:
-    model = make_model(n_lobes, n_knots)
+def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, interpolation: str, report: FitReport) -> None:
+    model = make_model(n_lobes, n_knots, interpolation)
     for attached in (None, report):
         for back in (from_json(to_json(model, attached)), from_npz(to_npz(model, attached))):
             assert_same_bits(back[0], model)
@@ -48,24 +51,26 @@ def test_encoding_is_deterministic(model: DSBRDF, report: FitReport) -> None:
 def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:
     document = json.loads(to_json(model, report))
     assert document["format"] == "dsbrdf"
-    assert document["version"] == 1
-    assert list(document["model"]) == [*ARRAYS, "interpolation"]
-    assert document["model"]["kappa"][2][4][1] == model.kappa[2, 4, 1]
+    assert document["version"] == 2
+    assert list(document["model"]) == [*ARRAYS, *TEXTS]
+    assert document["model"]["amplitude"][2][4][1] == model.amplitude[2, 4, 1]
     assert document["report"]["metrics"]["relative_rms"] == 0.1 + 0.2
     assert json.loads(to_json(model))["report"] is None
 
 
-def test_stored_text_of_format_version_1_is_readable() -> None:
+def test_stored_text_of_format_version_2_is_readable() -> None:
     text = (
-        '{"format": "dsbrdf", "version": 1, "model": {"theta_diff": [0, 1.5], "kappa": [[[1], [2]], [[3], [4]], '
-        '[[5], [6]]], "gamma": [[[0], [1]], [[2], [3]], [[4], [5.5]]], "center": [[[0], [0]], [[0], [0]], '
-        '[[0], [1e-3]]], "delta": [[0, 0], [0, -1], [0, 2]], "interpolation": "linear"}, "report": null}'
+        '{"format": "dsbrdf", "version": 2, "model": {"theta_diff": [0, 1.5], "amplitude": [[[1], [2]], [[3], [4]], '
+        '[[5], [6]]], "kappa": [[[7]]], "gamma": [[[8.5]]], "center": [[[1e-3]]], "elongation": [[-1]], '
+        '"shape_theta_diff": [0], "elongation_theta_diff": [0], "delta": [[0, 0], [0, 1], [0, 2]], '
+        '"interpolation": "linear", "lobe": "student"}, "report": null}'
     )
     model, report = from_json(text)
     assert report is None
-    assert model.kappa[1].tolist() == [[3.0], [4.0]]
-    assert model.gamma[2, 1, 0] == 5.5
-    assert model.delta[1].tolist() == [0.0, -1.0]
+    assert model.amplitude[1].tolist() == [[3.0], [4.0]]
+    assert model.gamma[0, 0, 0] == 8.5
+    assert model.delta[1].tolist() == [0.0, 1.0]
+    assert model.lobe == "student"
 
 
 @pytest.mark.parametrize("suffix", [".json", ".npz", ".JSON"])
@@ -75,9 +80,19 @@ def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix:
     assert_same_bits(load(path), model)
     save(FitResult(model, report), path)  # replaces
     assert_same_bits(load(str(path)), model)
-    back = from_npz(path.read_bytes()) if suffix == ".npz" else from_json(path.read_text())
-    assert back[1] == report
+    assert load_result(path) == FitResult(model, report)
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", [".json", ".npz"])
+def test_result_needs_a_report(model: DSBRDF, report: FitReport, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"model{suffix}"
+    save(model, path)
+    with pytest.raises(ModelFormatError, match="has no report of a fit"):
+        load_result(path)
+    with pytest.raises(ModelFormatError, match="has no report of a fit"):
+        result_from_json(to_json(model))
+    assert result_from_json(to_json(model, report)) == FitResult(model, report)
 
 
 def test_failed_save_keeps_the_existing_file(model: DSBRDF, report: FitReport, tmp_path: Path) -> None:
