@@ -16,6 +16,7 @@ A weak pull decides what the data leave open: `SMOOTHING` times the squared sign
 control values.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -242,7 +243,7 @@ class MixtureProblem:
         """Normal equations of the unknowns from those of each row's parameters."""
         k = self.structure.n_lobes
         ends = np.cumsum([0, 3 * k, 2 * k + self.structure.n_rings, k])
-        parts = [slice(start, stop) for start, stop in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
         blocks: list[list[Array]] = [[np.empty(0)] * 3 for _ in range(3)]
         for i, first in enumerate(self.bases):
             for j in range(i, 3):
