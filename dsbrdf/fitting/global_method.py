@@ -39,15 +39,16 @@ AMPLITUDE_KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
-_SEARCH_KNOTS = (AMPLITUDE_KNOTS[[0, 2, 4, 6, 8]], SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
+_SEARCH_KNOTS = (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
 TOLERANCE = 1e-4
 MAX_ITERATIONS = 60
 _ROBUST_ROUNDS = 3
 _EXPECTED_TRIES = 16
 _SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [84, 86, 88, 89]]))
-_SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(10, 30, 2), np.arange(30, 90, 5)]))
-_HELD_OUT_COLUMNS = np.setdiff1d(np.arange(10, 90, 3), _SEARCH_COLUMNS)
+_SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
+_HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
+_HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 _FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(30, 90, 3), [89]]))
 _SEARCH_MERGED_BINS = 3
 _FEWEST_SAMPLES = 3
@@ -88,9 +89,8 @@ def fit_global(
     weight = _weights(data, options)
     measured_rows = np.flatnonzero(weight.sum(axis=(0, 2, 3)) > 0)
     coarse = _structure(measured_rows, _SEARCH_KNOTS, options)
-    fitted, held_out = (
-        _select(data, weight, _SEARCH_ROWS, columns) for columns in (_SEARCH_COLUMNS, _HELD_OUT_COLUMNS)
-    )
+    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
+    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
     fitted, held_out = fitted.merge_bins(_SEARCH_MERGED_BINS), held_out.merge_bins(_SEARCH_MERGED_BINS)
     if held_out.signal == 0.0:
         held_out = fitted

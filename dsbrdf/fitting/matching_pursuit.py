@@ -4,8 +4,8 @@ A new lobe is looked for where the current mixture leaves the largest residual: 
 elongations are projected on it, and the one that explains most is fitted together with all the others for some
 iterations.  Lobes about the normal and ring lobes compete on the same terms.  All channels get the same new lobe.
 
-Whether it pays is decided on columns of theta_half that no mixture was fitted to: a lobe that follows noise does not
-lower the error there.
+Whether it pays is decided on rows of theta_diff that no mixture was fitted to: a lobe that follows noise does not lower
+the error there.
 """
 
 from collections.abc import Callable
@@ -23,10 +23,10 @@ from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
 
-MAX_LOBES = 12
+MAX_LOBES = 8
 """Most lobes of a mixture whose number is found."""
-PAYS = 0.06
-"""Share of the error on the columns held out by which a lobe has to lower it."""
+PAYS = 0.05
+"""Share of the error on the rows held out by which a lobe has to lower it."""
 NEGLIGIBLE = 1e-6
 """... and share of the weighted squared signal: errors below 0.1 % are nobody's material."""
 _DEGREE = np.pi / 180.0
@@ -41,7 +41,7 @@ _START_KAPPA = 1.0
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: one that starts too faint has no derivative to grow by
 _START_SMOOTHING = 3e-2
 _ITERATIONS, _TOLERANCE = 12, 1e-3
-_PATIENCE = 1  # lobes that do not pay before the next one may: two can need each other
+_PATIENCE = 2  # lobes that do not pay before the next one may: two can need each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class GrowthStep:
     n_lobes, ring_lobes : int
         Lobes about the normal, and ring lobes, with it.
     error : float
-        Weighted squared error on the columns held out, as a share of the squared signal there.
+        Weighted squared error on the rows held out, as a share of the squared signal there.
     pays : bool
         Whether it was kept.
     """

@@ -23,11 +23,11 @@ from dsbrdf.data.reduction import FoldedProfiles
 
 Array = NDArray[np.float64]
 
-PLAIN_SHARE = 2.0
+PLAIN_SHARE = 1.5
 """What the plain error counts beside the seen one."""
 SEEN_POWER = 1.2
 """Power of f that an error counts relative to."""
-_DARK = 0.05  # of the median: errors of values below count alike
+_DARK = 0.02  # of the median: errors of values below count alike
 _SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
 _TRUST_POWER = 8
 _SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none

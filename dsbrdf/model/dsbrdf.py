@@ -136,7 +136,8 @@ class DSBRDF:
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
     def __hash__(self) -> int:
-        return hash(tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in self._state().values()))
+        # Adding 0 makes -0 the 0 that it equals.
+        return hash(tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in self._state().values()))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), tuple(self._state().values())

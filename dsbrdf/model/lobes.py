@@ -31,6 +31,8 @@ FAMILIES = ("hemi_epd", "student")
 """Known lobes."""
 SMALLEST_COSINE = 1e-6
 """cos(theta_diff) below this counts as this: at the horizon itself the stretch would be infinite."""
+_SMALLEST_COSINE_OF_OFFSET = 1e-12
+_LARGEST_TANGENT = 1e12
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
 
 
@@ -95,16 +97,15 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
         One of `FAMILIES`.
     """
     if family == "student":
-        at = squared_tangent if center is None else np.tan(_offset(squared_tangent, center)) ** 2
+        at = squared_tangent if center is None else _tangent(squared_tangent, center) ** 2
         top = 0.0 if center is None else np.log1p(gamma * np.tan(np.minimum(center, 0.0)) ** 2)
         return np.exp(np.maximum(-kappa * (np.log1p(gamma * at) - top), _LOWEST_LOG))
+    log_cos = _log_cos(squared_tangent, center)
     if center is None:
-        exponent, top = kappa * _power(gamma * (-0.5 * np.log1p(squared_tangent))), kappa
-    else:
-        log_cos, log_cos_top = _log_cos(_offset(squared_tangent, center)), np.log(np.cos(np.minimum(center, 0.0)))
-        top = kappa * _power(gamma * log_cos_top)
-        exponent = top * _power(gamma * (log_cos - log_cos_top))
-    return np.expm1(exponent) / np.expm1(top)
+        return np.expm1(kappa * _power(gamma * log_cos)) / np.expm1(kappa)
+    log_cos_top = np.log(np.cos(np.minimum(center, 0.0)))
+    top = kappa * _power(gamma * log_cos_top)
+    return np.expm1(top * _power(gamma * (log_cos - log_cos_top))) / np.expm1(top)
 
 
 def lobe_derivatives(
@@ -114,16 +115,17 @@ def lobe_derivatives(
 
     Parameters are those of `lobe_values`.
     """
-    if center is None:
-        offset, negative, inside = None, np.zeros(()), True
+    tangent = None if center is None else _tangent(squared_tangent, center)
+    negative = np.zeros(()) if center is None else np.minimum(center, 0.0)
+    if family == "student":
+        found = _student_derivatives(squared_tangent, kappa, gamma, tangent, negative)
     else:
-        offset, negative = _offset(squared_tangent, center), np.minimum(center, 0.0)
-        inside = np.abs(offset) < np.pi / 2 - 1e-9
-    compute = _student_derivatives if family == "student" else _hemi_epd_derivatives
-    value, by_log_kappa, by_log_gamma, by_offset, by_top = compute(squared_tangent, kappa, gamma, offset, negative)
-    if offset is None:
+        log_cos = _log_cos(squared_tangent, center)
+        found = _hemi_epd_derivatives(squared_tangent, log_cos, kappa, gamma, tangent, negative)
+    value, by_log_kappa, by_log_gamma, by_offset, by_top = found
+    if center is None or tangent is None:
         return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
-    by_offset = np.where(inside, by_offset, 0.0)
+    by_offset = np.where(tangent < _LARGEST_TANGENT, by_offset, 0.0)
     root = np.sqrt(squared_tangent)
     by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * (1.0 + squared_tangent))
     by_center = np.where(center < 0.0, by_top, 0.0) - by_offset
@@ -131,10 +133,12 @@ def lobe_derivatives(
 
 
 def _hemi_epd_derivatives(
-    squared_tangent: Array, kappa: Array, gamma: Array, offset: Array | None, negative: Array
+    squared_tangent: Array, log_cos: Array, kappa: Array, gamma: Array, tangent: Array | None, negative: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Value, and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative center."""
-    log_cos = -0.5 * np.log1p(squared_tangent) if offset is None else _log_cos(offset)
+    """Value, and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative center.
+
+    The offset is theta' - center; its tangent and the logarithm of its cosine are given.
+    """
     log_cos_top = np.log(np.cos(negative))
     top = kappa * _power(gamma * log_cos_top)
     ratio = _power(gamma * (log_cos - log_cos_top))
@@ -147,15 +151,14 @@ def _hemi_epd_derivatives(
     slope = by_log_ratio * gamma
     # d log cos / d negative = -tan(negative), and the ratio is taken to the top.
     by_top = (by_log_top - by_log_ratio) * gamma * -np.tan(negative)
-    by_offset = -0.5 * slope / (1.0 + squared_tangent) if offset is None else -slope * _tangent(offset)
+    by_offset = -0.5 * slope / (1.0 + squared_tangent) if tangent is None else -slope * tangent
     return value, by_log_top, by_log_gamma, by_offset, by_top
 
 
 def _student_derivatives(
-    squared_tangent: Array, kappa: Array, gamma: Array, offset: Array | None, negative: Array
+    squared_tangent: Array, kappa: Array, gamma: Array, tangent: Array | None, negative: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
     """As `_hemi_epd_derivatives`."""
-    tangent = None if offset is None else _tangent(offset)
     square = squared_tangent if tangent is None else tangent**2
     tangent_top = np.tan(negative)
     at, top = gamma * square, gamma * tangent_top**2
@@ -168,16 +171,20 @@ def _student_derivatives(
     return value, value * fall, by_log_gamma, by_offset, by_top
 
 
-def _offset(squared_tangent: Array, center: Array) -> Array:
-    return np.arctan(np.sqrt(squared_tangent)) - center
+def _tangent(squared_tangent: Array, center: Array) -> Array:
+    """tan(theta' - center); as good as infinite from a right angle on, where the tangent would come back."""
+    root, tan_center = np.sqrt(squared_tangent), np.tan(center)
+    below = 1.0 + root * tan_center
+    return np.minimum((root - tan_center) / np.maximum(below, _SMALLEST_COSINE_OF_OFFSET), _LARGEST_TANGENT)
 
 
-def _tangent(offset: Array) -> Array:
-    return np.tan(np.clip(offset, -1.57, 1.57))
-
-
-def _log_cos(offset: Array) -> Array:
-    return np.log(np.maximum(np.cos(offset), 1e-12))
+def _log_cos(squared_tangent: Array, center: Array | None) -> Array:
+    """log cos(theta' - center)."""
+    log_cos = -0.5 * np.log1p(squared_tangent)
+    if center is None:
+        return log_cos
+    below = np.cos(center) + np.sqrt(squared_tangent) * np.sin(center)
+    return log_cos + np.log(np.maximum(below, _SMALLEST_COSINE_OF_OFFSET))
 
 
 def _power(log_power: Array) -> Array:

@@ -1,0 +1,168 @@
+"""The lobes of height 1 and their derivatives against mpmath with 60 digits, and the stretch against directions."""
+
+from typing import Any
+
+import mpmath  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import directions
+from dsbrdf.model.hemi_epd import lobe
+from dsbrdf.model.lobes import FAMILIES, LobeDerivatives, lobe_derivatives, lobe_values, stretch
+
+Array = NDArray[np.float64]
+Number = Any  # mpmath has no types
+
+mp = mpmath.MPContext()
+mp.dps = 60
+
+ANGLES = np.array([0.0, 1e-6, 0.003, 0.1, 0.5, 0.9, 1.3, 1.55])
+CENTERS = [None, -0.25, -0.02, 0.0, 0.3, 1.2]
+SHAPES = [(kappa, gamma) for kappa in (1e-2, 0.5, 10.0) for gamma in (1e-2, 1.0, 40.0, 2e4)]
+NAMES = ("value", "by_log_kappa", "by_log_gamma", "by_center", "by_squared_tangent")
+
+
+def exact(family: str, squared: Number, kappa: Number, gamma: Number, center: Number) -> Number:
+    """The formula of the module; beyond a right angle from the center it is at its smallest."""
+    offset = mp.atan(mp.sqrt(squared)) - center
+    top = min(center, mp.mpf(0))
+    if abs(offset) >= mp.pi / 2:
+        return mp.mpf(0)
+    if family == "student":
+        return ((1 + gamma * mp.tan(offset) ** 2) / (1 + gamma * mp.tan(top) ** 2)) ** -kappa
+    return mp.expm1(kappa * mp.cos(offset) ** gamma) / mp.expm1(kappa * mp.cos(top) ** gamma)
+
+
+def at(kappa: float, gamma: float, center: float | None, family: str, angles: Array = ANGLES) -> LobeDerivatives:
+    middle = None if center is None else np.array(center)
+    return lobe_derivatives(np.tan(angles) ** 2, np.array(kappa), np.array(gamma), middle, family)
+
+
+def offsets(center: float | None) -> Array:
+    return np.abs(ANGLES - (center or 0.0))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("center", CENTERS)
+def test_values_and_derivatives_against_60_digits(family: str, center: float | None) -> None:
+    for kappa, gamma in SHAPES:
+        found = at(kappa, gamma, center, family)
+        parts = [np.broadcast_to(getattr(found, name), ANGLES.shape) for name in NAMES]
+        for n, squared in enumerate((np.tan(ANGLES) ** 2).tolist()):
+            if offsets(center)[n] > np.pi / 2 - 1e-3:
+                continue  # behind the lobe, where all is constant; tested below
+            middle = mp.mpf(center or 0.0)
+            point = (mp.log(kappa), mp.log(gamma), middle, mp.mpf(squared))
+
+            def curve(a: Number, b: Number, c: Number, s: Number) -> Number:
+                return exact(family, s, mp.exp(a), mp.exp(b), c)
+
+            orders = [(0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0)]
+            if center:  # at center 0 the derivatives of a ring and of a cusp differ
+                orders.append((0, 0, 1, 0))
+            if squared > 0.0 or center is None:
+                step = {"h": mp.mpf(10) ** -25, "direction": 1} if squared == 0.0 else {}
+                slope = mp.diff(lambda s, point=point: curve(*point[:3], s), point[3], **step)
+            else:
+                slope = mp.mpf(0)  # infinite, but by_elongation is 0 there: any finite number will do
+            exactly = [float(mp.diff(curve, point, order)) for order in orders]
+            scale = 1e-9 * (1.0 + np.sqrt(gamma) + kappa)
+            for name, part, value in zip(NAMES, parts, exactly, strict=False):
+                assert part[n] == pytest.approx(value, rel=1e-7, abs=scale * 1e-3), (name, kappa, gamma, n)
+            if squared > 0.0 or center is None:
+                assert parts[4][n] == pytest.approx(float(slope), rel=1e-6, abs=scale * gamma), (kappa, gamma, n)
+            else:
+                assert np.isfinite(parts[4][n])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("center", CENTERS)
+def test_values_alone_are_those_with_the_derivatives(family: str, center: float | None) -> None:
+    angles = np.linspace(0.0, np.pi / 2, 181)
+    squared = np.minimum(np.tan(angles), 1e15) ** 2
+    middle = None if center is None else np.array(center)
+    for kappa, gamma in SHAPES:
+        values = lobe_values(squared, np.array(kappa), np.array(gamma), middle, family)
+        found = lobe_derivatives(squared, np.array(kappa), np.array(gamma), middle, family)
+        np.testing.assert_allclose(values, found.value, rtol=1e-12, atol=1e-80)
+        assert all(np.isfinite(getattr(found, name)).all() for name in NAMES)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("center", CENTERS)
+def test_a_lobe_falls_from_its_center_to_the_horizon_and_its_height_is_1(family: str, center: float | None) -> None:
+    peak = max(center or 0.0, 0.0)
+    angles = np.sort(np.append(np.linspace(0.0, np.pi / 2, 721), peak))
+    squared = np.minimum(np.tan(angles), 1e15) ** 2
+    for kappa, gamma in SHAPES:
+        middle = None if center is None else np.array(center)
+        values = lobe_values(squared, np.array(kappa), np.array(gamma), middle, family)
+        top = np.searchsorted(angles, peak)
+        assert values[top] == pytest.approx(1.0, abs=1e-12)
+        assert np.all(values >= 0.0)
+        assert np.all(np.diff(values[: top + 1]) >= -1e-12)
+        assert np.all(np.diff(values[top:]) <= 1e-12)
+
+
+@pytest.mark.parametrize("center", [None, -0.1, 0.4])
+def test_hemi_epd_is_the_papers_lobe_divided_by_its_height(center: float | None) -> None:
+    angles = np.linspace(0.0, 1.4, 50)
+    for kappa, gamma in SHAPES:
+        middle = None if center is None else np.array(center)
+        values = lobe_values(np.tan(angles) ** 2, np.array(kappa), np.array(gamma), middle, "hemi_epd")
+        height = float(lobe(max(-(center or 0.0), 0.0), kappa, gamma))
+        np.testing.assert_allclose(values * height, lobe(angles, kappa, gamma, center or 0.0), rtol=1e-9, atol=1e-80)
+
+
+def test_broadcasting_equals_a_loop() -> None:
+    kappa, gamma = np.array([0.1, 5.0])[:, None], np.array([2.0, 300.0])[:, None]
+    center = np.array([-0.1, 0.2])[:, None]
+    squared = np.tan(ANGLES) ** 2
+    for family in FAMILIES:
+        for middle in (None, center):
+            whole = lobe_derivatives(squared, kappa, gamma, middle, family)
+            for i in range(2):
+                one = None if middle is None else middle[i]
+                single = lobe_derivatives(squared, kappa[i], gamma[i], one, family)
+                for name in NAMES:
+                    expected = np.broadcast_to(getattr(single, name), ANGLES.shape)
+                    found = np.broadcast_to(getattr(whole, name), (2, ANGLES.size))[i]
+                    np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
+# The stretch
+
+
+def stretched(theta_half: float, phi_diff: Array, theta_diff: float, elongation: float) -> Array:
+    cos2, log_cos = np.cos(phi_diff) ** 2, np.log(np.cos(theta_diff))
+    return stretch(np.array(np.tan(theta_half) ** 2), cos2, np.array(log_cos), np.array(elongation)).squared_tangent
+
+
+def test_stretch_is_that_of_the_formula_and_its_derivative_that_of_differences() -> None:
+    phi = np.linspace(0.0, np.pi, 13)
+    for theta_half, theta_diff, elongation in ((0.3, 0.0, 1.0), (0.3, 1.0, 0.7), (1.2, 1.5, -2.0), (0.0, 0.4, 1.0)):
+        c = np.cos(theta_diff)
+        expected = np.tan(theta_half) ** 2 * (np.cos(phi) ** 2 * c**-elongation + np.sin(phi) ** 2 * c**elongation)
+        found = stretch(np.array(np.tan(theta_half) ** 2), np.cos(phi) ** 2, np.array(np.log(c)), np.array(elongation))
+        np.testing.assert_allclose(found.squared_tangent, expected, rtol=1e-12)
+        ahead, behind = (stretched(theta_half, phi, theta_diff, elongation + step) for step in (1e-5, -1e-5))
+        np.testing.assert_allclose(found.by_elongation, (ahead - behind) / 2e-5, rtol=1e-7, atol=1e-9)
+
+
+def test_stretch_of_no_elongation_and_at_normal_incidence_is_none() -> None:
+    phi = np.linspace(0.0, np.pi, 7)
+    np.testing.assert_allclose(stretched(0.4, phi, 1.2, 0.0), np.tan(0.4) ** 2, rtol=1e-14)
+    np.testing.assert_allclose(stretched(0.4, phi, 0.0, 1.3), np.tan(0.4) ** 2, rtol=1e-14)
+
+
+def test_elongation_of_one_makes_a_narrow_lobe_round_about_the_mirror_direction() -> None:
+    """Phong's lobe: to first order theta' is half the angle between omega_in and the mirror image of omega_out."""
+    theta_half, theta_diff = 1e-4, 1.0
+    for phi in np.linspace(0.0, np.pi, 9).tolist():
+        omega_in, omega_out = directions(theta_half, theta_diff, phi)
+        mirror = omega_out * np.array([-1.0, -1.0, 1.0])
+        half_angle = 0.5 * float(np.linalg.norm(omega_in - mirror))
+        # Areas are kept: the stretch by c**-1 and c**1 is the circle's up to the common factor cos(theta_diff).
+        tangent = float(np.sqrt(stretched(theta_half, np.array(phi), theta_diff, 1.0))) * np.sqrt(np.cos(theta_diff))
+        assert tangent == pytest.approx(half_angle, rel=1e-3)

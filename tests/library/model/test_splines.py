@@ -1,0 +1,109 @@
+"""B-splines over theta_diff: within their control values, and SciPy's at every angle."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from dsbrdf.model.splines import (
+    DEGREE,
+    knot_vector,
+    n_control_values,
+    pieces_of_line,
+    pieces_of_spline,
+    roughness,
+    spline_basis,
+)
+
+Array = NDArray[np.float64]
+
+KNOTS = [np.array([0.0, 0.3]), np.array([0.1, 0.4, 1.0]), np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 89.0])]
+
+
+def control_values(knots: Array, rows: int = 2) -> Array:
+    return np.random.default_rng(knots.size).normal(size=(n_control_values(knots.size), rows))
+
+
+def from_pieces(coefficients: Array, breaks: Array, points: Array) -> Array:
+    """Values (points, R) of coefficients (4, pieces, R), a point at a time."""
+    values = []
+    for point in np.clip(points, breaks[0], breaks[-1]).tolist():
+        piece = min(int(np.searchsorted(breaks, point, side="right")) - 1, breaks.size - 2)
+        step = point - breaks[piece]
+        values.append(sum(coefficients[power, piece] * step ** (3 - power) for power in range(4)))
+    return np.array(values)
+
+
+@pytest.mark.parametrize("knots", KNOTS)
+def test_basis_is_scipys_clamped_spline(knots: Array) -> None:
+    points, values = np.linspace(knots[0], knots[-1], 101), control_values(knots)
+    clamped = np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
+    np.testing.assert_array_equal(knot_vector(knots), clamped)
+    np.testing.assert_allclose(spline_basis(knots, points) @ values, BSpline(clamped, values, 3)(points), atol=1e-14)
+
+
+@given(
+    st.lists(st.floats(0.0, 1.5), min_size=1, max_size=12, unique=True).map(sorted),
+    st.lists(st.floats(0.0, np.pi / 2), min_size=1, max_size=20),
+)
+def test_basis_is_a_convex_combination_anywhere(knots: list[float], points: list[float]) -> None:
+    if len(knots) > 1 and np.diff(knots).min() < 1e-6:
+        return  # knots of whole degrees are never so close
+    basis = spline_basis(np.array(knots), np.array(points))
+    assert basis.shape == (len(points), n_control_values(len(knots)))
+    assert np.all(basis >= 0.0)
+    np.testing.assert_allclose(basis.sum(axis=1), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("knots", KNOTS)
+def test_basis_is_held_beyond_the_knots(knots: Array) -> None:
+    ends = spline_basis(knots, np.array([0.0, knots[0], knots[-1], np.pi / 2]))
+    first, last = np.eye(n_control_values(knots.size))[[0, -1]]
+    np.testing.assert_allclose(ends, [first, first, last, last], atol=1e-14)
+
+
+def test_straight_control_values_at_the_greville_angles_make_a_straight_line() -> None:
+    knots = KNOTS[2]
+    greville = np.array([knot_vector(knots)[i + 1 : i + 4].mean() for i in range(n_control_values(knots.size))])
+    points = np.linspace(knots[0], knots[-1], 50)
+    np.testing.assert_allclose(spline_basis(knots, points) @ greville, points, atol=1e-13)
+
+
+def test_a_single_knot_is_a_constant() -> None:
+    assert n_control_values(1) == 1
+    assert spline_basis(np.array([0.4]), np.array([0.0, 0.4, 1.2])).tolist() == [[1.0]] * 3
+    breaks = np.array([0.0, 0.4, 1.0])
+    for pieces in (pieces_of_spline, pieces_of_line):
+        found = pieces(np.array([0.4]), np.array([[7.0, 8.0]]), breaks)
+        assert found.tolist() == [[[0.0, 0.0]] * 2] * 3 + [[[7.0, 8.0]] * 2]
+
+
+@pytest.mark.parametrize("knots", KNOTS)
+def test_pieces_are_scipys_spline_also_on_breaks_of_others(knots: Array) -> None:
+    values = control_values(knots)
+    breaks = np.unique(np.concatenate([knots, [0.0, 0.25, 0.77, 1.2, np.pi / 2]]))
+    points = np.concatenate([np.linspace(0.0, np.pi / 2, 200), breaks])
+    held = np.clip(points, knots[0], knots[-1])
+    found = from_pieces(pieces_of_spline(knots, values, breaks), breaks, points)
+    np.testing.assert_allclose(found, BSpline(knot_vector(knots), values, 3)(held), atol=1e-12)
+
+
+@pytest.mark.parametrize("knots", KNOTS)
+def test_pieces_of_a_line_are_numpys_interpolation(knots: Array) -> None:
+    values = np.random.default_rng(0).normal(size=(knots.size, 2))
+    breaks = np.unique(np.concatenate([knots, [0.0, 0.25, 0.77, 1.2, np.pi / 2]]))
+    points = np.concatenate([np.linspace(0.0, np.pi / 2, 200), breaks])
+    found = from_pieces(pieces_of_line(knots, values, breaks), breaks, points)
+    np.testing.assert_allclose(found, np.stack([np.interp(points, knots, row) for row in values.T], 1), atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 9])
+def test_roughness_is_the_squared_second_difference(count: int) -> None:
+    form = roughness(count)
+    values = np.random.default_rng(count).normal(size=count)
+    assert form.shape == (count, count)
+    assert values @ form @ values == pytest.approx(np.sum(np.diff(values, 2) ** 2), abs=1e-12)
+    line = 0.3 + 0.7 * np.arange(count)
+    assert line @ form @ line == pytest.approx(0.0, abs=1e-12)
