@@ -9,9 +9,9 @@ from pathlib import Path
 from tests.support.processes import ONE_CORE
 
 MAIN = "def main("
-"""A module of this package that has it is a benchmark; the others are what benchmarks share."""
+"""Modules of this package that contain this text are benchmarks; the others are helpers."""
 BY_NAME_ONLY = ("durability", "soak")
-"""Those that take half an hour."""
+"""Benchmarks that take half an hour; they are run only by name."""
 
 
 def known() -> list[str]:
@@ -21,7 +21,7 @@ def known() -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what the arguments ask for; the exit code is that of the first benchmark that fails, or 0."""
+    """Run the requested benchmarks; return the exit code of the first one that fails, or 0."""
     options = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))
     names, flags = list(arguments[:options]), list(arguments[options:])
     unknown = [name for name in names if name not in known()]

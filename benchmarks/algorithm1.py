@@ -38,7 +38,7 @@ SAMPLED = {(CHANNELS.index("green"), degrees) for degrees in (0, 25, 50, 70)}
 
 
 def the_measurement(path: Path | None) -> Measurement:
-    """Return the file, else nickel or another reference material, else a synthetic plastic."""
+    """Return the measurement of a file, of nickel or another reference material, or a synthetic plastic."""
     if path is None and (folder := os.environ.get("DSBRDF_REFERENCE_DATA")):
         files = sorted(Path(folder).glob("*.binary"), key=lambda file: (file.stem != "merl_nickel", file.stem))
         path = files[0] if files else None
@@ -46,7 +46,7 @@ def the_measurement(path: Path | None) -> Measurement:
 
 
 def seconds_of(run: Callable[[], FitResult], repeats: int) -> tuple[float, FitResult]:
-    """Median time of several runs, and what the last of them returned."""
+    """Return the median time of several runs [s] and the result of the last."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -56,7 +56,7 @@ def seconds_of(run: Callable[[], FitResult], repeats: int) -> tuple[float, FitRe
 
 
 def plain_seconds(measurement: Measurement, options: FitOptions, work: dict[tuple[int, int], int]) -> dict[str, float]:
-    """Time of plain Algorithm 1 on (channel, row) pairs for so many iterations, and how far the batch's curves are."""
+    """Time plain Algorithm 1 on (channel, row) pairs, and compare its curves with those of the batch code."""
     total, worst = 0.0, 0.0
     data = profiles(measurement, horizon_cutoff=options.horizon_cutoff)
     for (channel, row), iterations in work.items():
@@ -72,7 +72,7 @@ def plain_seconds(measurement: Measurement, options: FitOptions, work: dict[tupl
 
 
 def batch_curve(data: Profiles, channel: int, row: int, n_lobes: int, iterations: int) -> tuple[Array, int]:
-    """Curve of one slice by the batch code, and the iterations it did."""
+    """Return the curve of one slice by the batch code, and its number of iterations."""
     angles = THETA_HALF[OUTSIDE_CENTER]
     weight = np.where(THETA_HALF <= np.pi / 2 - THETA_DIFF[row] + 1e-9, data.weight[channel, row], 0.0)
     mean = data.mean[channel, row, OUTSIDE_CENTER]

@@ -1,4 +1,4 @@
-"""The default fit beside the paper's procedure and what a user would pick instead.
+"""The default fit compared with the paper's procedure and with other models that a user could choose.
 
 One row for each way to describe a material, medians over the materials.  All see the same samples and are scored on all
 of them with the definitions of `dsbrdf.fitting.metrics`; the columns "0-75" do so on theta_diff 0 to 75 degrees only,
@@ -44,7 +44,7 @@ _PAPER_KNOTS = tuple(np.radians(np.arange(0.0, 81.0, 5.0)).tolist())
 
 @dataclass(frozen=True)
 class Outcome:
-    """One material described in one way."""
+    """The errors of one method on one material."""
 
     numbers: int
     everything: Score
@@ -74,7 +74,7 @@ def of_ggx(n_lobes: int, objective: Objective) -> Method:
 
 
 def of_table(numbers: int) -> Method:
-    """Method that keeps a table of so many numbers over theta_diff and theta_half, and interpolates linearly.
+    """Return the method that stores a table over theta_diff and theta_half, and interpolates linearly.
 
     The nodes are evenly spaced in the grid's own indices, over the rows and columns with data; their values are those
     of least squares, which is better than thinning out the measurement.  Of some shapes the best is taken.
@@ -102,13 +102,13 @@ def of_table(numbers: int) -> Method:
 
 
 def _hats(used: NDArray[np.intp], count: int) -> csr_array:
-    """Weights of nodes on the indices used in the linear interpolation at each index, shape (90, nodes)."""
+    """Return the weights of linear interpolation between nodes at each index, shape (90, nodes)."""
     nodes = used[np.unique(np.round(np.linspace(0, used.size - 1, min(count, used.size))).astype(np.intp))]
     return csr_array(np.array([np.interp(np.arange(90.0), nodes, unit) for unit in np.eye(nodes.size)]).T)
 
 
 def _least_squares(hats: csr_array, mean: Array, weight: Array) -> Array:
-    """Interpolation of the node values that come closest to the mean; nodes that no data see are 0."""
+    """Interpolate the node values that are closest to the mean; nodes without data are 0."""
     normal = (hats.T @ (hats * weight[:, None])).toarray()
     ridge = 1e-9 * normal.diagonal().max()
     values = np.linalg.solve(normal + ridge * np.eye(len(normal)), hats.T @ (weight * mean))
@@ -116,7 +116,7 @@ def _least_squares(hats: csr_array, mean: Array, weight: Array) -> Array:
 
 
 def compare(measurement: Measurement, *, with_memory: bool) -> dict[str, Outcome]:
-    """Describe one material in every way."""
+    """Apply every method to one material."""
     outcomes = {DEFAULT: _outcome(measurement, of_options(FitOptions()), with_memory=with_memory)}
     others: dict[str, Method] = {
         LOG: of_options(FitOptions(weighting="log")),
@@ -147,7 +147,7 @@ def _outcome(measurement: Measurement, method: Method, *, with_memory: bool) -> 
 
 
 def print_table(results: dict[str, dict[str, Outcome]]) -> None:
-    """Print medians over the materials for each way, and the spread of the excess."""
+    """Print medians over the materials for each method, and the spread of the excess."""
     materials = list(results.values())
     print(f"Medians over {len(materials)} materials, horizon cutoff 80 degrees")
     heads = ("numbers", "relative_rms", "excess", "p90", "max", "male", "relative_rms 0-75", "excess 0-75", "male 0-75")
@@ -171,7 +171,7 @@ def print_table(results: dict[str, dict[str, Outcome]]) -> None:
 
 
 def print_shares(results: dict[str, dict[str, Outcome]]) -> None:
-    """Print on how many materials one way beats another, and where it does not."""
+    """Print on how many materials one method has smaller errors than another, and the exceptions."""
 
     def rms(outcome: Outcome) -> float:
         return outcome.everything.relative_rms
@@ -206,7 +206,7 @@ def print_shares(results: dict[str, dict[str, Outcome]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table and who beats whom."""
+    """Print the table and the comparison of the methods."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks alternatives", description=__doc__)
     add_arguments(parser, every=10)
     measurements = chosen_measurements(parser.parse_args(argv))

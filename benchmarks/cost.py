@@ -36,7 +36,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 def seconds(path: Path, options: FitOptions) -> tuple[float, int]:
-    """Time from the file to the report, and the numbers that the model stores."""
+    """Return the time from the file to the report [s], and how many numbers the model stores."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         start = time.perf_counter()
@@ -45,14 +45,14 @@ def seconds(path: Path, options: FitOptions) -> tuple[float, int]:
 
 
 def with_knots(path: Path, count: int) -> FitOptions:
-    """Three lobes with so many knots, placed as the default places its own."""
+    """Return options for three lobes and the given number of knots, placed as by default."""
     data = profiles(read_merl(path))
     rows = place_knots(data.mean, data.weight, count)
     return FitOptions(n_lobes=3, knots=tuple(knot_angles(rows).tolist()))
 
 
 def timed_batch(files: Sequence[Path], processes: int) -> float:
-    """Wall time of default fits of files by so many processes."""
+    """Return the wall time of default fits of files by several processes [s]."""
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         list(pool.map(_ready, range(4 * processes)))
         start = time.perf_counter()
@@ -61,7 +61,7 @@ def timed_batch(files: Sequence[Path], processes: int) -> float:
 
 
 def _ready(_: int) -> None:
-    """Make a process start, and import what it needs, before the clock does."""
+    """Do nothing: the process has then started and imported its modules before the time is measured."""
     time.sleep(0.1)
 
 
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _files(arguments: argparse.Namespace, folder: Path) -> list[Path]:
-    """Files that the flags choose, or what they choose otherwise, written into a folder."""
+    """Return the chosen files, or the chosen synthetic measurements written to a folder."""
     if os.environ.get(REFERENCE_VARIABLE):
         return chosen_files(arguments)
     files = []

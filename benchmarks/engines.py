@@ -36,14 +36,14 @@ CALM = {
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
 }
-"""What the README has in the environment of scheduler and workers."""
+"""Environment of scheduler and workers that the README recommends."""
 SHORT = {"method": "paper", "n_lobes": 4}
-"""Options of the fits of a cluster that is broken: about a second each, and a kill every few seconds."""
+"""Options of the fits during kills: about a second each, and a kill every few seconds."""
 
 
 @contextmanager
 def cluster(folder: Path, workers: int) -> Iterator[DaskCluster]:
-    """A cluster with so many workers of one thread, ready to compute."""
+    """Run a cluster with workers of one thread each, ready to compute."""
     running = DaskCluster(folder / "cluster", **CALM)
     try:
         running.start_scheduler()
@@ -56,7 +56,7 @@ def cluster(folder: Path, workers: int) -> Iterator[DaskCluster]:
 
 
 async def rate_of(engine: Engine, file: Path, count: int) -> float:
-    """Fits per second of an engine."""
+    """Return the fits per second of an engine."""
 
     async def fit(number: int) -> None:
         async with engine.slot():
@@ -75,7 +75,7 @@ async def rate_of(engine: Engine, file: Path, count: int) -> float:
 
 
 def rate_over_http(folder: Path, file: Path, count: int, **settings: str) -> float:
-    """Fits per second of a service, from the first request to the last answer."""
+    """Return the fits per second of a service, from the first request to the last response."""
     server = Server(folder / "data", **settings)
     try:
         server.start()
@@ -96,7 +96,7 @@ def rate_over_http(folder: Path, file: Path, count: int, **settings: str) -> flo
 
 
 def rates(file: Path, count: int) -> bool:
-    """Print a row for each way of fitting; return whether all scale as asked."""
+    """Print a row for each engine; return whether all reach their targets."""
     print(f"{count} default fits; {os.cpu_count()} cores\n")
     print(f"| {'':24} | 1 worker [fits/s] | 2 workers | factor | asked |\n|---|---|---|---|---|")
     good = True
@@ -159,7 +159,7 @@ def _break(
     kill: Callable[[DaskCluster, random.Random], None],
     moments: random.Random,
 ) -> tuple[int, int]:
-    """Number of fits asked for, and of those that have not succeeded."""
+    """Return the number of requested fits, and of those that have not succeeded."""
     server = Server(folder / "data", engine="dask", scheduler=running.address, workers="1")
     try:
         server.start()

@@ -7,7 +7,7 @@ import uvicorn
 from fastapi import FastAPI
 
 VALUES = [[0.1234567890123456, 0.02345678901234567, 0.003456789012345678]]
-"""What a point's values look like on the wire."""
+"""Values of one point, in the form of the service."""
 
 app = FastAPI()
 

@@ -228,18 +228,18 @@ def _problem(
     norm = 1.0 / np.sqrt(np.sum(target**2))
     schlick = nodes.schlick
 
-    def columns(unknowns: Array) -> tuple[Array, Array, Array]:
+    def basis_at(unknowns: Array) -> tuple[Array, Array, Array]:
         lobes, rates = np.array([microfacet(float(np.exp(x)), nodes) for x in unknowns[:n_lobes]]).transpose(1, 0, 2)
         basis = np.concatenate([np.full((1, schlick.size), 1.0 / np.pi), lobes, lobes * schlick])
         return basis, rates, unknowns[n_lobes:].reshape(3, -1)
 
     def residuals(unknowns: Array) -> Array:
-        basis, _, factors = columns(unknowns)
+        basis, _, factors = basis_at(unknowns)
         fit = factors @ basis
         return np.asarray(norm * ((fit if objective == "plain" else np.log1p(fit * nodes.incident)) - target)).ravel()
 
     def jacobian(unknowns: Array) -> Array:
-        basis, rates, factors = columns(unknowns)
+        basis, rates, factors = basis_at(unknowns)
         outer = np.ones_like(values)
         if objective == "log":
             outer = nodes.incident / (1.0 + (factors @ basis) * nodes.incident)

@@ -1,4 +1,4 @@
-"""A mixed load on a server, as long as it is wanted: what a laboratory's programs do, and what they do wrong."""
+"""A mixed load on a server: correct and wrong requests, as the programs of a laboratory send them."""
 
 import gzip
 import io
@@ -30,7 +30,7 @@ Step = Callable[[], None]
 
 @dataclass
 class Tally:
-    """What the clients were answered.
+    """The responses that the clients received.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Tally:
     fits: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     def note(self, answer: httpx.Response) -> None:
-        """Count an answer; one of 500 or more is a fault, whoever asked."""
+        """Count a response; every status of 500 or more is a fault."""
         parts = [part if len(part) < 32 else "*" for part in answer.request.url.path.split("/")]
         self.answers[answer.request.method, "/".join(parts), answer.status_code] += 1
         if answer.status_code >= 500:
@@ -55,12 +55,12 @@ class Tally:
             self.faults.append(f"{answer.request.method} {answer.request.url}: {answer.status_code} {answer.text}")
 
     def server_errors(self) -> int:
-        """Number of answers of 500 or more."""
+        """Return the number of responses with a status of 500 or more."""
         return sum(count for (_, _, status), count in self.answers.items() if status >= 500)
 
 
 class Client:
-    """One program: takes one step after the other, each a few requests that belong together.
+    """One client program, which repeats a step of a few related requests.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Client:
         self._random = random.Random(seed)
 
     def run(self, step: Callable[["Client"], None], over: threading.Event) -> None:
-        """Repeat one kind of step until it is over."""
+        """Repeat a step until the end event is set."""
         with self._http:
             while not over.is_set():
                 try:
@@ -89,7 +89,7 @@ class Client:
                     self._tally.faults.append(f"{step.__name__}: {error!r}")
 
     def fit_file(self) -> None:
-        """Send a file in one of the encodings, fit it quickly, use the fit, and remove what is not used any more."""
+        """Send a file in one of the encodings, compute a short fit, use it, and remove old fits."""
         number = self._random.randrange(len(self._bodies))
         encoding = self._random.choice(("", "gzip", "zstd"))
         options = {**QUICK, "mask": round(self._random.random(), 3)}
@@ -102,7 +102,7 @@ class Client:
             self._expect(self._http.delete(f"/v1/measurements/{answer.json()['measurement']}"), 204, 404, 409)
 
     def fit_stored(self) -> None:
-        """Fit a stored measurement as the service does by default, and follow the fit's events."""
+        """Fit a stored measurement with the default options, and follow the events of the fit."""
         sha256 = self._upload()
         options = {"weighting": self._random.choice(("plain", "log")), "horizon_cutoff_deg": self._some_cutoff()}
         answer = self._post_fit(sha256, options)
@@ -116,7 +116,7 @@ class Client:
         self._keep(fit)
 
     def change_mind(self) -> None:
-        """Ask for a long fit, and cancel it at some moment."""
+        """Submit a long fit, and cancel it at a random moment."""
         sha256 = self._upload()
         fit_id = self._post_fit(sha256, {"n_lobes": 8, "horizon_cutoff_deg": self._some_cutoff()}).json()["id"]
         time.sleep(self._random.uniform(0.0, 1.5))
@@ -125,7 +125,7 @@ class Client:
             self._expect(self._http.delete(f"/v1/fits/{fit_id}"), 204, 404)
 
     def evaluate(self) -> None:
-        """Ask a fit for values, point by point and in batches, and for its lobes and files."""
+        """Request values of a fit, point by point and in batches, its lobes and its files."""
         if not self._tally.fits:
             time.sleep(0.5)
             return
@@ -148,7 +148,7 @@ class Client:
             self._expect(self._http.get(f"{url}/export", params={"format": "merl"}), 200, 404)
 
     def look_around(self) -> None:
-        """List everything, download something, and ask how the service is."""
+        """List everything, download a measurement, and request health and metrics."""
         for noun in ("fits", "measurements"):
             url: str | None = f"/v1/{noun}?limit=7"
             while url is not None:
@@ -164,7 +164,7 @@ class Client:
         time.sleep(0.5)
 
     def tidy(self) -> None:
-        """Delete the fits that are older than those which are used, so that their number stays."""
+        """Delete the oldest fits, so that their number stays constant."""
         old = self._http.get("/v1/fits", params={"limit": 200}).json()["items"][3 * _KEPT :]
         for item in old:
             if item["status"] not in ("accepted", "running"):
@@ -172,7 +172,7 @@ class Client:
         time.sleep(1.0)
 
     def blunder(self) -> None:
-        """Send what nobody should send; the answer is a 4xx, whatever it is."""
+        """Send a malformed request; the response must be a 4xx."""
         body = self._bodies[0]
         swapped = struct.pack("<3i", 180, 90, 90)
         not_a_number = struct.pack("<d", float("nan"))
@@ -201,7 +201,7 @@ class Client:
         time.sleep(0.2)
 
     def vanish(self) -> None:
-        """Leave in the middle of an upload, or of a stream of events."""
+        """Disconnect in the middle of an upload or of a stream of events."""
         base = self._http.base_url
         with socket.create_connection((base.host, base.port or 80)) as connection:
             if self._random.random() < 0.7:
@@ -266,7 +266,7 @@ STEPS: tuple[Callable[[Client], None], ...] = (
     Client.blunder,
     Client.vanish,
 )
-"""What the programs do, each in a thread of its own."""
+"""The steps of the clients, each in a thread of its own."""
 
 
 def _encoded(encoding: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Which materials a benchmark runs on: flags, and the measurements they choose."""
+"""Choice of the materials on which a benchmark runs: flags, and the measurements that they select."""
 
 import argparse
 import os
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser, *, every: int, names: str = "
 
 
 def chosen_files(arguments: argparse.Namespace) -> list[Path]:
-    """Files that the flags choose of the folder that ``DSBRDF_REFERENCE_DATA`` names."""
+    """Return the selected files of the folder ``DSBRDF_REFERENCE_DATA``."""
     folder = os.environ.get(REFERENCE_VARIABLE)
     if not folder:
         raise SystemExit(f"set {REFERENCE_VARIABLE} to a folder of MERL .binary files")
@@ -31,7 +31,7 @@ def chosen_files(arguments: argparse.Namespace) -> list[Path]:
 
 
 def chosen_measurements(arguments: argparse.Namespace) -> Iterator[Measurement]:
-    """Measurements that the flags choose, one in memory at a time; one synthetic plastic where there is no folder."""
+    """Yield the selected measurements one by one; a synthetic plastic if there is no folder."""
     if not os.environ.get(REFERENCE_VARIABLE):
         yield synthetic_measurement(noise=0.02)
         return

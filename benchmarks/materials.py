@@ -47,13 +47,13 @@ class Row:
 
 
 Source = tuple[str, Callable[[], Measurement]]
-"""Name, and what gives the material when its turn has come."""
+"""Name of a material, and the function that reads it."""
 Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], int]]
 """Metrics and number of lobes of a fit."""
 
 
 def sources(arguments: argparse.Namespace) -> Iterator[Source]:
-    """Materials of the folder, or synthetic ones without it, that the flags choose."""
+    """Yield the selected materials of the folder, or of the synthetic ones if there is none."""
     every: list[Source]
     if folder := os.environ.get("DSBRDF_REFERENCE_DATA"):
         every = [(path.stem, partial(read_merl, path)) for path in sorted(Path(folder).glob("*.binary"))]
@@ -73,7 +73,7 @@ def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | 
 
 
 def through(url: str, stack: ExitStack) -> Runner:
-    """Return what fits through the service at a URL."""
+    """Return the function that fits through the service at a URL."""
     from service.client import Client
 
     client = stack.enter_context(Client(url))
@@ -95,7 +95,7 @@ def measured(name: str, material: Measurement, run: Runner, options: FitOptions)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
-    """Median, p90 and maximum of every figure, of each data base (the names' first word) and of all."""
+    """Return median, p90 and maximum of every figure, for each database (the first word of a name) and for all."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.name.split("_")[0], []).append(row)
@@ -116,7 +116,7 @@ def print_row(name: str, figures: Sequence[float | None], lobes: str = "") -> No
 
 
 def print_summary(rows: Sequence[Row]) -> None:
-    """Print the spread of each data base and of all."""
+    """Print the spread of each database and of all materials."""
     for group, figures in summary(rows).items():
         count = len(rows) if group == "all" else sum(row.name.split("_")[0] == group for row in rows)
         for share in SHARES:

@@ -49,7 +49,7 @@ class Errors:
     sums: Array
 
     def score(self, rows: int = ALL_ROWS) -> Score:
-        """Metrics of the first so many rows of theta_diff."""
+        """Return the metrics of the first rows of theta_diff."""
         error, power, scatter, logarithmic, count = self.sums[:, :rows].sum(axis=1)
         return Score(float(np.sqrt(error / power)), float(np.sqrt(scatter / power)), float(logarithmic / count))
 
@@ -86,12 +86,12 @@ def errors(measurement: Measurement, predict: RowPredictor, horizon_cutoff: floa
 
 
 def of_profile(profile: Array) -> RowPredictor:
-    """Predictor of a table (3, 90 theta_diff, 90 theta_half)."""
+    """Return the predictor for a table (3, 90 theta_diff, 90 theta_half)."""
     return lambda i: profile[:, :, i, None]
 
 
 def n_numbers(model: DSBRDF) -> int:
-    """How many numbers a model stores: knots, delta, kappa and gamma of every lobe, center of the ring lobes."""
+    """Return how many numbers a model stores: knots, delta, kappa and gamma of all lobes, center of the ring lobes."""
     rings = int(np.any(model.center > 0, axis=(0, 1)).sum())
     knots = model.theta_diff.size
     return knots + 3 * knots * (1 + 2 * model.n_lobes + rings)

@@ -11,7 +11,7 @@ from tests.support.mixtures import NOISE, choose
 
 
 def main() -> None:
-    """Print what was chosen for each true number of lobes, and how often it was right."""
+    """Print the chosen numbers for each true number of lobes, and how often they are right."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10, help="materials for each number of lobes")
     seeds = parser.parse_args().seeds

@@ -1,4 +1,4 @@
-"""How quick the service is on this machine: one row for each promise, what is asked beside what is measured.
+"""How fast the service is on this machine: one row for each target, with the target and the measured value.
 
 The service is the real one, in a process of its own on the loopback address.  Rates are medians of several runs, and
 what is compared with something (FastAPI alone, the library) alternates with it in the same run.  The exit code is 1 if
@@ -60,7 +60,7 @@ class Row(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a row is measured: a running service, and a measurement that it has."""
+    """What a row is measured with: a running service, and a measurement that it has stored."""
 
     harness: Harness
     server: Server
@@ -68,7 +68,7 @@ class Place(NamedTuple):
 
     @property
     def address(self) -> str:
-        """Where the service listens."""
+        """URL of the service."""
         return str(self.server.http.base_url).rstrip("/")
 
     def fitted(self) -> str:
@@ -79,7 +79,7 @@ class Place(NamedTuple):
 
 
 def gets(place: Place) -> list[Row]:
-    """Values of one point, beside FastAPI alone, and while fits run."""
+    """Measure values of one point, compared with FastAPI alone, and while fits run."""
     url = f"{place.fitted()}/brdf?{_POINT}"
     service, baseline = [], []
     with program(
@@ -104,7 +104,7 @@ def gets(place: Place) -> list[Row]:
 
 
 def npy(place: Place) -> list[Row]:
-    """A million points in one request, beside the library's own call."""
+    """Measure a million points in one request, compared with the call of the library."""
     fit = place.fitted()
     model, _ = from_json(place.server.http.get(f"{fit}/export?format=json").raise_for_status().text)
     degrees = np.random.default_rng(0).uniform(0.0, 90.0, (POINTS, 2))
@@ -132,7 +132,7 @@ def npy(place: Place) -> list[Row]:
 
 
 def uploads(place: Place) -> list[Row]:
-    """Different measurements at the same time."""
+    """Measure uploads of different measurements at the same time."""
     common = memoryview(place.harness.measurement.read_bytes())[:-8]
     _upload(place, common, 0)
     rates, growths = [], []
@@ -149,7 +149,7 @@ def uploads(place: Place) -> list[Row]:
 
 
 def overhead(place: Place) -> list[Row]:
-    """A fit by one request with the file, beside the library's own time for it.
+    """Measure a fit by one request with the file, compared with the time of the library.
 
     That is what reading the file, fitting and writing the document take in a process of its own, once before the
     request and once after it: their mean is compared with, and how far they are apart is what the machine itself adds
@@ -216,7 +216,7 @@ def _upload(place: Place, common: memoryview, number: int) -> None:
 
 
 def _library(file: Path) -> tuple[float, float]:
-    """How long a process of its own takes to read a file, and with it to fit it and to write the document [s]."""
+    """Return the time to read a file, and to read, fit and encode it, in a process of its own [s]."""
     run = subprocess.run([sys.executable, "-c", _LIBRARY, file], check=True, capture_output=True, text=True)
     read, whole = map(float, run.stdout.split())
     return read, whole

@@ -1,4 +1,4 @@
-"""A mixed load for a long time, and what the server's process takes meanwhile: memory, descriptors, threads, disk.
+"""A mixed load for a long time, and the memory, descriptors, threads and disk that the server uses meanwhile.
 
 The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log.  Drift is the median over the last
 fifth of the time against the median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was
@@ -36,7 +36,7 @@ _SHOWN = 10  # faults
 
 
 class Sample(NamedTuple):
-    """What the server takes at one moment; memory is resident, in MB, of the web process and of its helpers."""
+    """What the server uses at one moment; resident memory in MB, of the web process and of its helpers."""
 
     seconds: float
     web_mb: float
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print a table and leave samples and a picture."""
+    """Print a table, and save the samples and a figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
     parser.add_argument("--seed", type=int, default=int(time.time()), help="of the load (default: the time)")
@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def soak(harness: Harness, seconds: float) -> tuple[list[Sample], tuple[int, int], Tally]:
-    """Load a server; return the samples, the numbers of descriptors before and after, and the answers."""
+    """Load a server; return the samples, the numbers of descriptors before and after, and the responses."""
     tally = Tally()
     samples: list[Sample] = []
     with harness.server(workers="2") as server:
@@ -118,13 +118,13 @@ def _sample(server: Server, seconds: float, tally: Tally) -> Sample:
 
 
 def _status(pid: int) -> dict[str, int]:
-    """Numbers of a process's status, memory in kB."""
+    """Return the numbers in the status of a process, memory in kB."""
     lines = (line.partition(":") for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return {name: int(value.split()[0]) for name, _, value in lines if value.split()[:1] and value.split()[0].isdigit()}
 
 
 def _judge(samples: Sequence[Sample], idle: tuple[int, int], tally: Tally, log: str) -> int:
-    """Print the table; return 1 if a figure is missed."""
+    """Print the table; return 1 if a target is not reached."""
     fifth = len(samples) // 5
     early, late = (
         [median(column) for column in zip(*part, strict=True)]

@@ -8,7 +8,7 @@ index (theta_half is spaced by squares) are both tried for each material and fac
 
 That table keeps 180 values over phi_diff for every theta_diff.  Where the kept rows are close enough it goes below the
 bivariate floor, which no model that ignores phi_diff can reach however good it is.  So the same interpolation of the
-table of means over phi_diff stands beside it: it has the floor in common with the fit, and still more than ten times
+table of means over phi_diff is shown too: it has the floor in common with the fit, and still more than ten times
 its numbers.
 """
 
@@ -35,11 +35,11 @@ Array = NDArray[np.float64]
 
 FACTORS = (2, 4, 8, 16, 32)
 COORDINATES = (THETA_HALF, np.arange(90.0))
-"""What the table is linear in: the angle, or the index."""
+"""The coordinate in which the table is interpolated: the angle or the index."""
 
 
 def thinned(measurement: Measurement, factor: int) -> Measurement:
-    """Measurement with every ``factor``-th row of theta_half, the others invalid."""
+    """Return the measurement with only every ``factor``-th row of theta_half valid."""
     kept = np.arange(GRID_SHAPE[0]) % factor == 0
     return replace(measurement, valid=measurement.valid & kept[:, None, None])
 
@@ -67,7 +67,7 @@ def interpolated(measurement: Measurement, coordinate: Array) -> RowPredictor:
 
 
 def averaged(measurement: Measurement) -> Measurement:
-    """Measurement whose valid nodes hold the mean over phi_diff of those that the fit uses, or else of the valid."""
+    """Return the measurement averaged over phi_diff: over the nodes that the fit uses, or over all valid ones."""
     stored = measurement.stored.copy()
     for i in np.flatnonzero(measurement.valid.any(axis=(1, 2))).tolist():
         valid, used = measurement.valid[i], used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)

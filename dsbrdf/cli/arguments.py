@@ -32,7 +32,7 @@ def print_json(document: Any) -> None:
 
 
 def print_error(error: BaseException | str) -> None:
-    """Print one sentence to stderr; an error of the operating system is told with its file."""
+    """Print one sentence to stderr; an error of the operating system is reported with its file."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
     sys.stderr.write(f"dsbrdf: {error}\n")

@@ -33,7 +33,7 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
 
 
 def choose(n_lobes: int, seed: int) -> tuple[int, int]:
-    """Numbers of centred and of ring lobes that the default fit gives to a mixture."""
+    """Return the numbers of lobes and of ring lobes that the default fit chooses for a mixture."""
     data = profiles(model_measurement(mixture(n_lobes, seed), noise=NOISE, seed=seed))
     model = fit(data, FitOptions(n_lobes="auto", ring_lobes="auto")).model
     rings = int(np.any(model.center > 0, axis=(0, 1)).sum())

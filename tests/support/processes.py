@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Times are those of one core: threads for small matrices cost more than they bring, most of all on a busy machine."""
+"""Environment of the benchmarks, which measure times on one core."""
 
 
 def children(parent: int) -> list[int]:

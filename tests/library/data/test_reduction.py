@@ -176,7 +176,7 @@ def test_robust_weights_are_the_biweight_about_the_median(speckled: Measurement)
         assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 
 
-def test_profiles_remember_how_they_were_made(plastic: Measurement) -> None:
+def test_profiles_store_their_options(plastic: Measurement) -> None:
     found = profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
     assert (found.horizon_cutoff, found.weighting, found.robust) == (None, "log", True)
     assert (found.name, found.sha256) == (plastic.name, plastic.sha256)

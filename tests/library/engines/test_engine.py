@@ -194,7 +194,7 @@ def test_fits_in_flight_are_as_many_as_there_are_slots(
             go = asyncio.Event()
             tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
             await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
-            for _ in range(20):  # turns of the event loop, in which one too many would begin
+            for _ in range(20):  # gives the event loop time to start one fit too many
                 await asyncio.sleep(0)
             assert begun == list(range(room))
             go.set()

@@ -59,7 +59,7 @@ def queued(harness: Harness, times: int) -> str:
 
 
 def _computed(server: Server) -> int:
-    """How many fits a server says that it has computed."""
+    """Return how many fits a server reports as computed."""
     text = server.http.get("/metrics").text
     return int(float(text.partition('dsbrdf_stage_seconds_count{stage="fitting"} ')[2].split()[0]))
 
@@ -68,7 +68,7 @@ _UNFINISHED = "SELECT count(*) FROM fits WHERE status IN ('accepted', 'running')
 
 
 def uploads(harness: Harness, times: int) -> str:
-    """Upload many measurements at once; every third client vanishes in the middle."""
+    """Upload many measurements at once; every third client disconnects in the middle."""
     with harness.server() as server:
         server.start()
         base = server.http.base_url
@@ -99,7 +99,7 @@ def uploads(harness: Harness, times: int) -> str:
 
 
 def _vanish(base: httpx.URL, body: bytes, size: int, abruptly: bool) -> None:
-    """Send the beginning of an upload and close the connection, orderly or with a reset."""
+    """Send the beginning of an upload and close the connection, normally or with a reset."""
     with socket.create_connection((base.host, base.port or 80)) as connection:
         head = f"POST /v1/measurements HTTP/1.1\r\nHost: {base.host}\r\nContent-Length: {len(body)}\r\n\r\n"
         connection.sendall(head.encode() + body[:size])
@@ -133,7 +133,7 @@ def same_file(harness: Harness, times: int) -> str:
 
 
 def full_disk(harness: Harness, times: int) -> str:
-    """Fill the disk while a fit runs, ask for more than there is room for, and make room, first by the service."""
+    """Fill the disk while a fit runs, send more than there is room for, then make room, first through the service."""
     recovered = 0.0
     (model,) = harness.models(LONG)
     with _small_disk(harness.folder / "disk") as disk, harness.server(disk, min_free_mb="1") as server:
@@ -171,7 +171,7 @@ def full_disk(harness: Harness, times: int) -> str:
 
 
 def _refusals(harness: Harness, server: Server, sha256: str) -> None:
-    """Ask a server on a full disk for what needs room."""
+    """Check that a server on a full disk refuses what needs room."""
     upload = server.http.post("/v1/measurements", content=harness.variant(-1))
     harness.expect(upload.status_code == 507, f"an upload to a full disk: {upload.status_code} {upload.text}")
     # The log of the database may have room for a few rows.
@@ -210,7 +210,7 @@ def _fill(disk: Path) -> Path:
 
 @contextmanager
 def _small_disk(folder: Path) -> Iterator[Path]:
-    """A file system of its own in memory; only who may mount can have it."""
+    """Mount a small file system in memory, which needs root."""
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={_DISK}", "tmpfs", folder], check=True)
     try:

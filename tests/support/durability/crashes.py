@@ -1,4 +1,4 @@
-"""Series that end processes: the server's, those of its fits, and politely."""
+"""Series that end processes: kill -9 of the server and of its fits, and SIGTERM."""
 
 import os
 import resource
@@ -74,7 +74,7 @@ def _answers(clients: list[StatefulClient]) -> int:
 
 
 def _end(harness: Harness, server: Server) -> None:
-    """Stop a server, and look for what it has left."""
+    """Stop a server, and check that it leaves nothing behind."""
     harness.expect(server.stop() == 0, "the server did not end well")
     harness.expect(becomes_true(lambda: not processes(server), _LAST_BREATH), "processes outlived the server")
     left = [*leftovers(server), *(server.data_dir / "run").iterdir()]
@@ -83,7 +83,7 @@ def _end(harness: Harness, server: Server) -> None:
 
 
 def child_killed(harness: Harness, times: int) -> str:
-    """Kill the process of one of two fits, or both that it may have; the other fit must not notice."""
+    """Kill the process of one of two fits, sometimes on both attempts; the other fit must not be affected."""
     pair = _Pair(harness)
     killed = spared = 0
     with harness.server(workers="2", fit_attempts="2") as server:
@@ -103,7 +103,7 @@ def child_killed(harness: Harness, times: int) -> str:
 
 
 def out_of_memory(harness: Harness, times: int) -> str:
-    """Take the memory from the process of one of two fits, at a random moment; the other fit must not notice."""
+    """Let one of two fits run out of memory at a random moment; the other fit must not be affected."""
     pair = _Pair(harness)
     starved = spared = 0
     with harness.server(workers="2") as server:
@@ -134,7 +134,7 @@ _STARVED = [{_FINE}, {_FINE, ("compute MemoryLimit", 1)}, {_FINE, ("compute Proc
 
 
 class _Pair:
-    """Two fits that run side by side, long enough to be hit."""
+    """Two fits that run at the same time, long enough for one to be killed."""
 
     def __init__(self, harness: Harness) -> None:
         self._harness = harness
@@ -185,7 +185,7 @@ def _kill_soon(harness: Harness, pid: int) -> bool:
 
 
 def terminated(harness: Harness, times: int) -> str:
-    """Stop the server politely while fits run, event streams and long-polls are open, and an upload has begun."""
+    """Send SIGTERM while fits run, event streams and long-polls are open, and an upload has begun."""
     worst = 0.0
     with harness.server(workers="2") as server:
         for _ in range(times):

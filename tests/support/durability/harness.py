@@ -1,4 +1,4 @@
-"""What the durability series share: where they take place, and what an outsider can see of a server."""
+"""What the durability series share: a folder and a server, and what can be observed of it from outside."""
 
 import os
 import random
@@ -29,7 +29,7 @@ _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
 
 @dataclass
 class Harness:
-    """A place for one series: a folder, a measurement, a seeded generator, and the faults found so far.
+    """The surroundings of one series: a folder, a measurement, a seeded generator, and the faults found so far.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class Harness:
     own_interpreter: bool = False
 
     def expect(self, holds: bool, fault: str) -> None:
-        """Note a fault unless something holds."""
+        """Record a fault unless a condition is true."""
         if not holds:
             self.faults.append(fault)
 
     @contextmanager
     def server(self, folder: Path | None = None, **settings: str) -> Iterator[Server]:
-        """A server that is not started yet, with a folder of its own for what programs put in the system's."""
+        """Yield a server that is not started yet, with a folder of its own for temporary files."""
         temporary = self.folder / "temporary"
         temporary.mkdir(exist_ok=True)
         server = Server((folder or self.folder) / "data", **settings)
@@ -70,11 +70,11 @@ class Harness:
             server.close()
 
     def variant(self, number: int) -> bytes:
-        """The measurement with another identity: its last node, below the horizon, takes no part in a fit."""
+        """Return the measurement with another digest: its last node, below the horizon, is not used by a fit."""
         return self.measurement.read_bytes()[:-8] + struct.pack("<d", -2.0 - number)
 
     def models(self, *choices: dict[str, Any]) -> list[dsbrdf.DSBRDF]:
-        """What the library itself makes of the measurement, with options as on the wire."""
+        """Return the models that the library fits to the measurement, with options in their HTTP form."""
         os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return list(pool.map(_model, [self.measurement] * len(choices), choices))
@@ -87,13 +87,13 @@ def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
 
 
 def same_bits(document: str, model: dsbrdf.DSBRDF) -> bool:
-    """Whether an exported model is another one, bit for bit."""
+    """Return whether an exported model equals another one, bit for bit."""
     exported, _ = from_json(document)
     return all(np.array_equal(getattr(exported, name), getattr(model, name)) for name in _ARRAYS)
 
 
 def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
-    """Ask a server's database behind its back."""
+    """Query the database of a server directly."""
     connection = sqlite3.connect(f"file:{server.data_dir / 'dsbrdf.sqlite'}?mode=ro", uri=True, timeout=30)
     try:
         return connection.execute(query).fetchall()
@@ -102,7 +102,7 @@ def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
 
 
 def processes(server: Server) -> set[int]:
-    """Process ids of whatever was started by or for a server, children of children included, alive or orphaned."""
+    """Return the process ids of a server and of all processes that it has started, orphans included."""
     mark = f"TMPDIR={server.environment['TMPDIR']}\0".encode()
     found = {server.process.pid} if alive(server.process.pid) else set()
     for folder in Path("/proc").glob("[0-9]*"):
@@ -116,7 +116,7 @@ def processes(server: Server) -> set[int]:
 
 
 def leftovers(server: Server) -> list[str]:
-    """Temporary files that are not those of the running process, and files of measurements that no row knows."""
+    """Return temporary files of earlier processes, and files of measurements without a row."""
     known = {f"{sha256}.binary" for (sha256,) in query_database(server, "SELECT DISTINCT sha256 FROM measurements")}
     stray = [path for path in (server.data_dir / "blobs").rglob("*") if path.is_file() and path.name not in known]
     stray += (server.data_dir / "tmp").iterdir()
@@ -127,7 +127,7 @@ def leftovers(server: Server) -> list[str]:
 
 
 def becomes_true(condition: Callable[[], bool], seconds: float) -> bool:
-    """Whether a condition comes to hold in time."""
+    """Return whether a condition becomes true in time."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:

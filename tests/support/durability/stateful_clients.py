@@ -1,4 +1,4 @@
-"""Clients that use a server for all it has, remember what it promised them, and hold it to that."""
+"""Clients that use all of a server's features, record what it has confirmed, and check it later."""
 
 import random
 import threading
@@ -30,7 +30,7 @@ Promise = Literal["none", "kept", "cancelled", "gone", "unknown"]
 
 @dataclass
 class _Order:
-    """A fit that a client has asked for, and what the server has last promised of it."""
+    """A fit that a client has requested, and what the server has last confirmed about it."""
 
     options: dict[str, Any]
     model: dsbrdf.DSBRDF
@@ -60,7 +60,7 @@ class StatefulClient:
         self.answers = 0
 
     def run(self, address: str, over: threading.Event) -> None:
-        """Ask for one thing after the other until it is over; then, broken connections are no surprise."""
+        """Send requests until the end event is set; after that, broken connections are no fault."""
         sending: list[_Action] = [self._send_and_fit, self._upload]
         using: list[_Action] = [*[self._fit] * 8, *[self._withdraw] * 2, *[self._look] * 4, self._values, self._discard]
         with httpx.Client(base_url=address, timeout=60) as http:
@@ -74,7 +74,7 @@ class StatefulClient:
                 self.answers += 1
 
     def settle(self, http: httpx.Client) -> int:
-        """Hold the server to its promises; return how many fits it had promised."""
+        """Check that the server has kept everything that it confirmed; return the number of confirmed fits."""
         if self._stored == "kept":
             self._want(http.head(f"/v1/measurements/{self._sha256}"), 200)
         for order in self._orders:
