@@ -101,7 +101,7 @@ def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> Non
     assert "999" in fault(tmp_path, "database")
     with closing(sqlite3.connect(name)) as db, db:
         db.execute("PRAGMA journal_mode = DELETE")
-        db.execute("PRAGMA user_version = 2")
+        db.execute("PRAGMA user_version = 1")
         (page,) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'fits_by_status'").fetchone()
         (size,) = db.execute("PRAGMA page_size").fetchone()
     with name.open("r+b") as file:
