@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +47,8 @@ class ForkedProcess:
     def send_signal(self, number: int) -> None:
         """Send a signal; the process may have ended."""
         if not self._ended.is_set():
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # its end has not been reported yet
+                os.kill(self.pid, number)
 
     def kill(self) -> None:
         """End the process at once."""
