@@ -20,7 +20,9 @@ REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 
 # A busy machine is no fault of the code under test, and a change is judged by the same examples each time;
 # `make soak` looks for others, and for longer.
-settings.register_profile("here", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+settings.register_profile(
+    "here", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, max_examples=30
+)
 settings.register_profile("soak", settings.get_profile("here"), max_examples=10_000, derandomize=False)
 settings.load_profile("soak" if SOAK else "here")
 
