@@ -35,7 +35,7 @@ from dsbrdf.model.hemi_epd import half_width
 
 Array = NDArray[np.float64]
 
-AMPLITUDE_KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.0])
+AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
