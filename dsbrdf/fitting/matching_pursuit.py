@@ -212,7 +212,7 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     """Add a lobe with the amplitude that the residual asks for, (3, R); rings come last."""
     old = mixture.structure
     place = old.n_lobes if candidate.is_ring else old.n_lobes - old.n_rings
-    rings = old.rings[:place] + (candidate.is_ring,) + old.rings[place:]
+    rings = (*old.rings[:place], candidate.is_ring, *old.rings[place:])
     structure = replace(old, rings=rings)
     basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))

@@ -5,7 +5,7 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
-    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal isotropic one does
+    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff, pi - phi_diff: no reciprocal isotropic one does
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
@@ -44,6 +44,7 @@ METRICS = (
     "relative_rms", "floor", "symmetric_floor", "excess", "male", "albedo_error", "psnr", "ssim",
 )  # fmt: skip
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
+_BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
 _SPHERE_SIZE = 64
 _QUARTER = PHI_DIFF.size // 2 + 1
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
@@ -122,7 +123,9 @@ def _add_row(
     sums.count[:, rows] += count
 
 
-def relative_errors(sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)) -> dict[str, Any] | None:
+def relative_errors(
+    sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
+) -> dict[str, Any] | None:
     """Errors of some channels and rows of theta_diff; None where there is nothing but zeros.
 
     Returns
@@ -188,7 +191,7 @@ def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[
     data = interpolate(measurement)
     # A table has no lobes narrower than its rows: a coarse rule is enough.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
-    error = np.abs(albedo - measured) / np.where(measured > 0.0, measured, np.inf)
+    error = np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)
     lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
     psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
     return {"albedo_error": float(error.mean()), "psnr": min(psnr, 200.0), "ssim": ssim}

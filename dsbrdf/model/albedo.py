@@ -8,8 +8,8 @@ The nodes in theta_half are graded towards 0 for it.  In the azimuth the domain 
 reaches the horizon, which is known in closed form.
 
 The paper's model has a kink at each of its slices.  The azimuth is cut where theta_diff passes such a knot, again in
-closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth.  A spline is smooth
-enough without.
+closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth.  A spline is
+smooth enough without.
 """
 
 from collections.abc import Callable
