@@ -21,7 +21,7 @@ from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.reduction import profiles
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.extras import require
 from dsbrdf.fitting.report import FitReport
@@ -83,7 +83,7 @@ def run_demo(folder: Path) -> None:
             model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_lobes(_get(client, fit, "lobes").json()["items"], model)
             _show_metrics(fit["metrics"], report)
-            _show_values(client, fit, summary)
+            _show_values(client, fit, measurement)
             _show_components(client, fit)
     folder.mkdir(parents=True, exist_ok=True)
     figure = folder / "demo.png"
@@ -191,21 +191,21 @@ def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
 
 
 def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) -> None:
-    """Print how the numbers of lobes were chosen, and the errors of the fit."""
+    """Print which lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
-    _title("How many lobes")
+    _title("Lobes tried one after the other")
     _print(*growth_table(report))
     _title("Metrics")
     _print(metrics_line(metrics), "", *bands_table(report))
 
 
-def _show_values(client: "httpx.Client", fit: dict[str, Any], summary: Profiles) -> None:
-    """Print measured values, averaged over phi_diff, beside those of the service."""
-    _title("Measured and fitted values [1/sr]")
+def _show_values(client: "httpx.Client", fit: dict[str, Any], measurement: Measurement) -> None:
+    """Print measured values beside those of the service."""
+    _title("Measured and fitted values at phi_diff 90° [1/sr]")
     nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
     theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
-    measured = summary.mean[:, nodes[:, 1], nodes[:, 0]].T
+    measured = measurement.values[:, nodes[:, 0], nodes[:, 1], 90].T
     fitted = _values(client, fit, "brdf", theta_half, theta_diff)
     names = "".join(f"{channel + ' measured, fitted':>23}" for channel in CHANNELS)
     print(f"{'theta_half':>10}{'theta_diff':>12}{names}")

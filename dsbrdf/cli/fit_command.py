@@ -1,7 +1,6 @@
 """The command ``dsbrdf fit``."""
 
 import argparse
-import json
 import re
 from contextlib import closing
 from pathlib import Path
@@ -11,8 +10,7 @@ from dsbrdf.cli.arguments import BAD_INPUT, add_json_option, print_json, whole_n
 from dsbrdf.cli.fit_arguments import add_fit_options, fit_options
 from dsbrdf.cli.progress import progress_bar
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
-from dsbrdf.output.report_text import component_documents, headline, lobes_document, result_text
-from dsbrdf.output.serialize import to_json
+from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import keep_freed_memory
 
 
@@ -88,14 +86,8 @@ def _text(item: FileFit) -> list[str]:
 
 def _document(item: FileFit) -> dict[str, Any]:
     """Return the stored form of the model, which ``dsbrdf eval`` can read, with the result of the fit beside it."""
-    about = {"file": str(item.file), "output": None if item.output is None else str(item.output)}
+    about: dict[str, Any] = {"file": str(item.file), "output": None if item.output is None else str(item.output)}
     if item.result is None:
         return about | {"status": "failed", "error": item.error}
-    result = item.result
-    return (
-        about
-        | {"status": "succeeded", "error": None, "resumed": item.resumed, "warnings": list(item.warnings)}
-        | {"metrics": result.report.metrics, "lobes": lobes_document(result.model)}
-        | {"components": component_documents(result.model)}
-        | json.loads(to_json(result.model, result.report))
-    )
+    about |= {"status": "succeeded", "error": None, "resumed": item.resumed, "warnings": list(item.warnings)}
+    return about | result_document(item.result.model, item.result.report)

@@ -24,6 +24,7 @@ INTERRUPTED = 130
 _COMMANDS = {
     "fit": ("dsbrdf.cli.fit_command", "fit models to MERL .binary files"),
     "eval": ("dsbrdf.cli.model_commands", "print values of a model"),
+    "show": ("dsbrdf.cli.model_commands", "print the report of a fit again"),
     "decompose": ("dsbrdf.cli.model_commands", "print the specular spike, specular lobe and diffuse part"),
     "export": ("dsbrdf.cli.model_commands", "write a model for other programs"),
     "demo": ("dsbrdf.cli.demo", "start the service, fit a generated measurement, save a figure"),

@@ -1,4 +1,4 @@
-"""Commands that read a stored model: ``dsbrdf eval``, ``decompose`` and ``export``."""
+"""Commands that read a stored model: ``dsbrdf eval``, ``show``, ``decompose`` and ``export``."""
 
 import argparse
 from collections.abc import Iterator
@@ -12,25 +12,35 @@ from dsbrdf.cli.point_arguments import add_point_options, given_points
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import DSBRDFError
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model
-from dsbrdf.output.report_text import component_documents, components_table, parameters_table
+from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import load, read_model_file
 
 
 def configure(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the arguments of one of the commands to its parser."""
-    {"eval": _configure_eval, "decompose": _configure_decompose, "export": _configure_export}[command](parser)
+    {
+        "eval": _configure_eval,
+        "show": _configure_show,
+        "decompose": _configure_decompose,
+        "export": _configure_export,
+    }[command](parser)
     parser.add_argument("model", type=Path, metavar="MODEL", help="a .json or .npz file from dsbrdf fit")
     add_json_option(parser)
-    if command != "decompose":
+    if command in ("eval", "export"):
         parser.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
 
 
 def _configure_eval(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_eval)
     add_point_options(parser)
+
+
+def _configure_show(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_show)
 
 
 def _configure_decompose(parser: argparse.ArgumentParser) -> None:
@@ -62,15 +72,25 @@ def _eval(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _show(arguments: argparse.Namespace) -> int:
+    with _file_named_in_errors(arguments.model):
+        model, report = read_model_file(arguments.model)
+    if arguments.json:
+        print_json(result_document(model, report))
+    elif report is None:
+        print(f"{arguments.model.stem}: {lobes_phrase(model)}", "", *model_text(model), sep="\n")
+    else:
+        print(*result_text(arguments.model, FitResult(model, report)), sep="\n")
+    return 0
+
+
 def _decompose(arguments: argparse.Namespace) -> int:
     with _file_named_in_errors(arguments.model):
         model = load(arguments.model)
-    components = component_documents(model)
     if arguments.json:
-        print_json({"items": components})
-        return 0
-    for line in (*components_table(components), "", *parameters_table(model, channel=arguments.channel)):
-        print(line)
+        print_json({"items": component_documents(model)})
+    else:
+        print(*model_text(model, channel=arguments.channel), sep="\n")
     return 0
 
 

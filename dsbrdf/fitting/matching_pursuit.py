@@ -177,9 +177,7 @@ def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     return np.ascontiguousarray(values.reshape(len(data.rows), -1))
 
 
-def _add_best(
-    data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]
-) -> Mixture:
+def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]) -> Mixture:
     residual = data.mean
     if mixture.structure.n_lobes:
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)

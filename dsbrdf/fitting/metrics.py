@@ -5,7 +5,7 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
-    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff, pi - phi_diff: no reciprocal isotropic one does
+    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal one does
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 

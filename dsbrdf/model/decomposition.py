@@ -132,7 +132,7 @@ def decompose(
 
 
 def lobe_widths(model: DSBRDF) -> Array:
-    """Reach of each lobe [rad], shape (K,): the median over theta_diff, weighted by the lobe's share of the light there.
+    """Reach of each lobe [rad], shape (K,): its median over theta_diff, weighted by its share of the light there.
 
     Values near grazing are so large that they would decide alone if the light itself was the weight.
     """
@@ -149,9 +149,9 @@ def weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
-def lobe_reaches(model: DSBRDF) -> tuple[Array, Array]:
-    """Reach [rad] and light of each lobe, mean over the channels, at some theta_diff, shapes (angles, K)."""
-    parameters = model.parameters_at(_ANGLES)
+def lobe_reaches(model: DSBRDF, theta_diff: Array = _ANGLES) -> tuple[Array, Array]:
+    """Reach [rad] and light of each lobe, mean over the channels, at angles theta_diff (n,), shapes (n, K)."""
+    parameters = model.parameters_at(theta_diff)
     squared = np.minimum(np.tan(_REACHES), 1e8) ** 2
     kappa, gamma, center = (parameters[name].mean(axis=1)[..., None] for name in ("kappa", "gamma", "center"))
     curves = lobe_values(squared, kappa, gamma, center, model.lobe)

@@ -74,7 +74,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[f
         If matplotlib is not installed.
     """
     rows = _nearest_rows(theta_diff)
-    figure = _empty_figure(len(rows), height=ROW_HEIGHT)
+    figure = empty_figure(len(rows), height=ROW_HEIGHT)
     figure.suptitle(profiles.name)
     _profiles_row(figure, profiles, model, rows)
     return figure
@@ -108,7 +108,7 @@ def lobes_figure(
         If matplotlib is not installed.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = _empty_figure(len(rows), height=ROW_HEIGHT)
+    figure = empty_figure(len(rows), height=ROW_HEIGHT)
     figure.suptitle(f"{profiles.name}, {channel} channel")
     _lobes_row(figure, profiles, model, rows, index)
     return figure
@@ -126,7 +126,7 @@ def overview_figure(
     Parameters, return value and errors are those of `lobes_figure`.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = _empty_figure(len(rows), height=2 * ROW_HEIGHT + 0.3)
+    figure = empty_figure(len(rows), height=2 * ROW_HEIGHT + 0.3)
     figure.suptitle(profiles.name, fontsize=12)
     (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
@@ -175,7 +175,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 _draw_curve(ax, curve, colour, label=f"{channel}, fit")
-    _draw_legend(figure, pairs[0][0], columns=min(6, 3 * len(rows)))
+    draw_legend(figure, pairs[0][0], columns=min(6, 3 * len(rows)))
 
 
 def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int) -> None:
@@ -192,7 +192,7 @@ def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequ
             for label, colour, style, lobe in lobes:
                 curve = _fitted(profiles, lobe, row)[:, channel]
                 _draw_curve(ax, curve, colour, style=style, label=label)
-    _draw_legend(figure, pairs[0][0], columns=2 * len(rows))
+    draw_legend(figure, pairs[0][0], columns=2 * len(rows))
 
 
 def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
@@ -273,19 +273,19 @@ def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
 
 
-def _draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
-    """Draw one legend under the panels, with the lines of ``ax``, which are those of all panels."""
+def draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
+    """Draw one legend under the panels, with the labelled lines of ``ax``."""
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
 
-def _empty_figure(slices: int, *, height: float) -> Figure:
-    """Return an empty figure with the width of two panels for each slice."""
+def empty_figure(pairs: int, *, height: float) -> Figure:
+    """Return an empty figure with the width of some pairs of panels."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(5.5 * slices, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
+    return Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
 
 
 def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:

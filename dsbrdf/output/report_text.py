@@ -4,6 +4,7 @@ The JSON has the same form as in the HTTP service.  Angles are in degrees, becau
 rest of the library uses radians.
 """
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.decomposition import Component, decompose, lobe_widths
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import to_json
 
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 75.0)
 """theta_diff of the parameters that are printed [degrees]."""
@@ -94,15 +96,15 @@ def bands_table(report: FitReport) -> list[str]:
     return lines
 
 
+def model_text(model: DSBRDF, *, channel: str = "red") -> list[str]:
+    """Return the components of a model and the parameters of one channel."""
+    return [*components_table(component_documents(model)), "", *parameters_table(model, channel=channel)]
+
+
 def result_text(file: Path, result: FitResult) -> list[str]:
     """Return the report of one fit: metrics, components, parameters, lobes tried, errors."""
-    lines = [headline(file, result)]
-    for table in (
-        components_table(component_documents(result.model)),
-        parameters_table(result.model),
-        growth_table(result.report),
-        bands_table(result.report),
-    ):
+    lines = [headline(file, result), "", *model_text(result.model)]
+    for table in (growth_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
 
@@ -111,6 +113,17 @@ def headline(file: Path, result: FitResult) -> str:
     """Return one line with the file, the number of lobes, the metrics and the time."""
     seconds = sum(result.report.timings.values())
     return f"{file.stem}: {lobes_phrase(result.model)}; {metrics_line(result.report.metrics)}; {seconds:.2f} s"
+
+
+def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
+    """Return the stored form of a model and its report, with metrics, lobes and components beside it."""
+    about = {
+        "metrics": None if report is None else report.metrics,
+        "lobes": lobes_document(model),
+        "components": component_documents(model),
+    }
+    stored: dict[str, Any] = json.loads(to_json(model, report))
+    return about | stored
 
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:

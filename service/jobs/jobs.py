@@ -22,7 +22,7 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.wire.fit_options import from_wire
+from service.wire.fit_options import canonical, from_wire, to_wire
 
 logger = logging.getLogger(__name__)
 
@@ -45,8 +45,9 @@ _MAX_DELAY = 30.0  # seconds
 
 
 def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
-    """Return the id of a fit: a hash of the measurement, the options on the wire and the algorithm's version."""
-    parts = {"measurement": measurement, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+    """Return the id of a fit: a hash of the measurement, the canonical options and the algorithm's version."""
+    wire = to_wire(canonical(from_wire(options)))
+    parts = {"measurement": measurement, "options": wire, "algorithm": dsbrdf.ALGORITHM_VERSION}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 

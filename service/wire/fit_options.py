@@ -8,7 +8,7 @@ import json
 import re
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from dsbrdf.fitting.options import (
     WEIGHTINGS,
     FitOptions,
 )
+from dsbrdf.fitting.paper_method import DEFAULT_LOBES
 from dsbrdf.model.lobes import FAMILIES
 
 _ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
@@ -63,6 +64,22 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
             raise InvalidArgumentError(f"The option {name[:60]!r} is given more than once; give it once.")
         values[name] = [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
     return from_wire(values)
+
+
+def canonical(options: FitOptions) -> FitOptions:
+    """Return the options with one spelling of all that give the same fit."""
+    paper = options.method == "paper"
+    mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
+    horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
+    return replace(
+        options,
+        n_lobes=DEFAULT_LOBES if paper and options.n_lobes == "auto" else options.n_lobes,
+        ring_lobes=0 if paper else options.ring_lobes,
+        horizon_cutoff=None if horizon else options.horizon_cutoff,
+        mask=float(mask),
+        weighting=options.resolved_weighting,
+        em_iterations=options.em_iterations if paper else FitOptions.em_iterations,
+    )
 
 
 def _to_degrees(name: str, value: Any) -> Any:

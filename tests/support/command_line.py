@@ -10,6 +10,7 @@ from dsbrdf.cli import main as cli
 Capture = pytest.CaptureFixture[str]
 
 QUICK = ("--method", "paper", "--n-lobes", "1", "--em-iterations", "40")
+FEW_LOBES = ("--n-lobes", "2", "--ring-lobes", "0")
 
 
 def document(capture: Capture) -> Any:

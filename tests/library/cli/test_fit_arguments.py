@@ -55,6 +55,8 @@ def test_flags_reach_the_options() -> None:
     words = ["--n-lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
     asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff=float(np.radians(75)))
     assert options_of(*words) == asked
+    assert options_of("--lobe", "student", "--weighting", "none") == dsbrdf.FitOptions(lobe="student")
+    assert options_of("--weighting", "balanced").weighting == "balanced"
     assert options_of("--horizon-cutoff", "none").horizon_cutoff is None
     assert options_of("--no-robust").robust is False
 
@@ -65,7 +67,10 @@ def test_flags_reach_the_options() -> None:
         (["--n-lobes", "9"], "n_lobes must be"),
         (["--n-lobes", "two"], "--n-lobes: must be "),
         (["--n-lobes", "2.5"], "--n-lobes: must be "),
-        (["--weighting", "heavy"], "--weighting: must be plain or cosine or log, not 'heavy'"),
+        (["--weighting", "heavy"], "--weighting: must be balanced or plain or cosine or log or none, not 'heavy'"),
+        (["--lobe", "ggx"], "--lobe: must be hemi_epd or student, not 'ggx'"),
+        (["--method", "paper", "--lobe", "student"], 'the method "paper" has the lobe "hemi_epd" only'),
+        (["--method", "paper", "--weighting", "balanced"], 'the method "paper" has no weighting "balanced"'),
         (["--horizon-cutoff", "100"], "cutoff must lie above 0 and at most at 90 degrees, not at 100"),
         (["--horizon-cutoff", "nan"], "cutoff must lie above 0"),
         (["--mask", "1,2"], "--mask: must be none or a number, not '1,2'"),

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,7 +18,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.engines import batch, local, worker_process
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, load
-from tests.support.command_line import QUICK, Capture, document, sentence
+from tests.support.command_line import FEW_LOBES, QUICK, Capture, document, sentence
 
 
 @pytest.fixture
@@ -33,43 +32,43 @@ def damaged_file(plastic_file: Path, tmp_path: Path) -> Path:
 # fit
 
 
-@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--n-lobes", "2"]) == 0
+    assert cli.main(["fit", str(plastic_file), *FEW_LOBES]) == 0
     out = capsys.readouterr().out
-    result = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2))
-    assert f"relative_rms {result.report.metrics['relative_rms']:.4g}" in out
+    result = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2, ring_lobes=0))
+    assert out.startswith("plastic: 2 lobes; ")
+    for name in ("relative_rms", "excess", "albedo_error", "psnr"):
+        assert f"{name} {result.report.metrics[name]:.4g}" in out
     for component in dsbrdf.decompose(result.model):
         (line,) = [line for line in out.splitlines() if line.startswith(component.label)]
         for value in component.albedo:
             assert f"{value:.4f}" in line
         if component.half_width is not None:
             assert f"{np.degrees(component.half_width):.2f}°" in line
-    kappa, gamma, _, _ = result.model.parameters_at(np.radians(30.0))
-    assert f"{kappa[0, 1]:.4g}" in out
-    assert f"{gamma[0, 1]:.4g}" in out
+    parameters = result.model.parameters_at(np.radians(30.0))
+    for name in ("amplitude", "kappa", "gamma"):
+        rows = [line for line in out.splitlines() if f" {name} " in line]
+        assert len(rows) == 2
+        for row, value in zip(rows, parameters[name][0], strict=True):
+            assert float(row.split()[-3]) == pytest.approx(value, rel=1e-3)
 
 
-def test_fit_prints_the_lobe_selection_and_the_largest_errors(
+@pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+def test_fit_prints_the_lobes_tried_and_the_largest_errors(
     plastic: Measurement, capsys: Capture, plastic_file: Path
 ) -> None:
-    assert cli.main(["fit", str(plastic_file)]) == 0
+    assert cli.main(["fit", str(plastic_file), "--ring-lobes", "0"]) == 0
     out = capsys.readouterr().out
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-        result = dsbrdf.fit(plastic)
-    rings = sum(row["pays"] for row in result.report.rings)
-    expected = f"plastic: {result.model.n_lobes - rings} lobes" + (f" + {rings} ring lobe" if rings else "")
-    assert out.startswith(expected)
+    result = dsbrdf.fit(plastic, dsbrdf.FitOptions(ring_lobes=0))
+    assert out.startswith(f"plastic: {result.model.n_lobes} lobes; ")
     lines = out.splitlines()
-    assert len(result.report.selection) > 1
-    for row in result.report.selection:
-        (line,) = [line for line in lines if line.startswith(f"{row['n_lobes']}  ")]
-        for name, form in (("e_p", ".4f"), ("t", ".2f"), ("critical_value", ".3f")):
-            assert row[name] is None or f" {row[name]:{form}} " in line
-        assert line.endswith("too few") == row["significant"]
-    for row in result.report.rings:
-        assert f"{row['ring_lobes']} {'pays' if row['pays'] else 'does not pay'}" in out
+    start = next(number for number, line in enumerate(lines) if line.startswith("lobes tried"))
+    assert len(result.report.growth) > 1
+    for line, row in zip(lines[start + 1 :], result.report.growth, strict=False):
+        lobes, rings, error, *verdict = line.split()
+        assert (int(lobes), int(rings)) == (row["n_lobes"], row["ring_lobes"])
+        assert float(error) == pytest.approx(row["error"], rel=1e-2)
+        assert verdict == (["kept"] if row["pays"] else ["does", "not", "pay"])
     for band in result.report.by_theta_diff:
         low, high = np.degrees(band["theta_diff"])
         (line,) = [line for line in lines if line.startswith(f"theta_diff {low:.0f}° to {high:.0f}°")]
@@ -92,7 +91,8 @@ def test_fit_json_of_one_file_is_a_stored_model(plastic_file: Path, tmp_path: Pa
     assert load(stored).n_lobes == 1
     assert answer["status"] == "succeeded"
     assert answer["metrics"] == answer["report"]["metrics"]
-    assert answer["lobes"]["kappa"] == answer["model"]["kappa"]
+    for name in ("amplitude", "kappa", "gamma", "elongation"):
+        assert answer["lobes"][name] == answer["model"][name]
     assert answer["lobes"]["theta_diff_deg"][:3] == [0.0, 5.0, 10.0]
     assert [component["label"] for component in answer["components"]] == list(LABELS)
 

@@ -13,13 +13,17 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from dsbrdf import extras
+from dsbrdf.data.geometry import above_horizon
+from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
+from dsbrdf.output.parameters_figure import parameters_figure
 
 Fitted = tuple[Profiles, DSBRDF]
 
@@ -56,6 +60,49 @@ def test_profiles_figure_draws_measured_means_and_the_fit(fitted: Fitted, theta_
             nodes = np.rint(np.sqrt(np.degrees(np.abs(angles)) * 90.0)).astype(int)  # theta_half = (i / 90)**2 * 90
             np.testing.assert_array_equal(values, summary.mean[index, theta_diff_deg, nodes])
             assert np.all(summary.weight[index, theta_diff_deg, nodes] > 0)
+
+
+@pytest.fixture(scope="module")
+def elongated(fitted: Fitted) -> DSBRDF:
+    model = fitted[1]
+    elongation = np.tile([[1.5, 0.5, -0.5]], (model.elongation.shape[0], 1))
+    return replace(model, elongation=elongation, delta=np.zeros_like(model.delta))
+
+
+def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measured(
+    fitted: Fitted, elongated: DSBRDF
+) -> None:
+    summary, _ = fitted
+    ax = profiles_figure(summary, elongated, theta_diff=[np.radians(45.0)]).axes[0]
+    ((angles, values),) = lines_of(ax, "red, fit")
+    phi_diff = np.radians(np.arange(0.05, 180.0, 0.1))
+    assert summary.horizon_cutoff is not None
+    peak = np.radians(2.0)
+    assert abs(np.interp(peak, angles, values) / elongated.evaluate(peak, THETA_DIFF[45])[0] - 1.0) > 0.02
+    for theta_half in np.radians([2.0, 20.0, 40.0, 60.0]):
+        used = above_horizon(theta_half, THETA_DIFF[45], phi_diff, summary.horizon_cutoff)
+        assert used.any()
+        expected = elongated.evaluate(theta_half, THETA_DIFF[45], phi_diff[used])[:, 0].mean()
+        assert np.interp(theta_half, angles, values) == pytest.approx(expected, rel=5e-3)
+
+
+def test_parameters_figure_draws_every_lobe(elongated: DSBRDF) -> None:
+    amplitudes, widths, elongations = parameters_figure(elongated, title="paint").axes
+    n_lobes = elongated.n_lobes
+    assert (len(amplitudes.lines), len(widths.lines), len(elongations.lines)) == (3 * n_lobes, n_lobes, n_lobes)
+    at = np.radians(np.asarray(amplitudes.lines[0].get_xdata(), float))
+    drawn = np.sort([np.asarray(line.get_ydata(), float) for line in amplitudes.lines], axis=0)
+    expected = elongated.parameters_at(at)["amplitude"].reshape(at.size, -1)
+    np.testing.assert_allclose(drawn, np.sort(expected, axis=1).T, rtol=1e-9)
+    heights = sorted(float(np.asarray(line.get_ydata(), float)[0]) for line in elongations.lines)
+    assert heights == [-0.5, 0.5, 1.5]
+    labels = [str(line.get_label()) for line in widths.lines]
+    for component in decompose(elongated):
+        for lobe in component.lobes:
+            (line,) = [line for line in widths.lines if str(line.get_label()).startswith(f"{lobe}: ")]
+            assert component.label.replace("_", " ") in str(line.get_label())
+            assert np.median(np.asarray(line.get_ydata(), float)) > 0.0
+    assert len(set(labels)) == n_lobes
 
 
 def test_drawn_lobes_sum_to_the_fit(fitted: Fitted) -> None:
