@@ -21,6 +21,15 @@ def model(server: Server, fitted: str) -> dsbrdf.DSBRDF:
     return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
 
 
+@pytest.fixture(scope="session")
+def elongated(server: Server, stored: str) -> str:
+    """The id of a fit whose values depend on phi_diff."""
+    answer = server.submit(stored, method="global", n_lobes=1, ring_lobes=0)
+    assert answer.json()["status"] == "succeeded", answer.text
+    fit_id: str = answer.json()["id"]
+    return fit_id
+
+
 def directions(count: int, seed: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     vectors[:, 2] = np.abs(vectors[:, 2])
@@ -56,6 +65,42 @@ def test_several_points_equal_the_library(server: Server, fitted: str, model: ds
         server.http.get(f"/v1/fits/{fitted}/brdf", params=query),
         model.evaluate(np.radians(theta_half), np.radians(theta_diff)),
     )
+
+
+def test_values_depend_on_phi_diff(server: Server, elongated: str) -> None:
+    model = from_json(server.http.get(f"/v1/fits/{elongated}/export?format=json").text)[0]
+    theta_half, theta_diff, phi_diff = 20.0, 50.0, np.array([0.0, 35.0, 90.0, -35.0, 400.0])
+    expected = model.evaluate(*np.radians([theta_half, theta_diff]), np.radians(phi_diff))
+    assert expected[0, 0] != pytest.approx(expected[2, 0], rel=0.01)
+    columns = {
+        "theta_half_deg": [theta_half] * 5,
+        "theta_diff_deg": [theta_diff] * 5,
+        "phi_diff_deg": phi_diff.tolist(),
+    }
+    url = f"/v1/fits/{elongated}/brdf"
+    close(server.http.get(url, params=columns), expected)
+    close(server.http.post(url, json=columns), expected)
+    headers = {"Content-Type": "application/x-npy"}
+    close(server.http.post(url, content=npy(np.transpose([*columns.values()])), headers=headers), expected)
+    left_out = server.http.get(url, params={"theta_half_deg": theta_half, "theta_diff_deg": theta_diff})
+    close(left_out, expected[2:3])
+    omega = directions(300, 6), directions(300, 7)
+    document = {"omega_in": omega[0].tolist(), "omega_out": omega[1].tolist()}
+    close(server.http.post(url, json=document), model.evaluate_directions(*omega))
+
+
+def test_value_below_the_horizon_is_0_and_fails_no_batch(server: Server, elongated: str) -> None:
+    url = f"/v1/fits/{elongated}/brdf"
+    vectors = [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]]
+    pairs = [(first, second) for first in vectors for second in vectors]
+    document = {"omega_in": [first for first, _ in pairs], "omega_out": [second for _, second in pairs]}
+    values = np.array(server.http.post(url, json=document).json()["values"])
+    assert np.all(values[0] > 0.0)
+    np.testing.assert_array_equal(values[1:], 0.0)
+    columns = {"theta_half_deg": [60, 60], "theta_diff_deg": [60, 60], "phi_diff_deg": [0, 90]}
+    below, above = server.http.post(url, json=columns).json()["values"]
+    assert below == [0.0, 0.0, 0.0]
+    assert min(above) > 0.0
 
 
 @pytest.mark.parametrize("count", [1, 3, 100])
@@ -125,12 +170,12 @@ def test_invalid_point_at_the_end_of_a_large_batch_is_refused(server: Server, fi
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(angles), headers=headers)
     assert "90.5" in assert_problem(answer, 422, "invalid-argument")
     omega = np.stack([directions(20_000, 4), directions(20_000, 5)], axis=1)
-    omega[-1, 1] = 0.6, 0.0, -0.8
+    omega[-1, 1] = 0.6, 0.0, -0.9
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(omega), headers=headers)
     assert "omega_out" in assert_problem(answer, 422, "invalid-argument")
 
 
-@pytest.mark.parametrize("shape", [(0, 2), (0, 6), (0, 2, 3)])
+@pytest.mark.parametrize("shape", [(0, 2), (0, 3), (0, 6), (0, 2, 3)])
 def test_empty_npy_batch_has_no_values(server: Server, fitted: str, shape: tuple[int, ...]) -> None:
     headers = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=npy(np.zeros(shape)), headers=headers)
@@ -195,7 +240,12 @@ def test_empty_batch_has_no_values(server: Server, fitted: str) -> None:
         ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in", "a,b,c"]),
         ("omega_in=0,0,1.1&omega_out=0,0,1", ["omega_in", "unit"]),
         ("omega_in=0,0,0&omega_out=0,0,1", ["omega_in", "unit"]),
-        ("omega_in=0,0,1&omega_out=0.6,0,-0.8", ["omega_out", "horizon"]),
+        ("phi_diff_deg=1", ["theta_half_deg", "omega_in"]),
+        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["mixes"]),
+        ("phi_diff_deg=1&theta_half_deg=1", ["without theta_diff_deg"]),
+        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=1&phi_diff_deg=2", ["2 of phi_diff_deg"]),
+        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
+        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
         ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "NaN"]),
     ],
 )
@@ -230,6 +280,7 @@ def bad_npy() -> dict[str, bytes]:
         "negative shape": good.replace(b"(3, 2)", b"(-3,2)"),
         "code": good.replace(b"(3, 2)", b"exit()"),
         "long header": good[:8] + (60_000).to_bytes(2, "little") + b"(" * 60_000,
+        "phi_diff not finite": npy(np.array([[1.0, 1.0, np.inf]])),
         "out of range": npy(np.full((3, 2), 91.0)),
         "not a number": npy(np.full((3, 2), np.nan)),
         "not unit": npy(np.ones((3, 6))),
@@ -260,7 +311,9 @@ def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None
         b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
         b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": [1]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": ["1"]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "omega_in": [[0, 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"omega_in": [[0, 0, 1]], "omega_out": [[0, 0]]}',
         b'{"omega_in": [0, 0, 1], "omega_out": [0, 0, 1]}',
@@ -286,14 +339,13 @@ def test_components_equal_the_library_and_sum_to_the_model(server: Server, fitte
     for item, component in zip(items, dsbrdf.decompose(model), strict=True):
         assert item["lobes"] == list(component.lobes)
         np.testing.assert_allclose(item["albedo"], component.albedo, rtol=1e-12)
+        assert item["margin"] == component.margin
         if component.half_width is None:
             assert item["half_width_deg"] is None
-            assert item["margin"] is None
         else:
             assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
-            assert item["margin"] == pytest.approx(component.margin, rel=1e-12)
-        np.testing.assert_array_equal(np.ravel(item["parameters"]["kappa"]), component.kappa.ravel())
-        np.testing.assert_array_equal(item["parameters"]["delta"], component.delta)
+        for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
+            assert item["parameters"][name] == getattr(component.model, name).tolist()
 
     document = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
     whole = np.array(server.http.post(f"/v1/fits/{fitted}/brdf", json=document).json()["values"])
