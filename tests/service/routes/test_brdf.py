@@ -69,7 +69,7 @@ def test_several_points_equal_the_library(server: Server, fitted: str, model: ds
 def test_values_depend_on_phi_diff(server: Server, elongated: str) -> None:
     model = from_json(server.http.get(f"/v1/fits/{elongated}/export?format=json").text)[0]
     theta_half, theta_diff, phi_diff = 20.0, 50.0, np.array([0.0, 35.0, 90.0, -35.0, 400.0])
-    expected = model.evaluate(*np.radians([theta_half, theta_diff]), np.radians(phi_diff))
+    expected = model.evaluate(np.radians(theta_half), np.radians(theta_diff), np.radians(phi_diff))
     assert expected[0, 0] != pytest.approx(expected[2, 0], rel=0.01)
     columns = {
         "theta_half_deg": [theta_half] * 5,
