@@ -129,7 +129,7 @@ def _exit(*_: Any) -> None:
 def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
     """Return the settings that the command line gives, as text: `Settings` checks them."""
     parser = argparse.ArgumentParser(
-        prog="python -m service",
+        prog="dsbrdf serve",
         description="Run the HTTP service. Further settings are environment variables that begin with DSBRDF_.",
     )
     parser.add_argument("--host", help="address to listen on (default 127.0.0.1)")

@@ -38,12 +38,9 @@ _LIBRARY_ERRORS: dict[str, type[Exception]] = {
 
 
 class ServiceError(Exception):
-    """The service could not do what was asked, and it is not for the measurement or the options.
+    """The service could not do what was asked, for a reason other than the measurement or the options.
 
-    Attributes
-    ----------
-    problem : dict
-        The problem document, or what is known of the fault in the same members.
+    `problem` is the problem document, or what is known of the fault under the same names.
     """
 
     def __init__(self, problem: Mapping[str, Any]) -> None:
@@ -58,10 +55,7 @@ class AccessError(ServiceError):
 class LimitError(ServiceError):
     """The key has reached its rate of requests, its unfinished fits or its stored bytes.
 
-    Attributes
-    ----------
-    retry_after : float or None
-        Time after which it is worth asking again [s]; None if it does not pass by itself.
+    `retry_after` is the time after which it is worth asking again [s]; None if waiting does not help.
     """
 
     def __init__(self, problem: Mapping[str, Any], retry_after: float | None) -> None:
@@ -71,28 +65,15 @@ class LimitError(ServiceError):
 
 @dataclass(frozen=True)
 class Fit:
-    """A fit of the service, as it was when it was asked for.
-
-    Attributes
-    ----------
-    id, status, measurement : str
-        Identity, state, and the sha256 of the measurement.
-    progress : float
-        Finished share, 0 to 1.
-    options : FitOptions
-    metrics : dict or None
-        As in the library's report, once the fit has succeeded.
-    error : dict or None
-        ``origin``, ``type`` and ``message`` if it has failed.
-    """
+    """The state of a fit of the service when it was asked for."""
 
     id: str
     status: str
-    progress: float
-    measurement: str
+    progress: float  # finished share, 0 to 1
+    measurement: str  # its sha256
     options: FitOptions
-    metrics: dict[str, float | None] | None
-    error: dict[str, str] | None
+    metrics: dict[str, float | None] | None  # as in the library's report, once the fit has succeeded
+    error: dict[str, str] | None  # origin, type and message if it has failed
     _export: Callable[[str], str] = field(repr=False, compare=False)
 
     @property
@@ -125,12 +106,7 @@ class Client:
     key : str, optional
         API key; by default that of the environment variable ``DSBRDF_KEY``, if there is one.
     timeout : float
-        Longest silence of the service that is not waiting for a fit [s].
-
-    Raises
-    ------
-    ValueError
-        If the key cannot be one.
+        Longest time without an answer, other than while waiting for a fit [s].
     """
 
     def __init__(

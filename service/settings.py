@@ -9,15 +9,8 @@ from typing import Literal
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from dsbrdf.process_settings import core_count
 from service import DEFAULT_DATA_DIR
-
-
-def available_cores() -> int:
-    """Return the number of processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
 
 _PREFIX = "DSBRDF_"
 _OTHER_VARIABLES = frozenset(
@@ -56,7 +49,7 @@ class Settings(BaseSettings):
         description="Address of the Dask scheduler; without TLS, who can reach it can run anything on its workers.",
     )
     workers: int = Field(
-        default_factory=available_cores,
+        default_factory=core_count,
         ge=1,
         description="Fits that run at once; with Dask, measurements that are read at once.",
     )

@@ -9,9 +9,9 @@ with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a consta
 `Profiles` is therefore a fit on all 4.4 million samples, and the sum of ``within`` is the **bivariate floor**
 that no model of this kind can go below.
 
-A reciprocal isotropic material is the same at phi_diff, -phi_diff and pi - phi_diff, and so is the model with elongated
-lobes.  For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at the mean of
-cos(phi_diff)**2.
+A reciprocal isotropic material is the same at phi_diff, -phi_diff and pi - phi_diff, and so is the model with
+elongated lobes.  For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at
+the mean of cos(phi_diff)**2.
 
 This is the only place that decides which samples count, and how much.
 """
@@ -144,7 +144,8 @@ def profiles(
             typical = _summarize(samples, weights)[0][..., None] if weighting == "log" else 0.0
             weights = weights * (cos_in / (1.0 + typical * np.maximum(cos_in, 0.0))) ** 2
         mean[:, :, i], weight[:, :, i], within[:, :, i] = _summarize(samples, weights)
-    return Profiles(mean, weight, within, folded, horizon_cutoff, weighting, robust, measurement.name, measurement.sha256)
+    options, of = (horizon_cutoff, weighting, robust), (measurement.name, measurement.sha256)
+    return Profiles(mean, weight, within, folded, *options, *of)
 
 
 def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:

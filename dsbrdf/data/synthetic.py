@@ -15,15 +15,15 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horiz
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
-__all__ = ["BivariateModel", "model_measurement", "synthetic_measurement"]
+__all__ = ["Reflectance", "model_measurement", "synthetic_measurement"]
 
 _Triple = tuple[float, float, float]
 
 
-class BivariateModel(Protocol):
-    """A model with RGB values for each half and difference angle, such as `dsbrdf.DSBRDF`."""
+class Reflectance(Protocol):
+    """A model with RGB values of the three angles, such as `dsbrdf.DSBRDF`."""
 
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> NDArray[np.float64]:
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> NDArray[np.float64]:
         """Return values in 1/sr, shape (..., 3), at angles in radians."""
         ...
 
@@ -85,12 +85,12 @@ def synthetic_measurement(
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 
-def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
+def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
     """Return a measurement with the values of a model at all nodes.
 
     Parameters
     ----------
-    model : object with ``evaluate(theta_half, theta_diff) -> (..., 3)``
+    model : object with ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``
         The model, such as a `dsbrdf.DSBRDF`.
     noise, seed, name
         As for `synthetic_measurement`.
@@ -107,9 +107,11 @@ def model_measurement(model: BivariateModel, *, noise: float = 0.0, seed: int = 
     MeasurementFormatError
         If the model's values are not an acceptable measurement, such as NaN.
     """
-    rows = np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)
     above = nodes_above_horizon()
-    values = np.where(above, rows[..., np.newaxis], -1.0)
+    values = np.full((3, *above.shape), -1.0)
+    for row, theta_half in enumerate(THETA_HALF):
+        diff, phi = np.nonzero(above[row])
+        values[:, row, diff, phi] = model.evaluate(theta_half, THETA_DIFF[diff], PHI_DIFF[phi]).T
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 

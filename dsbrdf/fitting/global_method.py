@@ -40,8 +40,8 @@ SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
 _SEARCH_KNOTS = (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
-TOLERANCE = 1e-4
-MAX_ITERATIONS = 60
+TOLERANCE = 1e-3
+MAX_ITERATIONS = 200
 _ROBUST_ROUNDS = 3
 _EXPECTED_TRIES = 16
 _SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])

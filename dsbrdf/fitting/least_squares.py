@@ -16,6 +16,7 @@ A weak pull decides what the data leave open: `SMOOTHING` times the squared sign
 control values.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -34,8 +35,8 @@ SMOOTHING = 1e-7
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 """From nothing to the largest value that a measurement may have."""
 KAPPA_BOUNDS = (1e-2, 10.0)
-GAMMA_BOUNDS = (1e-2, 2e4)
-"""From flat to a quarter of a degree, the narrowest peak that the grid resolves."""
+GAMMA_BOUNDS = (1e-2, 5e4)
+"""From flat to a sixth of a degree, about the narrowest peak that the grid resolves."""
 CENTER_BOUNDS = (-0.25, float(np.pi / 2))
 ELONGATION_BOUNDS = (-2.5, 2.5)
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
@@ -242,7 +243,7 @@ class MixtureProblem:
         """Normal equations of the unknowns from those of each row's parameters."""
         k = self.structure.n_lobes
         ends = np.cumsum([0, 3 * k, 2 * k + self.structure.n_rings, k])
-        parts = [slice(start, stop) for start, stop in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
         blocks: list[list[Array]] = [[np.empty(0)] * 3 for _ in range(3)]
         for i, first in enumerate(self.bases):
             for j in range(i, 3):

@@ -177,9 +177,7 @@ def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     return np.ascontiguousarray(values.reshape(len(data.rows), -1))
 
 
-def _add_best(
-    data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]
-) -> Mixture:
+def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]) -> Mixture:
     residual = data.mean
     if mixture.structure.n_lobes:
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
@@ -212,7 +210,7 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     """Add a lobe with the amplitude that the residual asks for, (3, R); rings come last."""
     old = mixture.structure
     place = old.n_lobes if candidate.is_ring else old.n_lobes - old.n_rings
-    rings = old.rings[:place] + (candidate.is_ring,) + old.rings[place:]
+    rings = (*old.rings[:place], candidate.is_ring, *old.rings[place:])
     structure = replace(old, rings=rings)
     basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))

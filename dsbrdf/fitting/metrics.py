@@ -5,7 +5,7 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
-    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal isotropic one does
+    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal one does
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
@@ -122,7 +122,9 @@ def _add_row(
     sums.count[:, rows] += count
 
 
-def relative_errors(sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)) -> dict[str, Any] | None:
+def relative_errors(
+    sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
+) -> dict[str, Any] | None:
     """Errors of some channels and rows of theta_diff; None where there is nothing but zeros.
 
     Returns

@@ -106,7 +106,6 @@ class FitOptions:
                 f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
             )
 
-
     @property
     def resolved_weighting(self) -> str:
         """The weighting, None being the method's own."""

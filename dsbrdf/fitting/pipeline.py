@@ -3,11 +3,15 @@
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import MAX_ITERATIONS, fit_global
@@ -29,23 +33,27 @@ __all__ = ["add_sample_metrics", "fit", "profiles_for"]
 
 
 def fit(
-    measurement: Measurement | Profiles,
+    measurement: Measurement | Profiles | str | PathLike[str] | NDArray[np.float64],
     options: FitOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
+    **choices: Any,
 ) -> FitResult:
     """Fit the model to a measurement.
 
     Parameters
     ----------
-    measurement : Measurement or Profiles
-        Profiles must have been made with the options' horizon cutoff, weighting and robustness; the metrics need the
-        samples and are None then, see `add_sample_metrics`.
+    measurement : Measurement, Profiles, path-like or ndarray
+        A path names a MERL file; an array has the shape (3, 90, 90, 180), see `Measurement.from_values`.  Profiles must
+        have been made with the options' horizon cutoff, weighting and robustness; the metrics need the samples and are
+        None then, see `add_sample_metrics`.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
     progress : callable, optional
         Called with the share of the work done, 0 to 1, at least once an iteration.  What it raises ends the fit and
         reaches the caller.
+    **choices
+        Single options by name, such as ``n_lobes=2``, instead of ``options``.
 
     Returns
     -------
@@ -56,14 +64,17 @@ def fit(
     FitError
         If the options leave no data to fit.
     InvalidArgumentError
-        If profiles do not agree with the options.
+        If profiles do not agree with the options, or an option is unknown or given twice.
+    MeasurementFormatError
+        If a file or an array is not an acceptable measurement.
 
     Warns
     -----
     ConvergenceWarning
         If slices stopped at the bound on the iterations; the report says which.
     """
-    options = FitOptions() if options is None else options
+    options = _options(options, choices)
+    measurement = _measurement(measurement)
     report_progress = progress if progress is not None else _ignore
     clock = _Clock()
     report_progress(0.0)
@@ -106,6 +117,24 @@ def fit(
             stacklevel=2,
         )
     return result
+
+
+def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
+    known = [field.name for field in fields(FitOptions)]
+    unknown = sorted(set(choices) - set(known))
+    if unknown:
+        raise InvalidArgumentError(f"there is no option {unknown[0]!r}; the options are {', '.join(known)}")
+    if options is not None and choices:
+        raise InvalidArgumentError("give the options as FitOptions or by name, not both")
+    return FitOptions(**choices) if options is None else options
+
+
+def _measurement(source: Measurement | Profiles | str | PathLike[str] | NDArray[np.float64]) -> Measurement | Profiles:
+    if isinstance(source, Measurement | Profiles):
+        return source
+    if isinstance(source, str | PathLike):
+        return read_merl(source)
+    return Measurement.from_values(source)
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:

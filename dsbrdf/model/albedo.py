@@ -7,8 +7,9 @@ In half vectors even a specular spike is smooth on a scale that is known beforeh
 The nodes in theta_half are graded towards 0 for it.  In the azimuth the domain of integration ends where omega_in
 reaches the horizon, which is known in closed form.
 
-The model has a kink at each of its knots in theta_diff.  The azimuth is cut where theta_diff passes a knot, again in
-closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth.
+The paper's model has a kink at each of its slices.  The azimuth is cut where theta_diff passes such a knot, again in
+closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth.  A spline is
+smooth enough without.
 """
 
 from collections.abc import Callable
@@ -24,12 +25,13 @@ Evaluate = Callable[[Array, Array, Array], Array]
 _SMOOTH = np.zeros(0)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_AZIMUTH_NODES, _AZIMUTH_WEIGHTS = np.polynomial.legendre.leggauss(10)
+_AZIMUTH_NODES, _AZIMUTH_WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Panel ends that resolve a spike a hundredth of a degree wide, and the edge of the delta term.
 _FINE = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
 _WIDTHS = np.radians([0.8, 4.0])  # of the other panels, from narrow ring lobes to none
-# Panel ends in the part of the circle where omega_in is above the horizon; theta_diff turns fastest near azimuth 0.
-_AZIMUTH_ENDS = np.array([0.0, 0.2, 1.0])
+# Panel ends in the part of the circle where omega_in is above the horizon; theta_diff turns fastest near azimuth 0, and
+# an elongated lobe has its ridge a quarter turn from the plane of incidence.
+_AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 
 def directional_albedo(

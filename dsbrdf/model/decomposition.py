@@ -132,7 +132,7 @@ def decompose(
 
 
 def lobe_widths(model: DSBRDF) -> Array:
-    """Reach of each lobe [rad], shape (K,): the median over theta_diff, weighted by the lobe's share of the light there.
+    """Reach of each lobe [rad], shape (K,): its median over theta_diff, weighted by its share of the light there.
 
     Values near grazing are so large that they would decide alone if the light itself was the weight.
     """

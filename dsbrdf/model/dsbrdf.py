@@ -287,7 +287,8 @@ class DSBRDF:
         ndarray, shape (..., 3)
             ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
-        return directional_albedo(self.evaluate_unmasked, _check_angle("theta_out", theta_out))
+        kinks = self.theta_diff if self.interpolation == "linear" else np.zeros(0)
+        return directional_albedo(self.evaluate_unmasked, _check_angle("theta_out", theta_out), kinks)
 
     @cached_property
     def _evaluator(self) -> Evaluator:

@@ -179,7 +179,7 @@ def _tangent(squared_tangent: Array, center: Array) -> Array:
 
 
 def _log_cos(squared_tangent: Array, center: Array | None) -> Array:
-    """log cos(theta' - center)."""
+    """Log cos(theta' - center)."""
     log_cos = -0.5 * np.log1p(squared_tangent)
     if center is None:
         return log_cos

@@ -7,21 +7,14 @@ NumPy nor pydantic nor FastAPI, so that they answer at once.
 
 import argparse
 import os
-import sys
 from pathlib import Path
-from typing import NoReturn
 
+from dsbrdf.cli import arguments as cli
 from service import DEFAULT_DATA_DIR
 
-BAD_INPUT = 2
 
-
-class Parser(argparse.ArgumentParser):
-    """A parser that says in one sentence what is wrong, instead of printing the whole usage."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the sentence and exit."""
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+class Parser(cli.Parser):
+    """The parser of ``dsbrdf`` with the options that several commands have."""
 
     def add_data_dir(self) -> None:
         """Add the flag that names the data folder."""
@@ -29,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
     def add_json(self) -> None:
         """Add the flag that asks for JSON."""
-        self.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+        cli.add_json_option(self)
 
 
 def data_folder(arguments: argparse.Namespace) -> Path:
@@ -42,5 +35,5 @@ def data_folder(arguments: argparse.Namespace) -> Path:
 
 def refuse(reason: str) -> int:
     """Say why the command cannot be run; return the exit code."""
-    sys.stderr.write(f"dsbrdf: {reason}\n")
-    return BAD_INPUT
+    cli.print_error(reason)
+    return cli.BAD_INPUT

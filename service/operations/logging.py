@@ -60,10 +60,7 @@ def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
 
 
 class _Repetitions:
-    """Lets a complaint of the event loop through once in some seconds.
-
-    Without a free descriptor it complains of every connection that it cannot accept, thousands of times a second.
-    """
+    """Filter that limits the event loop's message about missing descriptors, of which it sends thousands a second."""
 
     def __init__(self) -> None:
         self._told = -math.inf

@@ -1,15 +1,12 @@
 """Fits for other programs."""
 
-from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf import DSBRDF, FitReport
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.output.serialize import to_json, to_npz
+from dsbrdf.output.export import FORMATS, export_model
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
 from service.routes.dependencies import TheContext, TheFit
@@ -17,13 +14,6 @@ from service.wire import examples
 from service.wire.schemas import Export
 
 router = APIRouter(prefix="/v1/fits/{fit_id}/export", tags=["export"])
-
-# format -> (media type, suffix, writer)
-_FORMATS: dict[str, tuple[str, str, Callable[[DSBRDF, FitReport | None], bytes]]] = {
-    "json": (JSON, "json", lambda model, report: to_json(model, report).encode()),
-    "npz": (BINARY, "npz", to_npz),
-    "merl": (BINARY, "binary", lambda model, _: encode_merl(model.tabulate())),
-}
 
 
 @router.get(
@@ -47,8 +37,7 @@ async def export_fit(context: TheContext, fit: TheFit, export: Annotated[Export,
     """
     model = await context.models.component(fit, export.component)
     report = (await context.models.get(fit)).report if export.component is None else None
-    media_type, suffix, write = _FORMATS[export.format]
-    content = await run_in_threadpool(write, model, report)
+    content = await run_in_threadpool(export_model, model, export.format, report)
     name = "-".join(part for part in (fit.id, export.component) if part)
-    headers = {"Content-Disposition": f'attachment; filename="{name}.{suffix}"'}
-    return Response(content, 200, headers, media_type)
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{FORMATS[export.format].suffix}"'}
+    return Response(content, 200, headers, FORMATS[export.format].media_type)

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Coroutine
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -40,6 +41,7 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"])
 _MAX_JSON = 1 << 16
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
+_submitted_as = partial(openapi.response, model=FitDocument, links=_LINKS)
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait.", "wait=10"
 )
@@ -73,22 +75,9 @@ _SUBMISSION_BODY = openapi.body(
     status_code=201,
     response_model=FitDocument,
     summary="Fit a measurement",
-    responses=openapi.response("The fit has ended.", examples.FIT, status=201, headers=["Location"], links=_LINKS)
-    | openapi.response(
-        "The same request was made before; its fit has ended.",
-        examples.FIT,
-        model=FitDocument,
-        headers=["Location"],
-        links=_LINKS,
-    )
-    | openapi.response(
-        "The fit has not ended; ask again at `Location`.",
-        examples.RUNNING_FIT,
-        status=202,
-        model=FitDocument,
-        headers=["Location", "Retry-After"],
-        links=_LINKS,
-    )
+    responses=_submitted_as("The fit has ended.", examples.FIT, status=201, headers=["Location"])
+    | _submitted_as("The same request was made before; its fit has ended.", examples.FIT, headers=["Location"])
+    | _submitted_as("The fit has not ended.", examples.RUNNING_FIT, status=202, headers=["Location", "Retry-After"])
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={"parameters": [*_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
 )

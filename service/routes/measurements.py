@@ -1,5 +1,6 @@
 """Measurements: upload once, fit often."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -23,6 +24,7 @@ router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
 _LINKS = openapi.links(
     "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
 )
+_uploaded_as = partial(openapi.response, model=MeasurementDocument, headers=["Location", "ETag"], links=_LINKS)
 _FIT_LINK = {
     "submit_fit": {
         "operationId": "submit_fit",
@@ -42,16 +44,8 @@ _RANGE = openapi.header_parameter(
     status_code=201,
     response_model=MeasurementDocument,
     summary="Upload a measurement",
-    responses=openapi.response(
-        "The measurement is stored.", examples.MEASUREMENT, status=201, headers=["Location", "ETag"], links=_LINKS
-    )
-    | openapi.response(
-        "The measurement was stored before.",
-        examples.MEASUREMENT,
-        model=MeasurementDocument,
-        headers=["Location", "ETag"],
-        links=_LINKS,
-    )
+    responses=_uploaded_as("The measurement is stored.", examples.MEASUREMENT, status=201)
+    | _uploaded_as("The measurement was stored before.", examples.MEASUREMENT)
     | openapi.problems(*openapi.UPLOAD_PROBLEMS),
     openapi_extra={
         "parameters": [CONTENT_ENCODING],

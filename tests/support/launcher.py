@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +47,8 @@ class ForkedProcess:
     def send_signal(self, number: int) -> None:
         """Send a signal; the process may have ended."""
         if not self._ended.is_set():
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # its end has not been reported yet
+                os.kill(self.pid, number)
 
     def kill(self) -> None:
         """End the process at once."""
@@ -62,7 +64,7 @@ class Launcher:
 
     def __init__(self, program: Program) -> None:
         self._lock = threading.Lock()
-        self._started: queue.Queue[ForkedProcess] = queue.Queue()
+        self._started: queue.Queue[ForkedProcess | None] = queue.Queue()
         command = [sys.executable, "-m", "tests.support.launcher", program]
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -75,7 +77,10 @@ class Launcher:
         with self._lock:
             self._process.stdin.write(json.dumps(request) + "\n")
             self._process.stdin.flush()
-            return self._started.get(timeout=60)
+            process = self._started.get()
+        if process is None:
+            raise RuntimeError("the launcher has ended; what it printed says why")
+        return process
 
     def _close(self) -> None:
         assert self._process.stdin is not None
@@ -91,6 +96,7 @@ class Launcher:
                 case {"pid": pid}:
                     servers[pid] = ForkedProcess(pid)
                     self._started.put(servers[pid])
+        self._started.put(None)
 
 
 @cache

@@ -3,11 +3,15 @@
 from dataclasses import fields
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import above_horizon
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.splines import n_control_values
+
+Array = NDArray[np.float64]
 
 TEXTS = ("interpolation", "lobe")
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
@@ -48,7 +52,15 @@ def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
         assert getattr(got, name) == getattr(expected, name)
 
 
+def profile_of(model: DSBRDF, data: Profiles) -> Array:
+    """Means over phi_diff of the nodes that the profiles use, shape (3, 90, 90)."""
+    cutoff = np.pi / 2 if data.horizon_cutoff is None else data.horizon_cutoff
+    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+    mean = (model.tabulate() * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1)
+    return np.asarray(mean.swapaxes(1, 2))
+
+
 def curve_error(found: DSBRDF, truth: DSBRDF, data: Profiles) -> float:
-    """Weighted relative distance of the two models on the nodes used, at phi_diff = 90 degrees."""
-    a, b = (model.evaluate(THETA_HALF, THETA_DIFF[:, None]).transpose(2, 0, 1) for model in (found, truth))
+    """Weighted relative distance of the two models on the nodes used."""
+    a, b = profile_of(found, data), profile_of(truth, data)
     return float(np.sqrt(np.sum(data.weight * (a - b) ** 2) / np.sum(data.weight * b**2)))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import directions
 from dsbrdf.data.grid import CENTER_CUTOFF, DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.reduction import N_BINS, Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -25,6 +25,20 @@ def speckled(plastic: Measurement) -> Measurement:
     """The noisy plastic with random holes."""
     holes = np.random.default_rng(5).uniform(size=plastic.valid.shape) < 0.3
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
+
+
+ONE = np.ones((1, 1, 1))
+ROUND = DSBRDF(np.zeros(1), np.full((3, 1, 1), 1.7), ONE, 20.0 * ONE)
+"""One round lobe, the same at every phi_diff."""
+
+
+def with_spikes() -> Measurement:
+    """The round lobe with 2 % noise and 2 % samples that are 50 times too large."""
+    measurement = model_measurement(ROUND, noise=0.02, seed=3)
+    values, random = measurement.values, np.random.default_rng(7)
+    spikes = measurement.valid & (random.uniform(size=measurement.valid.shape) < 0.02)
+    values[:, spikes] *= 50.0
+    return Measurement.from_values(values, measurement.valid)
 
 
 def samples_of(
@@ -135,14 +149,8 @@ def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement) -
 
 def test_robust_profiles_reject_spikes() -> None:
     # The truth does not depend on phi_diff, so that the mean and the middle of the samples are the same.
-    shape = (3, 1, 1)
-    model = DSBRDF(np.zeros(1), np.ones(shape), np.full(shape, 20.0), np.zeros(shape), np.full((3, 1), 0.1))
-    truth = np.moveaxis(model.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
-    measurement = model_measurement(model, noise=0.02, seed=3)
-    values, generator = measurement.values, np.random.default_rng(7)
-    spikes = measurement.valid & (generator.uniform(size=measurement.valid.shape) < 0.02)
-    values[:, spikes] *= 50.0
-    broken = Measurement.from_values(values, measurement.valid)
+    truth = np.moveaxis(ROUND.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
+    broken = with_spikes()
     many = (profiles(broken).weight >= 90.0) & (truth > 1e-3)
 
     def errors(found: Profiles) -> Array:
@@ -174,6 +182,70 @@ def test_robust_weights_are_the_biweight_about_the_median(speckled: Measurement)
         weights = np.where(np.abs(distance) < 1.0, (1.0 - distance**2) ** 2, 0.0)
         assert found.weight[1, j, i] == pytest.approx(float(weights.sum()), rel=1e-9)
         assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
+
+
+# Folded phi_diff
+
+
+def folded_samples(
+    measurement: Measurement, channel: int, i: int, j: int, fold: int
+) -> tuple[list[float], list[float]]:
+    """Values and cos(phi_diff)**2 of the valid samples in a bin of the folded phi_diff, by looking at each."""
+    values, squares = [], []
+    for k in range(180):
+        degrees = min(k, 180 - k)
+        if min(int(degrees * N_BINS / 90), N_BINS - 1) == fold and measurement.valid[i, j, k]:
+            values.append(float(measurement.stored[channel, i, j, k] * measurement.scale[channel]))
+            squares.append(float(np.cos(PHI_DIFF[k]) ** 2))
+    return values, squares
+
+
+def test_folded_bins_are_those_of_a_loop_over_the_samples_up_to_the_horizon(speckled: Measurement) -> None:
+    folded, seen = profiles(speckled, horizon_cutoff=float(np.radians(30.0))).folded, 0
+    assert folded.mean.shape == folded.weight.shape == (3, 90, 90, N_BINS)
+    assert folded.cos2_phi.shape == (90, 90, N_BINS)
+    for i, j in CELLS:
+        for fold in range(N_BINS):
+            for channel in (0, 2):
+                values, squares = folded_samples(speckled, channel, i, j, fold)
+                cell = channel, j, i, fold
+                assert folded.weight[cell] == len(values)
+                assert folded.mean[cell] == pytest.approx(sum(values) / max(len(values), 1), rel=1e-12)
+                assert folded.cos2_phi[j, i, fold] == pytest.approx(sum(squares) / max(len(squares), 1), abs=1e-12)
+                seen += bool(values)
+    assert seen > 60
+
+
+def test_folded_bins_hold_every_valid_sample_once(speckled: Measurement) -> None:
+    folded = profiles(speckled).folded
+    used = speckled.values[:, speckled.valid]
+    assert folded.weight.sum() == used.size
+    assert float(np.sum(folded.weight * folded.mean)) == pytest.approx(float(used.sum()), rel=1e-12)
+
+
+def test_weighting_and_cutoff_leave_the_folded_bins_alone(plastic: Measurement) -> None:
+    usual = profiles(plastic).folded
+    for other in (profiles(plastic, weighting="log"), profiles(plastic, horizon_cutoff=None)):
+        np.testing.assert_array_equal(other.folded.mean, usual.mean)
+        np.testing.assert_array_equal(other.folded.weight, usual.weight)
+
+
+def test_robust_bins_reject_spikes_bin_by_bin() -> None:
+    broken = with_spikes()
+    plain, robust = profiles(broken).folded, profiles(broken, robust=True).folded
+    truth = np.moveaxis(ROUND.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)[..., None]
+    many = (plain.weight >= 19.0) & (truth > 1e-3)
+    assert np.mean(np.abs(plain.mean / truth - 1.0)[many]) > 0.5
+    assert np.quantile(np.abs(robust.mean / truth - 1.0)[many], 0.99) < 0.05
+    assert np.all(robust.weight <= plain.weight)
+    i, j, fold = 40, 33, 4
+    values = np.array(folded_samples(broken, 1, i, j, fold)[0])
+    median = float(np.median(values))
+    scale = max(1.4826 * float(np.median(np.abs(values - median))), 0.01 * median)
+    distance = (values - median) / (6.0 * scale)
+    weights = np.where(np.abs(distance) < 1.0, (1.0 - distance**2) ** 2, 0.0)
+    assert robust.weight[1, j, i, fold] == pytest.approx(float(weights.sum()), rel=1e-9)
+    assert robust.mean[1, j, i, fold] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 
 
 def test_profiles_store_their_options(plastic: Measurement) -> None:

@@ -95,14 +95,14 @@ def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
 class Tilted:
     """A model whose values tell the angles."""
 
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
-        half, diff = np.broadcast_arrays(theta_half, theta_diff)
-        return np.stack([1.0 + half, 2.0 + diff, 3.0 + half * diff], axis=-1)
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> Array:
+        half, diff, phi = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
+        return np.stack([1.0 + half, 2.0 + diff, 3.0 + half * phi], axis=-1)
 
 
 class Broken:
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike) -> Array:
-        return Tilted().evaluate(theta_half, theta_diff) * np.nan
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> Array:
+        return Tilted().evaluate(theta_half, theta_diff, phi_diff) * np.nan
 
 
 def test_model_measurement_holds_the_model() -> None:
@@ -112,7 +112,7 @@ def test_model_measurement_holds_the_model() -> None:
     for i, j, k in ((0, 0, 0), (20, 50, 7), (45, 60, 90), (2, 80, 179)):
         assert above[i, j, k]
         half, diff = THETA_HALF[i], THETA_DIFF[j]
-        expected = [1 + half, 2 + diff, 3 + half * diff]
+        expected = [1 + half, 2 + diff, 3 + half * np.radians(k)]
         np.testing.assert_allclose(measurement.values[:, i, j, k], expected, rtol=1e-15)
     assert (measurement.stored[:, ~above] == -1.0).all()
     assert measurement.name == "tilted"

@@ -14,6 +14,7 @@ from service.commands.doctor import checks
 from service.errors import CheckFailedError
 from service.settings import Settings
 from service.storage.database import FILE_NAME
+from service.storage.schema import VERSION
 from tests.support.commands import run_main
 from tests.support.server import QUICK, Server
 
@@ -101,7 +102,7 @@ def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> Non
     assert "999" in fault(tmp_path, "database")
     with closing(sqlite3.connect(name)) as db, db:
         db.execute("PRAGMA journal_mode = DELETE")
-        db.execute("PRAGMA user_version = 2")
+        db.execute(f"PRAGMA user_version = {VERSION}")
         (page,) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'fits_by_status'").fetchone()
         (size,) = db.execute("PRAGMA page_size").fetchone()
     with name.open("r+b") as file:
