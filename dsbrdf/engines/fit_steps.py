@@ -82,7 +82,7 @@ def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
-    """Reduce the measurement of a task to the payload that a fit needs, some MB."""
+    """Reduce the measurement of a task to the payload that a fit needs: 2 MB, or 3 MB if it is robust."""
     measurement = read_merl(task.path)
     begin = time.perf_counter()
     profiles = profiles_for(measurement, task.options)

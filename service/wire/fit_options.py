@@ -77,7 +77,7 @@ def canonical(options: FitOptions) -> FitOptions:
         ring_lobes=0 if paper else options.ring_lobes,
         horizon_cutoff=None if horizon else options.horizon_cutoff,
         mask=float(mask),
-        weighting=options.resolved_weighting,
+        weighting=options.resolved_weighting,  # type: ignore[arg-type]  # one of the words that it may be
         em_iterations=options.em_iterations if paper else FitOptions.em_iterations,
     )
 

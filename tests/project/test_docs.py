@@ -92,7 +92,7 @@ def test_the_command_line_quick_start(folder: Path) -> None:
         line for text in blocks("sh", http=False) for line in commands(text) if not line.startswith("dsbrdf serve")
     ]
     shown = [run_shell(line, folder) for line in lines]
-    assert {line.split()[1] for line in lines} == {"fit", "eval", "decompose", "export"}
+    assert {line.split()[1] for line in lines} == {"fit", "show", "eval", "decompose", "export"}
     assert "relative_rms" in shown[0]
 
 
@@ -178,7 +178,10 @@ def test_links_within_the_readme_lead_to_a_heading() -> None:
     assert anchors - headings == set()
 
 
+PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
+
+
 def test_readme_glossary_names_all_metrics(python_quick_start: dict[str, Any]) -> None:
     glossary = README.partition("## Glossary")[2].partition("\n## ")[0]
-    for name in (*python_quick_start["result"].report.metrics, "kappa", "gamma", "center", "delta", "n_lobes", "mask"):
+    for name in (*python_quick_start["result"].report.metrics, *PARAMETERS, "lobe", "n_lobes", "mask"):
         assert f"`{name}`" in glossary

@@ -28,9 +28,11 @@ PROMISED = {
     "decompose",
     "fit",
     "load",
+    "load_result",
     "parse_merl",
     "profiles",
     "read_merl",
+    "render_sphere",
     "save",
     "write_merl",
 }

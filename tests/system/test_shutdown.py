@@ -23,7 +23,7 @@ def start_fits(server: Server, data: bytes, number: int) -> list[str]:
     """Begin endless fits that all differ; return their ids when the first one is being computed."""
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     fits = [
-        server.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 10_000 - index}).json()["id"]
+        server.submit(sha256, prefer="respond-async", **{**ENDLESS, "mask": index / 100}).json()["id"]
         for index in range(number)
     ]
     server.until_running(fits[0])
@@ -68,7 +68,7 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
     helpers = set(children(server.process.pid))
     workers = server.workers()
     following = threading.Barrier(3, timeout=30)
-    document = {"measurement": sha256, "options": {**ENDLESS, "em_iterations": 9_000}}
+    document = {"measurement": sha256, "options": {**ENDLESS, "mask": 0.99}}
     with ThreadPoolExecutor(8) as threads:
         streams = [threads.submit(follow, server, fit, following) for fit in fits[:2]]
         polls = [threads.submit(httpx.get, f"{url}/v1/fits/{fit}?wait=60", timeout=30) for fit in fits]

@@ -55,7 +55,8 @@ def test_eval_with_phi_diff(model_file: Path, capsys: Capture) -> None:
     assert cli.main(["eval", str(model_file), *point, "--phi-diff", "0", "70", "-110", "--json"]) == 0
     answer = document(capsys)
     assert answer["phi_diff_deg"] == [0.0, 70.0, -110.0]
-    expected = load(model_file).evaluate(*np.radians([40.0, 60.0]), np.radians([0.0, 70.0, -110.0]))
+    phi_diff = np.radians([0.0, 70.0, -110.0])
+    expected = load(model_file).evaluate(np.radians(40.0), np.radians(60.0), phi_diff)
     np.testing.assert_array_equal(answer["values"], expected)
     assert answer["values"][0] == [0.0] * 3  # 100 degrees from the normal
     assert min(answer["values"][1]) > 0.0

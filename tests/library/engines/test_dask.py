@@ -37,9 +37,9 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 
 def test_task_for_a_worker_holds_only_profiles(plastic_file: Path) -> None:
     plain = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
-    weighted = reduce_measurement(FitTask("one", plastic_file, FitOptions(weighting="log")), lambda _: None)
-    assert len(plain.payload) < 400_000
-    assert len(weighted.payload) < 1_000_000
+    robust = reduce_measurement(FitTask("one", plastic_file, FitOptions(robust=True)), lambda _: None)
+    assert len(plain.payload) < 2_000_000
+    assert len(robust.payload) < 3_500_000
 
 
 def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskCluster, plastic_file: Path) -> None:

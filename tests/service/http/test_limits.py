@@ -156,7 +156,7 @@ def test_malformed_http_gets_a_problem_document(impatient: Server, sent: bytes) 
 def test_requests_over_the_concurrency_limit_are_refused(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     fit = impatient.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-    last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "em_iterations": 9_999}).json()["id"]
+    last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "mask": 0.01}).json()["id"]
     poll = f"GET /v1/fits/{last}?wait=60 HTTP/1.1\r\nHost: x\r\n\r\n".encode()
     polls = [connect(impatient, poll) for _ in range(4)]
     try:

@@ -290,9 +290,9 @@ def test_queued_fits_alternate_between_owners(tmp_path: Path) -> None:
         callers = [Caller("many"), Caller("one"), Caller("two")]
         for caller in callers:
             place.upload(caller)
-        of_many = [await place.submit(callers[0], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 5)]
+        of_many = [await place.submit(callers[0], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 5)]
         of_one = [await place.submit(callers[1])]
-        of_two = [await place.submit(callers[2], dsbrdf.FitOptions(em_iterations=n)) for n in range(1, 1 + 2)]
+        of_two = [await place.submit(callers[2], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 2)]
         for key in (*of_many, *of_one, *of_two):
             await place.end(key)
         order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]

@@ -40,7 +40,7 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=7))
     assert fit["metrics"] == expected.report.metrics
     lobes = fit["lobes"]
-    for name in ("kappa", "gamma", "delta"):
+    for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
         np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
     np.testing.assert_allclose(np.radians(lobes["theta_diff_deg"]), expected.model.theta_diff, atol=1e-11)
     np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
@@ -70,6 +70,13 @@ def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, st
         assert again.status_code == 200
         assert again.json() == first.json()  # with the times of the first computation
     assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
+
+
+def test_options_that_change_nothing_find_the_same_fit(server: Server, stored: str) -> None:
+    first = server.submit(stored, n_lobes=1, em_iterations=5)
+    again = server.submit(stored, n_lobes=1, em_iterations=5, mask=1.0, weighting="plain", ring_lobes=0)
+    assert again.status_code == 200
+    assert again.json() == first.json()
 
 
 def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:

@@ -10,7 +10,7 @@ import pytest
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
 from service.jobs.jobs import fit_identity
-from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, from_query, from_wire, to_wire
+from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, canonical, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
 SCHEMA = OPTIONS_SCHEMA
@@ -74,11 +74,14 @@ def test_every_option_has_a_documented_range() -> None:
     assert {name for name, _, inside in CASES if not inside} == set(PROPERTIES)
 
 
-@pytest.mark.parametrize("other", [{"ring_lobes": 1}, {"knots_deg": [0, 30]}])
+@pytest.mark.parametrize(
+    "other", [{"ring_lobes": 1}, {"knots_deg": [0, 30]}, {"lobe": "student"}, {"weighting": "balanced"}]
+)
 def test_rules_of_the_paper_method_are_enforced(other: dict[str, Any]) -> None:
     assert SCHEMA["if"]["properties"]["method"] == {"const": "paper"}
     (name,) = other
-    assert SCHEMA["then"]["properties"][name] in ({"enum": ["auto", 0]}, {"type": "null"})
+    rule = SCHEMA["then"]["properties"][name]
+    assert rule in ({"enum": ["auto", 0]}, {"type": "null"}, {"const": "hemi_epd"}, {"not": {"const": "balanced"}})
     with pytest.raises(InvalidArgumentError):
         from_wire({"method": "paper", **other})
     assert from_wire(other)
@@ -122,6 +125,8 @@ def test_options_survive_the_wire_format() -> None:
         dsbrdf.FitOptions(),
         dsbrdf.FitOptions(horizon_cutoff=None, n_lobes=8, robust=True),
         dsbrdf.FitOptions(horizon_cutoff=float(np.radians(71.3))),
+        dsbrdf.FitOptions(lobe="student", weighting="balanced"),
+        dsbrdf.FitOptions(method="paper", weighting="log"),
         dsbrdf.FitOptions(method="global", knots=tuple(np.radians([0.0, 17.0, 60.0, 80.0]).tolist())),
     ):
         wire = to_wire(options)
@@ -146,3 +151,41 @@ def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: 
     monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
     others.add(fit_identity("a" * 64, to_wire(dsbrdf.FitOptions())))
     assert len(others | {base}) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "same"),
+    [
+        ({}, {"em_iterations": 7}),
+        ({}, {"mask": 0.0}),
+        ({}, {"weighting": "balanced"}),
+        ({"horizon_cutoff": None}, {"horizon_cutoff": math.pi / 2}),
+        ({"method": "paper"}, {"method": "paper", "mask": 1}),
+        ({"method": "paper"}, {"method": "paper", "n_lobes": 3, "ring_lobes": 0, "weighting": "plain"}),
+    ],
+)
+def test_options_that_change_nothing_leave_the_identity(options: dict[str, Any], same: dict[str, Any]) -> None:
+    first, second = FitOptions(**options), FitOptions(**same)
+    assert canonical(first) == canonical(second) == canonical(canonical(first))
+    assert fit_identity("a" * 64, to_wire(first)) == fit_identity("a" * 64, to_wire(second))
+
+
+def test_every_other_option_changes_the_identity() -> None:
+    changed: list[dict[str, Any]] = [
+        {},
+        {"n_lobes": 3},
+        {"ring_lobes": 0},
+        {"lobe": "student"},
+        {"knots": (0.0, math.radians(60))},
+        {"horizon_cutoff": 1.3},
+        {"mask": 1.0},
+        {"weighting": "plain"},
+        {"robust": True},
+        {"method": "paper"},
+        {"method": "paper", "em_iterations": 7},
+        {"method": "paper", "mask": 0.0},
+        {"method": "paper", "n_lobes": 2},
+        {"method": "paper", "weighting": "log"},
+    ]
+    identities = {fit_identity("a" * 64, to_wire(FitOptions(**options))) for options in changed}
+    assert len(identities) == len(changed)

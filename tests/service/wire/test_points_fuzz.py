@@ -51,7 +51,9 @@ def test_damaged_npy_bodies_are_points_or_refused(changes: list[tuple[int, bytes
     check_points(points)
 
 
-names = st.one_of(st.sampled_from(["theta_half_deg", "theta_diff_deg", "omega_in", "omega_out"]), st.text(max_size=5))
+names = st.one_of(
+    st.sampled_from(["theta_half_deg", "theta_diff_deg", "phi_diff_deg", "omega_in", "omega_out"]), st.text(max_size=5)
+)
 
 texts = st.one_of(
     st.text(max_size=12),
