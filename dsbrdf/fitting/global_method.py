@@ -180,7 +180,7 @@ def _model(structure: Structure, unknowns: Array) -> DSBRDF:
     kappa, gamma = np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k])
     center = np.zeros_like(kappa)
     center[:, list(structure.rings)] = shape[:, 2 * k :]
-    order = np.lexsort((np.median(half_width(kappa, gamma), axis=0), structure.rings))
+    order = np.lexsort((np.median(half_width(kappa, gamma), axis=0), np.array(structure.rings)))
     heights = np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
     return DSBRDF(
         theta_diff=structure.amplitude_knots,
