@@ -31,8 +31,8 @@ FAMILIES = ("hemi_epd", "student")
 """Known lobes."""
 SMALLEST_COSINE = 1e-6
 """cos(theta_diff) below this counts as this: at the horizon itself the stretch would be infinite."""
-_SMALLEST_COSINE_OF_OFFSET = 1e-12
-_LARGEST_TANGENT = 1e12
+_STEEPEST_TANGENT = 1e12
+_LARGEST_TANGENT = float(np.tan(1.57))
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
 
 
@@ -171,20 +171,17 @@ def _student_derivatives(
     return value, value * fall, by_log_gamma, by_offset, by_top
 
 
-def _tangent(squared_tangent: Array, center: Array) -> Array:
-    """tan(theta' - center); as good as infinite from a right angle on, where the tangent would come back."""
+def _tangent(squared_tangent: Array, center: Array, largest: float = _LARGEST_TANGENT) -> Array:
+    """tan(theta' - center); the largest from a right angle on, where the tangent would come back."""
     root, tan_center = np.sqrt(squared_tangent), np.tan(center)
-    below = 1.0 + root * tan_center
-    return np.minimum((root - tan_center) / np.maximum(below, _SMALLEST_COSINE_OF_OFFSET), _LARGEST_TANGENT)
+    tangent = (root - tan_center) / np.maximum(1.0 + root * tan_center, 1.0 / largest)
+    return np.clip(tangent, -largest, largest)
 
 
 def _log_cos(squared_tangent: Array, center: Array | None) -> Array:
-    """Log cos(theta' - center)."""
-    log_cos = -0.5 * np.log1p(squared_tangent)
-    if center is None:
-        return log_cos
-    below = np.cos(center) + np.sqrt(squared_tangent) * np.sin(center)
-    return log_cos + np.log(np.maximum(below, _SMALLEST_COSINE_OF_OFFSET))
+    """log cos(theta' - center), exact where it is small."""
+    at = squared_tangent if center is None else _tangent(squared_tangent, center, _STEEPEST_TANGENT) ** 2
+    return -0.5 * np.log1p(at)
 
 
 def _power(log_power: Array) -> Array:
