@@ -103,7 +103,7 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
     log_cos = _log_cos(squared_tangent, center)
     if center is None:
         return np.expm1(kappa * _power(gamma * log_cos)) / np.expm1(kappa)
-    log_cos_top = np.log(np.cos(np.minimum(center, 0.0)))
+    log_cos_top = -0.5 * np.log1p(np.tan(np.minimum(center, 0.0)) ** 2)
     top = kappa * _power(gamma * log_cos_top)
     return np.expm1(top * _power(gamma * (log_cos - log_cos_top))) / np.expm1(top)
 
@@ -139,7 +139,7 @@ def _hemi_epd_derivatives(
 
     The offset is theta' - center; its tangent and the logarithm of its cosine are given.
     """
-    log_cos_top = np.log(np.cos(negative))
+    log_cos_top = -0.5 * np.log1p(np.tan(negative) ** 2)
     top = kappa * _power(gamma * log_cos_top)
     ratio = _power(gamma * (log_cos - log_cos_top))
     scale = 1.0 / np.expm1(top)
