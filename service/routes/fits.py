@@ -17,10 +17,11 @@ from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, RequestTimeoutError, UnsupportedMediaTypeError
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
-from service.http.request_body import receive_measurement, receive_small
+from service.http.request_body import receive_small, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
+from service.storage.uploads import UploadBody
 from service.wire import examples
 from service.wire.fit_options import OPTIONS_SCHEMA, from_query, from_wire, to_wire
 from service.wire.schemas import (
@@ -90,11 +91,10 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Location` tells where to ask again.
     """
     media_type = request.headers.get("content-type", BINARY).partition(";")[0].strip().lower()
+    measurement: str | UploadBody
     if media_type == BINARY:
         options = to_wire(from_query(request.query_params.multi_items()))
-        with context.metrics.timing("upload"):
-            row, _ = await receive_measurement(request, caller, context.store)
-        measurement = row.sha256
+        measurement = upload_body(request)
     elif media_type == JSON:
         measurement, options = await _stored_submission(request)
     else:

@@ -11,7 +11,7 @@ from dsbrdf.data.merl_validation import FILE_SIZE
 from service.errors import MeasurementNotFoundError, UnsupportedMediaTypeError
 from service.http import openapi
 from service.http.openapi import BINARY
-from service.http.request_body import receive_measurement
+from service.http.request_body import upload_body
 from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
 from service.routes.dependencies import Context, Sha256, TheCaller, TheContext
 from service.routes.fits import CONTENT_ENCODING
@@ -59,7 +59,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
         detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {BINARY}."
         raise UnsupportedMediaTypeError(detail, {"Accept-Post": BINARY})
     with context.metrics.timing("upload"):
-        row, new = await receive_measurement(request, caller, context.store)
+        row, new = await context.store.receive_measurement(caller, upload_body(request))
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(measurement_document(row), 201 if new else 200, headers)
 

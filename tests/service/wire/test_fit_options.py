@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
-from service.jobs.jobs import fit_identity
+from service.storage.store import fit_identity
 from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
