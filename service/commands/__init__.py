@@ -1,8 +1,8 @@
 """Commands on the data folder of a service, beside a running server too; each module has a `main`.
 
-`keys` adds, lists and revokes API keys; `purge` removes what is old; `doctor` checks installation and data folder.
-Here is what they share: usage errors in one sentence, and which folder is meant. `keys` and `purge` import neither
-NumPy nor pydantic nor FastAPI, so that they answer at once.
+`keys` adds, lists and revokes API keys; `purge` removes what is old; `doctor` checks what is stored.
+Here is what they share: usage errors in one sentence, and which folder is meant. They import neither NumPy nor
+pydantic nor FastAPI, so that they answer at once.
 """
 
 import argparse
