@@ -67,19 +67,8 @@ class CheckFailedError(DSBRDFServiceError):
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    Parameters
-    ----------
-    detail : str
-        One sentence: what is wrong and what would be right.
-    headers : mapping, optional
-        Further headers of the response, beside those of the class.
-
-    Attributes
-    ----------
-    kind : str
-        Key of the table `service.http.problems.KINDS`.
-    retry_after : int or None
-        Time after which it is worth asking again, unless `headers` say otherwise [s].
+    `detail` is one sentence: what is wrong and what would be right. `kind` is a key of `service.http.problems.KINDS`;
+    after `retry_after` seconds it is worth asking again, unless `headers` say otherwise.
     """
 
     kind: ClassVar[str]

@@ -88,13 +88,7 @@ def has_active_key(folder: Path) -> bool:
 
 
 class RateLimit:
-    """A token bucket: holds the requests that may come at once, and fills again at a steady rate.
-
-    Parameters
-    ----------
-    rate : float
-        Requests per second; as many as five seconds give may come at once, and one at least.
-    """
+    """A token bucket: fills at a `rate` of requests per second; those of five seconds, and one, may come at once."""
 
     __slots__ = ("_filled", "_last", "_size", "rate")
 
@@ -125,13 +119,7 @@ class ActiveKey:
 
 
 class Keys:
-    """The active keys in memory; none until they are loaded.
-
-    Parameters
-    ----------
-    settings : Settings
-        The limits of keys that have none of their own.
-    """
+    """The active keys in memory, none until they are loaded; `settings` has the limits of keys without their own."""
 
     def __init__(self, settings: "Settings") -> None:
         self._settings = settings

@@ -3,7 +3,6 @@
 Whether a server can take work, ``GET /health/ready`` tells; this reads all that it has stored, which takes longer.
 """
 
-import json
 import sqlite3
 import sys
 import time
@@ -12,7 +11,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from service.commands import Parser, data_folder, refuse
+from dsbrdf.cli.arguments import Parser, add_json_option, print_json
+from service.commands import add_data_dir, run_in_folder
 from service.errors import CheckFailedError
 from service.storage.blobs import Blobs
 from service.storage.database import FILE_NAME
@@ -27,12 +27,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="dsbrdf doctor",
         description="Check the service's database and the bytes of every measurement; a server may run meanwhile.",
     )
-    parser.add_data_dir()
-    parser.add_json()
+    add_data_dir(parser)
+    add_json_option(parser)
     arguments = parser.parse_args(argv)
-    folder = data_folder(arguments)
-    if not (folder / FILE_NAME).exists():
-        return refuse(f"{folder} is no data folder of a service; --data-dir names one")
+    return run_in_folder(arguments, lambda folder: _examine(folder, json=arguments.json))
+
+
+def _examine(folder: Path, *, json: bool) -> int:
     found = []
     for name, check in CHECKS.items():
         try:
@@ -40,10 +41,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         except (CheckFailedError, OSError, sqlite3.Error) as error:
             fine, detail = False, str(error)
         found.append({"check": name, "fine": fine, "detail": detail})
-        if not arguments.json:
+        if not json:
             print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
-    if arguments.json:
-        print(json.dumps({"items": found}))
+    if json:
+        print_json({"items": found})
     return 0 if all(item["fine"] for item in found) else 1
 
 

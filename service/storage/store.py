@@ -48,29 +48,18 @@ def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
 
 
 class Store:
-    """Rows and blobs below one folder.
+    """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-    exclusive : bool
-        Whether no other process may serve the folder; otherwise what a server has not finished is left alone.
-
-    Raises
-    ------
-    DataFolderError
-        If another server has the folder open, another release has written it, or the database is damaged.
+    Raises DataFolderError if one has, another release has written the folder, or the database is damaged.
     """
 
-    def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.database = Database(folder, exclusive=exclusive)
+        self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
         try:
-            if exclusive:
-                self._remove_orphans()
+            self._remove_orphans()
         except sqlite3.DatabaseError as error:
             self.close()
             raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
