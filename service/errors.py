@@ -6,29 +6,10 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
-└── ProblemError                     answered with a problem document of its kind:
-    ├── BadRequestError              bad-request
-    ├── BadEncodingError             bad-encoding
-    ├── UnauthorizedError            unauthorized
-    ├── StorageQuotaError            storage-quota
-    ├── NotFoundError                not-found
-    │   ├── FitNotFoundError
-    │   └── MeasurementNotFoundError
-    ├── NotAcceptableError           not-acceptable
-    ├── RequestTimeoutError          request-timeout
-    ├── MeasurementInUseError        measurement-in-use
-    ├── FitNotFinishedError          fit-not-finished
-    ├── FitWithoutResultError        fit-without-result
-    ├── TooLargeError                too-large
-    ├── MeasurementTooLargeError     measurement-too-large
-    ├── UnsupportedMediaTypeError    unsupported-media-type
-    ├── RangeNotSatisfiableError     range-not-satisfiable
-    ├── RateLimitedError             rate-limited
-    ├── QueueQuotaError              queue-quota
-    ├── QueueFullError               queue-full
-    ├── OverloadedError              overloaded
-    ├── ShuttingDownError            shutting-down
-    └── NotReadyError                not-ready
+└── ProblemError                     answered with a problem document; a class for each kind
+    └── NotFoundError
+        ├── FitNotFoundError
+        └── MeasurementNotFoundError
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """

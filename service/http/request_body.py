@@ -23,6 +23,18 @@ _MAX_MEMBERS = 10_000
 _ZSTD_WINDOW_LOG = 23  # 8 MiB, what RFC 9659 asks every decoder of zstd content to support
 
 
+def media_type_of(request: Request, *supported: str) -> str:
+    """Return the media type of the body, which is the first of those `supported` unless the request says otherwise.
+
+    Raises UnsupportedMediaTypeError if it is another one.
+    """
+    media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
+    if media_type not in supported:
+        detail = f"The content type {media_type[:60]!r} is not supported; send {' or '.join(supported)}."
+        raise UnsupportedMediaTypeError(detail, {"Accept-Post": ", ".join(supported)})
+    return media_type
+
+
 def upload_body(request: Request) -> UploadBody:
     """Return the body of `request` as `Uploads` takes it.
 

@@ -145,4 +145,5 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any], ser
         if parameter["in"] == "query"
     }
     fit = server.http.post("/v1/fits", json={"measurement": stored}, headers={"Prefer": "respond-async"})
+    server.http.delete(fit.headers["Location"])  # not finished, and in the way of other tests
     assert described == {name: "none" if value is None else value for name, value in fit.json()["options"].items()}
