@@ -12,6 +12,7 @@ from dsbrdf.data.merl import write_merl
 from tests.support.dask_cluster import DaskCluster
 from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal
+from tests.support.processes import short_folder
 from tests.support.server import Server
 from tests.support.soak import SOAK
 
@@ -69,25 +70,27 @@ def reference_files() -> dict[str, Path]:
 
 
 @pytest.fixture(scope="session")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
+def cluster() -> Iterator[DaskCluster]:
     """A Dask cluster with one worker, to be shared; what breaks it takes one of its own."""
-    running = DaskCluster(tmp_path_factory.mktemp("cluster"))
-    try:
-        running.start_scheduler()
-        running.add_worker()
-        yield running
-    finally:
-        running.close()
+    with short_folder() as folder:
+        running = DaskCluster(Path(folder))
+        try:
+            running.start_scheduler()
+            running.add_worker()
+            yield running
+        finally:
+            running.close()
 
 
 @pytest.fixture
-def own_cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+def own_cluster() -> Iterator[DaskCluster]:
     """A cluster to be broken; nothing of it runs yet."""
-    running = DaskCluster(tmp_path / "cluster")
-    try:
-        yield running
-    finally:
-        running.close()
+    with short_folder() as folder:
+        running = DaskCluster(Path(folder))
+        try:
+            yield running
+        finally:
+            running.close()
 
 
 @pytest.fixture(scope="session")

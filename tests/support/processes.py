@@ -6,9 +6,15 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of the benchmarks, which measure times on one core."""
+
+
+def short_folder() -> "TemporaryDirectory[str]":
+    """A temporary folder for processes: the path of a socket has at most 107 characters, and pytest's are long."""
+    return TemporaryDirectory(prefix="dsbrdf-", ignore_cleanup_errors=True)
 
 
 def children(parent: int) -> list[int]:

@@ -24,7 +24,7 @@ from dsbrdf.output.serialize import load
 from dsbrdf.process_settings import ONE_BLAS_THREAD, core_count
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import DaskCluster, forked
-from tests.support.processes import alive, wait_until
+from tests.support.processes import alive, short_folder, wait_until
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
@@ -73,13 +73,19 @@ def endless_fits(files: list[Path]) -> Iterator[list[int]]:
 
 
 @pytest.fixture
-def command(files: list[Path], tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+def temporary() -> Iterator[Path]:
+    """The folder in which ``command`` makes temporary files."""
+    with short_folder() as folder:
+        yield Path(folder)
+
+
+@pytest.fixture
+def command(files: list[Path], tmp_path: Path, temporary: Path) -> Iterator["subprocess.Popen[str]"]:
     """``dsbrdf fit`` of endless fits with two processes at work, in a process group of its own as a terminal has it."""
     words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
-    (tmp_path / "temporary").mkdir()
     process = subprocess.Popen(
         [sys.executable, "-m", "dsbrdf.cli.main", *words],
-        env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
+        env={**os.environ, "TMPDIR": str(temporary)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -185,7 +191,7 @@ def test_interrupt_ends_the_command_and_its_processes(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_killed_command_leaves_no_process_and_no_file(
-    command: "subprocess.Popen[str]", tmp_path: Path, number: signal.Signals
+    command: "subprocess.Popen[str]", tmp_path: Path, temporary: Path, number: signal.Signals
 ) -> None:
     workers = forked(command.pid)
     wait_until(lambda: all(map(works, workers)), PATIENCE)
@@ -193,7 +199,7 @@ def test_killed_command_leaves_no_process_and_no_file(
     command.wait(PATIENCE)
     wait_until(lambda: not any(map(alive, workers)), PATIENCE)
     assert list((tmp_path / "out").iterdir()) == []
-    wait_until(lambda: not list((tmp_path / "temporary").iterdir()), PATIENCE)
+    wait_until(lambda: not list(temporary.iterdir()), PATIENCE)
 
 
 def test_interrupted_command_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:

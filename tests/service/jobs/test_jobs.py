@@ -24,6 +24,7 @@ from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
 OPTIONS = dsbrdf.FitOptions()
+PATIENCE = 60.0  # seconds
 
 
 class Engine:
@@ -103,13 +104,13 @@ class Race:
         return row.key
 
     async def until_run(self, number: int) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE):
             while self.engine.runs < number:
                 await asyncio.sleep(0.001)
 
     async def end(self, key: FitKey) -> FitRow:
         self.engine.go_on.set()
-        row = await self.jobs.wait(key, 10)
+        row = await self.jobs.wait(key, PATIENCE)
         assert row is not None
         return row
 
@@ -142,7 +143,7 @@ def race(tmp_path: Path, story: Callable[[Race], Coroutine[Any, Any, None]]) -> 
 
 
 async def until(event: threading.Event) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE):
         while not event.is_set():
             await asyncio.sleep(0.001)
 
