@@ -70,7 +70,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, engine, jobs, models, keys, metrics, readiness)
+        app.state.context = Context(settings, store, jobs, models, keys, metrics, readiness)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()

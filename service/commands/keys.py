@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -45,8 +45,7 @@ def _list(database: Database, arguments: argparse.Namespace) -> int:
         return 0
     print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
     for row in rows:
-        limits = (row.requests_per_second, row.stored_mb, row.queued_fits)
-        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
+        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in astuple(row.limits))
         print(f"{row.id:<14}{_day(row.created):<18}{_day(row.revoked):<18}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
     return 0
 
@@ -60,7 +59,13 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 
 def _document(row: KeyRow) -> dict[str, object]:
     revoked = None if row.revoked is None else _time(row.revoked).isoformat()
-    return {**asdict(row), "created": _time(row.created).isoformat(), "revoked": revoked}
+    return {
+        "id": row.id,
+        "name": row.name,
+        "created": _time(row.created).isoformat(),
+        "revoked": revoked,
+        **asdict(row.limits),
+    }
 
 
 def _time(seconds: float) -> datetime:
