@@ -63,6 +63,14 @@ def test_data_folder_is_opened_by_one_store_at_a_time(tmp_path: Path) -> None:
     Store(tmp_path).close()
 
 
+def test_transactions_are_synced_to_the_disk_before_they_end(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.database.transaction() as db:
+        assert db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: the log is synced at every commit
+        assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    store.close()
+
+
 def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:
     store = Store(tmp_path)
     for expected_new in (True, False):
