@@ -9,6 +9,7 @@ import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
@@ -104,8 +105,9 @@ class Jobs:
         if isinstance(measurement, str):
             row, new = await run_in_threadpool(self._store.add_fit, caller, measurement, options, queue_limit)
         else:
-            with self._metrics.timing("upload"):
-                row, new = await self._store.receive_fit(caller, measurement, options, queue_limit)
+            begin = perf_counter()
+            row, new = await self._store.receive_fit(caller, measurement, options, queue_limit)
+            self._metrics.record_time("upload", perf_counter() - begin)
         if new and not self._stopping.done():
             self._begin(row.key)
         return row, new

@@ -82,8 +82,8 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     """
     measurement: str | UploadBody
     if media_type_of(request, BINARY, JSON) == BINARY:
-        options = to_wire(from_query(request.query_params.multi_items()))
         measurement = upload_body(request)
+        options = to_wire(from_query(request.query_params.multi_items()))
     else:
         measurement, options = await _stored_submission(request)
     fit, new = await context.jobs.submit(caller, measurement, options)
