@@ -80,6 +80,8 @@ class Uploads:
         Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, it
         does not decode, or the caller may not store it.
         """
+        if body.length not in (None, FILE_SIZE):
+            await _refuse_early(body.parts, body.length or 0)
         incoming = await in_thread(self.begin, caller)
         try:
             await _write(body, incoming)
@@ -137,9 +139,6 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
             header += data[: HEADER_SIZE - len(header)]
             if len(header) == HEADER_SIZE:
                 check_header(header)
-                if body.length is not None:  # a wrong one is refused before the rest arrives
-                    _check_not_longer(body.length)
-                    check_length(body.length)
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
 
@@ -189,6 +188,18 @@ def _valid_nodes(incoming: Incoming) -> int:
     for piece in incoming.pieces(4 * _PIECE):
         checker.update(piece)
     return int(checker.finish().sum())
+
+
+async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:
+    """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
+    start = b""
+    async for part in parts:
+        start += part
+        if len(start) >= HEADER_SIZE:
+            check_header(start)
+            break
+    _check_not_longer(length)
+    check_length(length)
 
 
 def _check_not_longer(n_bytes: int) -> None:
