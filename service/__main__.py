@@ -187,8 +187,12 @@ def _keep_temporary_files_in(data_dir: Path) -> None:
 
 def _check_address(host: str, port: int) -> None:
     """Raise OSError unless the address can be listened on, before anything of the service runs."""
-    for family, _, _, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        socket.create_server(address, family=family).close()
+    for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                trial.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            trial.bind(address)
 
 
 if __name__ == "__main__":
