@@ -17,13 +17,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from dsbrdf.fitting.knot_placement import place_knots
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_files, chosen_measurements
 from benchmarks.scoring import n_numbers
 from dsbrdf.data.merl import read_merl, write_merl
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.knot_placement import place_knots
 from dsbrdf.fitting.options import MAX_LOBES, FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.splines import knot_angles

@@ -35,7 +35,7 @@ from dsbrdf.model.hemi_epd import half_width
 
 Array = NDArray[np.float64]
 
-AMPLITUDE_KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.0])
+AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
@@ -180,7 +180,7 @@ def _model(structure: Structure, unknowns: Array) -> DSBRDF:
     kappa, gamma = np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k])
     center = np.zeros_like(kappa)
     center[:, list(structure.rings)] = shape[:, 2 * k :]
-    order = np.lexsort((np.median(half_width(kappa, gamma), axis=0), structure.rings))
+    order = np.lexsort((np.median(half_width(kappa, gamma), axis=0), np.array(structure.rings)))
     heights = np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
     return DSBRDF(
         theta_diff=structure.amplitude_knots,

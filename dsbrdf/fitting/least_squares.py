@@ -277,7 +277,10 @@ class MixtureProblem:
 
     def _values(self, shape: Array, elongation: Array) -> Array:
         family = self.structure.family
-        parts = [lobe_values(at.squared_tangent, *rest, family) for at, *rest in self._kinds(shape, elongation)]
+        parts = [
+            lobe_values(at.squared_tangent, kappa, gamma, center, family)
+            for at, kappa, gamma, center in self._kinds(shape, elongation)
+        ]
         return np.concatenate(parts)
 
     def _derivatives(self, shape: Array, elongation: Array) -> Array:

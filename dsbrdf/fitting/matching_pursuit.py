@@ -23,7 +23,7 @@ from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
 
-MAX_LOBES = 8
+MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
 PAYS = 0.05
 """Share of the error on the rows held out by which a lobe has to lower it."""

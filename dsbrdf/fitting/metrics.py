@@ -44,6 +44,7 @@ METRICS = (
     "relative_rms", "floor", "symmetric_floor", "excess", "male", "albedo_error", "psnr", "ssim",
 )  # fmt: skip
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
+_BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
 _SPHERE_SIZE = 64
 _QUARTER = PHI_DIFF.size // 2 + 1
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
@@ -190,7 +191,7 @@ def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[
     data = interpolate(measurement)
     # A table has no lobes narrower than its rows: a coarse rule is enough.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
-    error = np.abs(albedo - measured) / np.where(measured > 0.0, measured, np.inf)
+    error = np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)
     lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
     psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
     return {"albedo_error": float(error.mean()), "psnr": min(psnr, 200.0), "ssim": ssim}

@@ -36,7 +36,7 @@ class FitOptions:
         Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
     knots : tuple of float or None
         Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
-        [rad]; None takes 9 that lie closer towards grazing angles.
+        [rad]; None takes 8 that lie closer towards grazing angles.
     horizon_cutoff : float or None
         Samples with a direction further than this from the normal are left out of the metrics and of the method
         "paper"; the method "global" trusts them less, down to nothing at the horizon [rad].  None is the horizon.

@@ -65,7 +65,7 @@ def _floor(folded: FoldedProfiles, weight: Array) -> float:
     mean = _over_phi(folded.mean, weight)[..., None]
     scatter = float(np.sum(weight * (folded.mean - mean) ** 2))
     signal = float(np.sum(weight * folded.mean**2))
-    return scatter + _SMALLEST_FLOOR * signal + np.finfo(float).tiny
+    return scatter + _SMALLEST_FLOOR * signal or 1.0
 
 
 def _over_phi(values: Array, weight: Array) -> Array:

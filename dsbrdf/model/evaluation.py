@@ -6,7 +6,7 @@ that they lie in; there each coefficient is a single number, and the lobes are t
 is computed stays in the cache.  Both ways carry out the same operations on every point.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,8 +86,8 @@ class Evaluator:
         rows = self._natural(_polynomial(self._terms.take(piece, axis=2), step))
         amplitude, kappa, gamma, center, elongation = np.split(rows.T, self._ends[:-1], axis=1)
         n, k = theta_diff.size, self._n_lobes
-        shapes = (part.reshape(n, self._n_shapes, k) for part in (kappa, gamma, center))
-        return amplitude.reshape(n, 3, k), *shapes, elongation
+        kappa, gamma, center = (part.reshape(n, self._n_shapes, k) for part in (kappa, gamma, center))
+        return amplitude.reshape(n, 3, k), kappa, gamma, center, elongation
 
     def values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return the sum of the lobes, shape (n, 3), at angles (n,)."""
@@ -121,9 +121,10 @@ class Evaluator:
             for lobe, factor in enumerate(factors):
                 at = squared * factor
                 for channel in range(self._n_shapes):
-                    shape = (part[:, channel, lobe, None] for part in (kappa, gamma))
                     ring = center[:, channel, lobe, None] if self._is_ring[lobe] else None
-                    value = lobe_values(at, *shape, ring, self._family)
+                    value = lobe_values(
+                        at, kappa[:, channel, lobe, None], gamma[:, channel, lobe, None], ring, self._family
+                    )
                     into = slice(None) if self._n_shapes == 1 else slice(channel, channel + 1)
                     total[into] += amplitude[:, into, lobe].T[..., None] * value
             yield total
@@ -161,7 +162,7 @@ class Evaluator:
         amplitude, kappa, gamma, center, elongation = np.split(rows, self._ends[:-1])
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:
-            stretched: Sequence[Array] = [squared] * k
+            stretched = np.broadcast_to(squared, (k, squared.size))
         else:
             log_cos = np.log(np.maximum(np.cos(theta_diff), SMALLEST_COSINE))
             cos2 = np.square(np.cos(phi_diff))

@@ -62,7 +62,7 @@ def problem_of(structure: Structure, seed: int = 0) -> MixtureProblem:
 
 
 def residuals(problem: MixtureProblem, unknowns: Array) -> Array:
-    """Weighted residuals, and those of the pull towards smooth amplitudes and shapes, whose squares add up to the cost."""
+    """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards smooth parameters."""
     parts = problem.structure.split(unknowns)[:2]
     pull = np.concatenate([np.diff(part, 2, axis=0).ravel() for part in parts])
     fit = np.sqrt(problem.data.weight) * (problem.values(unknowns) - problem.data.mean)
@@ -71,10 +71,12 @@ def residuals(problem: MixtureProblem, unknowns: Array) -> Array:
 
 def jacobian(problem: MixtureProblem, unknowns: Array) -> Array:
     """Central differences of the residuals."""
-    columns, step = [], 1e-6
-    for shift in step * np.eye(unknowns.size):
-        columns.append((residuals(problem, unknowns + shift) - residuals(problem, unknowns - shift)) / (2 * step))
-    return np.stack(columns, axis=1)
+    step = 1e-6
+    ahead, behind = (
+        np.stack([residuals(problem, unknowns + shift) for shift in side * step * np.eye(unknowns.size)], axis=1)
+        for side in (1.0, -1.0)
+    )
+    return np.asarray((ahead - behind) / (2.0 * step))
 
 
 STRUCTURES = [(False,), (False, False, False), (False, True), (False, False, True, True)]

@@ -5,18 +5,20 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import (
+    ALBEDO_ANGLES,
     BANDS,
     OUTSIDE_CENTER,
     error_tables,
-    mean_absolute_log_error,
-    on_grid,
     relative_errors,
+    sample_errors,
+    seen_errors,
 )
+from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]
@@ -27,10 +29,19 @@ COS_OUT = np.cos(HALF) * np.cos(DIFF) + np.sin(HALF) * np.sin(DIFF) * np.cos(PHI
 
 
 def some_model() -> DSBRDF:
-    knots = np.radians([0.0, 40.0, 80.0])
-    kappa = np.tile([[1.5, 0.2], [1.7, 0.2], [3.0, 0.4]], (3, 1, 1)) * np.array([1.0, 0.9, 0.8])[:, None, None]
-    gamma = np.tile([[150.0, 0.5], [120.0, 0.7], [60.0, 1.0]], (3, 1, 1))
-    return DSBRDF(knots, kappa, gamma, np.zeros_like(kappa), np.full((3, 3), 0.5))
+    """Two coloured lobes, elongated, over three knots."""
+    amplitude = np.tile([[3.5, 0.2], [4.5, 0.2], [19.0, 0.5]], (3, 1, 1)) * np.array([1.0, 0.9, 0.8])[:, None, None]
+    kappa = np.array([[1.5, 0.2], [1.7, 0.2], [3.0, 0.4]])[None]
+    gamma = np.array([[150.0, 0.5], [120.0, 0.7], [60.0, 1.0]])[None]
+    knots, elongation = np.radians([0.0, 40.0, 80.0]), np.array([[0.8, 0.3]])
+    return DSBRDF(
+        knots, amplitude, kappa, gamma, elongation=elongation, delta=np.full((3, 3), 0.5), interpolation="linear"
+    )
+
+
+def values_of(model: DSBRDF) -> Array:
+    """Values at all nodes, shape (3, 90, 90, 180)."""
+    return model.evaluate_unmasked(HALF.ravel(), DIFF.ravel(), PHI.ravel()).T.reshape(3, *HALF.shape)
 
 
 def counted_nodes(measurement: Measurement, cutoff: float | None) -> NDArray[np.bool_]:
@@ -62,38 +73,38 @@ def speckled(plastic: Measurement) -> Measurement:
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
 
 
+def folded_means(measurement: Measurement, counted: NDArray[np.bool_]) -> Array:
+    """Mean of the counted samples at phi_diff and 180 degrees - phi_diff, by looking at each pair."""
+    partner = [(180 - k) % 180 for k in range(180)]
+    values = np.where(counted, measurement.values, 0.0)
+    both = counted.astype(float) + counted[..., partner]
+    return np.asarray((values + values[..., partner]) / np.maximum(both, 1.0))
+
+
 @pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.7])
-def test_relative_errors_against_sums_over_the_samples(speckled: Measurement, cutoff: float | None) -> None:
+def test_errors_against_sums_over_the_samples(speckled: Measurement, cutoff: float | None) -> None:
     model, counted = some_model(), counted_nodes(speckled, cutoff)
-    fit = np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)[..., None]
-    found = relative_errors(model, profiles(speckled, horizon_cutoff=cutoff))
+    fit = values_of(model)
+    found = relative_errors(sample_errors(model, speckled, cutoff))
+    assert found is not None
     rms = direct_rms(speckled, fit, counted)
     floor = direct_rms(speckled, phi_means(speckled, counted), counted)
+    symmetric = direct_rms(speckled, folded_means(speckled, counted), counted)
     assert found["relative_rms"] == pytest.approx(rms, rel=1e-10)
     assert found["floor"] == pytest.approx(floor, rel=1e-10)
+    assert found["symmetric_floor"] == pytest.approx(symmetric, rel=1e-10)
     assert found["excess"] == pytest.approx(rms / floor, rel=1e-10)
-    assert set(found) == {"relative_rms", "floor", "excess"}
-
-
-@pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None])
-def test_male_against_a_mean_over_the_samples(speckled: Measurement, cutoff: float | None) -> None:
-    model, counted = some_model(), counted_nodes(speckled, cutoff)
-    fit = np.broadcast_to(
-        np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)[..., None], (3, 90, 90, 180)
-    )
     cosine = COS_IN[counted]
-    measured = np.log(1.0 + speckled.values[:, counted] * cosine)
-    expected = float(np.mean(np.abs(measured - np.log(1.0 + fit[:, counted] * cosine))))
-    assert mean_absolute_log_error(model, speckled, cutoff) == pytest.approx(expected, rel=1e-9)
+    logs = [np.log(1.0 + values[:, counted] * cosine) for values in (speckled.values, fit)]
+    assert found["male"] == pytest.approx(float(np.mean(np.abs(logs[0] - logs[1]))), rel=1e-9)
+    assert set(found) == {"relative_rms", "floor", "symmetric_floor", "excess", "male"}
 
 
 def test_every_channel_and_band_against_sums_over_the_samples(speckled: Measurement) -> None:
     model, counted = some_model(), counted_nodes(speckled, DEFAULT_HORIZON_CUTOFF)
-    fit = np.broadcast_to(
-        np.moveaxis(model.evaluate(THETA_HALF[:, None], THETA_DIFF), -1, 0)[..., None], (3, 90, 90, 180)
-    )
-    values, middle = speckled.values, np.broadcast_to(phi_means(speckled, counted), (3, 90, 90, 180))
-    by_channel, by_theta_diff = error_tables(model, profiles(speckled))
+    fit, values = values_of(model), speckled.values
+    middle = np.broadcast_to(phi_means(speckled, counted), values.shape)
+    by_channel, by_theta_diff = error_tables(sample_errors(model, speckled, DEFAULT_HORIZON_CUTOFF))
 
     def expected(channels: list[int], nodes: NDArray[np.bool_]) -> tuple[float, float]:
         power = np.sum(values[channels][:, nodes] ** 2)
@@ -118,41 +129,32 @@ def test_black_channels_have_no_row() -> None:
     model = some_model()
     values = model_measurement(model).values
     values[1] = np.where(values[1] > 0, 0.0, values[1])
-    by_channel, _ = error_tables(model, profiles(Measurement.from_values(values)))
+    by_channel, _ = error_tables(sample_errors(model, Measurement.from_values(values), DEFAULT_HORIZON_CUTOFF))
     assert [row["channel"] for row in by_channel] == ["red", "blue"]
 
 
-def test_floor_is_below_every_bivariate_model(speckled: Measurement) -> None:
-    data = profiles(speckled)
-    generator = np.random.default_rng(4)
-    for _ in range(5):
-        shape = (3, 3, 2)
-        kappa, gamma = generator.uniform(0.01, 2.0, shape), np.exp(generator.uniform(-1.0, 6.0, shape))
-        model = DSBRDF(np.radians([0.0, 30.0, 80.0]), kappa, gamma, np.zeros(shape), np.zeros((3, 3)))
-        found = relative_errors(model, data)
-        assert found["relative_rms"] is not None
-        assert found["floor"] is not None
-        assert found["excess"] is not None
-        assert found["relative_rms"] > found["floor"]
-        assert found["excess"] > 1.0
-    # Nor can moving the mean of a single cell in either direction get below it.
-    counted = counted_nodes(speckled, DEFAULT_HORIZON_CUTOFF)
-    best = phi_means(speckled, counted)
-    floor = direct_rms(speckled, best, counted)
-    for step in (-1e-3, 1e-3):
-        moved = best.copy()
-        moved[1, 30, 20] += step
-        assert direct_rms(speckled, moved, counted) > floor
+def test_symmetric_floor_is_below_every_reciprocal_model_and_the_bivariate_floor_is_not(matte: Measurement) -> None:
+    truth = some_model()
+    measurement = model_measurement(truth, noise=0.02)
+    perfect = relative_errors(sample_errors(truth, measurement, None))
+    assert perfect is not None
+    assert perfect["symmetric_floor"] <= perfect["relative_rms"] < perfect["floor"]
+    assert perfect["excess"] < 1.0
+    other = relative_errors(sample_errors(truth, matte, None))
+    assert other is not None
+    assert other["symmetric_floor"] < other["relative_rms"]
 
 
-def test_perfect_model_has_no_error_and_no_excess() -> None:
-    model = some_model()
+def test_perfect_model_has_no_error_and_without_a_floor_no_excess() -> None:
+    truth = some_model()
+    model = DSBRDF(truth.theta_diff, truth.amplitude, truth.kappa, truth.gamma, interpolation="linear")
     measurement = model_measurement(model)
-    found = relative_errors(model, profiles(measurement))
+    found = relative_errors(sample_errors(model, measurement, None))
+    assert found is not None
     assert found["relative_rms"] == pytest.approx(0.0, abs=1e-14)
-    assert found["floor"] == pytest.approx(0.0, abs=1e-14)
+    assert found["floor"] == pytest.approx(0.0, abs=1e-13)
     assert found["excess"] is None  # a ratio of rounding errors says nothing
-    assert mean_absolute_log_error(model, measurement, None) == pytest.approx(0.0, abs=1e-14)
+    assert found["male"] == pytest.approx(0.0, abs=1e-14)
 
 
 def test_centre_does_not_count(plastic: Measurement) -> None:
@@ -160,31 +162,41 @@ def test_centre_does_not_count(plastic: Measurement) -> None:
     values = plastic.values
     values[:, ~OUTSIDE_CENTER] = np.where(values[:, ~OUTSIDE_CENTER] >= 0, 1e4, values[:, ~OUTSIDE_CENTER])
     other, model = Measurement.from_values(values), some_model()
-    assert relative_errors(model, profiles(other)) == pytest.approx(relative_errors(model, profiles(plastic)))
-    assert mean_absolute_log_error(model, other, None) == pytest.approx(
-        mean_absolute_log_error(model, plastic, None), rel=1e-9
-    )
-
-
-def test_model_on_the_grid_is_in_the_order_of_the_profiles() -> None:
-    model = some_model()
-    grid = on_grid(model)
-    assert grid.shape == (3, 90, 90)
-    for i, j in ((0, 0), (12, 50), (70, 3)):
-        np.testing.assert_allclose(grid[:, j, i], model.evaluate(THETA_HALF[i], THETA_DIFF[j]), rtol=1e-13)
-
-
-@pytest.mark.parametrize("made", [{"weighting": "cosine"}, {"weighting": "log"}, {"robust": True}])
-def test_weighted_profiles_are_refused(plastic: Measurement, made: dict[str, str]) -> None:
-    weighted = profiles(plastic, **made)  # type: ignore[arg-type]
-    with pytest.raises(InvalidArgumentError, match="defined on plain profiles without outlier weights"):
-        relative_errors(some_model(), weighted)
+    found, expected = (relative_errors(sample_errors(model, m, None)) for m in (other, plastic))
+    assert found == pytest.approx(expected)
 
 
 def test_nothing_to_compare_with_is_said(plastic: Measurement) -> None:
-    zeros = np.zeros((3, 90, 90))
-    empty = Profiles(zeros, zeros, zeros, None, "plain", False, "empty", "")
     with pytest.raises(InvalidArgumentError, match="no data to compare with: every sample used is zero or left out"):
-        relative_errors(some_model(), empty)
-    with pytest.raises(InvalidArgumentError, match="the horizon cutoff leaves no valid sample"):
-        mean_absolute_log_error(some_model(), plastic, float(np.radians(0.9)))
+        sample_errors(some_model(), plastic, float(np.radians(0.9)))
+
+
+# What people see
+
+
+def test_albedo_error_is_the_mean_relative_distance(matte: Measurement) -> None:
+    data = directional_albedo(interpolate(matte).evaluate, ALBEDO_ANGLES)
+    factor = np.array([1.1, 0.8, 1.0])
+    found = seen_errors(some_model(), matte, data * factor)
+    assert found["albedo_error"] == pytest.approx(0.1, rel=1e-9)  # mean of 0.1, 0.2 and 0
+    np.testing.assert_allclose(np.degrees(ALBEDO_ANGLES), [0.0, 30.0, 60.0, 75.0])
+
+
+def test_model_of_the_measurement_looks_like_it() -> None:
+    truth = some_model().select((0, 1), with_delta=False)
+    found = seen_errors(truth, model_measurement(truth), truth.albedo(ALBEDO_ANGLES))
+    assert found["albedo_error"] < 0.01
+    assert found["psnr"] > 40.0
+    assert found["ssim"] > 0.99
+    worse = seen_errors(truth.select((1,), with_delta=False), model_measurement(truth), truth.albedo(ALBEDO_ANGLES))
+    assert worse["psnr"] < found["psnr"] - 10.0
+
+
+def test_black_channels_have_no_albedo_error() -> None:
+    truth = some_model().select((0, 1), with_delta=False)
+    values = model_measurement(truth).values
+    values[1] = np.where(values[1] > 0, 0.0, values[1])
+    red_and_blue = truth.albedo(ALBEDO_ANGLES) * [1.0, 0.0, 1.0]
+    found = seen_errors(truth, Measurement.from_values(values), red_and_blue)
+    assert np.isfinite(found["albedo_error"])
+    assert found["albedo_error"] < 0.01

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.options import MAX_RING_LOBES, FitOptions
 
 KNOTS = "knots must be at least two increasing angles of whole degrees from 0 to 89 degrees"
 
@@ -18,8 +18,8 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         for bad in (0, 9, -1, 2.0, True, "many", None)
     ),
     *(
-        ({"ring_lobes": bad}, f'ring_lobes must be an integer from 0 to 2 or "auto", not {bad!r}')
-        for bad in (-1, 3, 1.0, False, "none", None)
+        ({"ring_lobes": bad}, f'ring_lobes must be an integer from 0 to {MAX_RING_LOBES} or "auto", not {bad!r}')
+        for bad in (-1, MAX_RING_LOBES + 1, 1.0, False, "none", None)
     ),
     ({"method": "best"}, "method must be one of global, paper, not 'best'"),
     ({"method": "paper", "ring_lobes": 1}, 'the method "paper" has no ring lobes: use ring_lobes 0 or "auto"'),
@@ -27,7 +27,13 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         {"method": "paper", "knots": (0.0, np.radians(10.0))},
         'the method "paper" has its slices every 5 degrees: leave the knots out',
     ),
-    ({"weighting": "area"}, "weighting must be one of plain, cosine, log, not 'area'"),
+    ({"weighting": "area"}, "weighting must be one of balanced, plain, cosine, log, not 'area'"),
+    (
+        {"method": "paper", "weighting": "balanced"},
+        'the method "paper" has no weighting "balanced": use "plain", "cosine" or "log"',
+    ),
+    ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),
+    ({"method": "paper", "lobe": "student"}, 'the method "paper" has the lobe "hemi_epd" only'),
     *(
         ({"knots": tuple(np.radians(bad))}, KNOTS)
         for bad in ([], [10.0], [10.0, 5.0], [10.0, 10.0], [0.0, 0.5], [0.0, 90.0], [-1.0, 10.0], [0.0, np.nan])
@@ -62,7 +68,9 @@ def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sente
         {"n_lobes": 1},
         {"n_lobes": 8},
         {"ring_lobes": 0},
-        {"ring_lobes": 2},
+        {"ring_lobes": MAX_RING_LOBES},
+        {"lobe": "student"},
+        {"weighting": "balanced"},
         {"method": "paper", "ring_lobes": 0, "mask": 1.0},
         {"knots": tuple(np.radians([0.0, 1.0]))},
         {"knots": tuple(np.radians(np.arange(90.0)))},
@@ -94,3 +102,16 @@ def test_options_cannot_be_changed() -> None:
 def test_the_default_is_the_automatic_global_fit() -> None:
     options = FitOptions()
     assert (options.method, options.n_lobes, options.ring_lobes) == ("global", "auto", "auto")
+    assert (options.lobe, options.weighting, options.resolved_weighting) == ("hemi_epd", None, "balanced")
+    assert FitOptions(method="paper").resolved_weighting == "plain"
+    assert FitOptions(weighting="log").resolved_weighting == "log"
+
+
+def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
+    numpys = FitOptions(n_lobes=np.int64(2), ring_lobes=np.int8(1), robust=np.True_, em_iterations=np.uint16(5))  # type: ignore[arg-type]
+    assert numpys == FitOptions(n_lobes=2, ring_lobes=1, robust=True, em_iterations=5)
+    assert [type(value) for value in (numpys.n_lobes, numpys.ring_lobes, numpys.robust)] == [int, int, bool]
+    with pytest.raises(InvalidArgumentError, match="n_lobes"):
+        FitOptions(n_lobes=np.int64(9))  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgumentError, match="n_lobes"):
+        FitOptions(n_lobes=np.True_)  # type: ignore[arg-type]

@@ -1,0 +1,105 @@
+"""What a bin of samples counts: against the formulas, and that nothing counts where nothing was measured."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import FoldedProfiles, profiles
+from dsbrdf.fitting.options import WEIGHTINGS
+from dsbrdf.fitting.weighting import bin_weights
+
+Array = NDArray[np.float64]
+
+CUTOFF = float(np.radians(80.0))
+BINS: list[tuple[int, int, int]] = [(0, 40, 3), (30, 20, 0), (60, 30, 8), (70, 25, 4), (75, 12, 2)]
+"""Indices (theta_diff, theta_half, bin) for formulas written out: within the cutoff, theta_half >= 1 degree."""
+
+
+@pytest.fixture(scope="module")
+def folded(plastic: Measurement) -> FoldedProfiles:
+    return profiles(plastic).folded
+
+
+def cosines(folded: FoldedProfiles, j: int, i: int, fold: int) -> tuple[float, float]:
+    """Cosines of both directions to the normal at the mean cos(phi_diff)**2 of the bin."""
+    level = np.cos(THETA_DIFF[j]) * np.cos(THETA_HALF[i])
+    swing = np.sin(THETA_DIFF[j]) * np.sin(THETA_HALF[i]) * np.sqrt(folded.cos2_phi[j, i, fold])
+    return float(level - swing), float(level + swing)
+
+
+def test_plain_counts_every_sample_within_the_cutoff_alike(folded: FoldedProfiles) -> None:
+    weight = bin_weights(folded, "plain", CUTOFF)
+    for cell in BINS:
+        assert min(cosines(folded, *cell)) > np.cos(CUTOFF)
+        np.testing.assert_allclose(weight[:, *cell], folded.weight[:, *cell], rtol=1e-12)
+
+
+def test_cosine_and_log_are_the_formulas(folded: FoldedProfiles) -> None:
+    plain, cosine, log = (bin_weights(folded, name, CUTOFF) for name in ("plain", "cosine", "log"))
+    for j, i, fold in BINS:
+        product = np.prod(cosines(folded, j, i, fold))
+        np.testing.assert_allclose(cosine[:, j, i, fold], plain[:, j, i, fold] * product, rtol=1e-9)
+        mean = np.average(folded.mean[:, j, i], weights=folded.weight[:, j, i], axis=-1)
+        expected = plain[:, j, i, fold] * product / (1.0 + mean) ** 2
+        np.testing.assert_allclose(log[:, j, i, fold], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_what_was_not_measured_counts_nothing_and_the_rest_something(folded: FoldedProfiles, weighting: str) -> None:
+    holes = np.random.default_rng(1).uniform(size=folded.weight.shape) < 0.3
+    speckled = replace(folded, weight=np.where(holes, 0.0, folded.weight))
+    weight = bin_weights(speckled, weighting, CUTOFF)
+    assert np.isfinite(weight).all()
+    assert weight.min() >= 0.0
+    assert np.all(weight[speckled.weight == 0.0] == 0.0)
+    for cell in BINS:
+        np.testing.assert_array_equal(weight[:, *cell] > 0.0, speckled.weight[:, *cell] > 0.0)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_center_counts_little_but_something(folded: FoldedProfiles, weighting: str) -> None:
+    weight = bin_weights(folded, weighting, CUTOFF).sum(axis=(0, 3))
+    for j in (0, 30, 60):
+        assert 0.0 < weight[j, 0] < weight[j, 5] < weight[j, 9]
+
+
+@pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
+def test_trust_falls_beyond_the_cutoff_down_to_nothing_at_the_horizon(folded: FoldedProfiles, weighting: str) -> None:
+    trusted, all_of_it = (bin_weights(folded, weighting, cutoff) for cutoff in (CUTOFF, None))
+    seen = all_of_it > 0.0
+    ratio = np.where(seen, trusted / np.where(seen, all_of_it, 1.0), 1.0)
+    assert np.all(ratio <= 1.0 + 1e-12)
+    for j, i in ((70, 40), (40, 60)):
+        lowest = np.array([min(cosines(folded, j, i, fold)) for fold in range(9)])
+        np.testing.assert_allclose(ratio[1, j, i][lowest > np.cos(CUTOFF) + 1e-9], 1.0, rtol=1e-9)
+    # At theta_half = 0 both directions are at theta_diff.
+    down = ratio[0, 78:, 0, 0]
+    assert np.all(np.diff(down[2:]) < 0.0)
+    assert down[2] == pytest.approx(1.0, rel=1e-9)
+    assert down[-1] < 1e-3
+    np.testing.assert_array_equal(bin_weights(folded, weighting, np.pi / 2), all_of_it)
+
+
+def test_balanced_does_not_depend_on_the_unit_of_the_light(folded: FoldedProfiles) -> None:
+    bright = replace(folded, mean=1e3 * folded.mean)
+    dim, loud = (bin_weights(data, "balanced", CUTOFF) for data in (folded, bright))
+    np.testing.assert_allclose(loud * 1e6, dim, rtol=1e-6)
+
+
+def test_balanced_lets_dark_nodes_count_more_than_plain_does(folded: FoldedProfiles) -> None:
+    plain, balanced = (bin_weights(folded, name, CUTOFF) for name in ("plain", "balanced"))
+    bright, dark = (0, 0, 9, 4), (0, 0, 60, 4)  # of red, at normal incidence: in the highlight, and beside it
+    assert folded.mean[bright] > 4.0 * folded.mean[dark]
+    assert balanced[dark] / balanced[bright] > 2.0 * plain[dark] / plain[bright]
+
+
+def test_material_without_phi_diff_has_finite_weights(folded: FoldedProfiles) -> None:
+    flat = replace(folded, mean=np.broadcast_to(folded.mean[..., :1], folded.mean.shape))
+    black = replace(folded, mean=np.zeros_like(folded.mean))
+    for data in (flat, black):
+        for weighting in WEIGHTINGS:
+            assert np.isfinite(bin_weights(data, weighting, CUTOFF)).all()
