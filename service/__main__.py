@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from dsbrdf.extras import MissingExtraError
 from service.access.keys import has_active_key
 from service.app import create_app, make_engine
+from service.commands import refuse
 from service.errors import DataFolderError, validation_sentence
 from service.http.limits import connection_class
 from service.operations import logging as logs
@@ -42,24 +43,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        return _refuse(_settings_message(error, given))
+        return refuse(_settings_message(error, given))
     try:
         if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
-            return _refuse(
+            return refuse(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
         make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
     except (DataFolderError, MissingExtraError) as error:
-        return _refuse(str(error))
+        return refuse(str(error))
     except OSError as error:
-        return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+        return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:
         store.close()
-        return _refuse(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.", 1)
+        refuse(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
+        return 1
     logs.configure(settings)
     for unknown in unknown_settings():
         logger.warning("%s", unknown)
@@ -132,13 +134,12 @@ def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
         prog="dsbrdf serve",
         description="Run the HTTP service. Further settings are environment variables that begin with DSBRDF_.",
     )
-    parser.add_argument("--host", help="address to listen on (default 127.0.0.1)")
-    parser.add_argument("--port", help="port to listen on, 0 for a free one (default 8000)")
-    parser.add_argument("--data-dir", help="folder of the database and the measurements (default dsbrdf-data)")
-    parser.add_argument("--workers", help="fits that run at once (default: one for each core)")
-    parser.add_argument(
-        "--insecure", action="store_true", default=None, help="allow an address other than loopback without API keys"
-    )
+    for name in ("host", "port", "data_dir", "workers"):
+        setting = Settings.model_fields[name]
+        default = "one for each core" if name == "workers" else setting.default
+        parser.add_argument(f"--{name.replace('_', '-')}", help=f"{setting.description} Default: {default}.")
+    insecure = Settings.model_fields["insecure"].description
+    parser.add_argument("--insecure", action="store_true", default=None, help=insecure)
     return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
 
 
@@ -192,11 +193,6 @@ def _check_address(host: str, port: int) -> None:
             if family == socket.AF_INET6:
                 trial.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             trial.bind(address)
-
-
-def _refuse(reason: str, code: int = 2) -> int:
-    sys.stderr.write(f"dsbrdf: {reason}\n")
-    return code
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import logging
 import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
@@ -23,7 +24,7 @@ from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.routes import about, brdf, exports, fits, measurements
+from service.routes import about, brdf, fits, measurements
 from service.routes.dependencies import Context
 from service.settings import Settings
 from service.storage.database import Database
@@ -45,6 +46,12 @@ problem documents.
 class _Application(FastAPI):
     """FastAPI with the service's middleware around everything, so that unexpected errors are logged and counted too."""
 
+    def openapi(self) -> dict[str, Any]:
+        """Return the OpenAPI document, made at the first use."""
+        if self.openapi_schema is None:
+            self.openapi_schema = openapi.document_of(self)
+        return self.openapi_schema
+
     def build_middleware_stack(self) -> ASGIApp:
         """Return the application with all middleware."""
         state = self.state
@@ -63,7 +70,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, engine, jobs, models, keys, metrics, readiness)
+        app.state.context = Context(settings, store, jobs, models, keys, metrics, readiness)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
@@ -127,8 +134,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
     # Routes are tried in this order, so the fast ones come first.
-    routers = (brdf.router, fits.router, brdf.components, exports.router, measurements.router, about.router, about.page)
+    routers = (brdf.router, fits.router, brdf.components, fits.exports, measurements.router, about.router, about.page)
     for router in routers:
         app.include_router(router)
-    openapi.install(app)
     return app

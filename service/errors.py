@@ -6,29 +6,10 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
-└── ProblemError                     answered with a problem document of its kind:
-    ├── BadRequestError              bad-request
-    ├── BadEncodingError             bad-encoding
-    ├── UnauthorizedError            unauthorized
-    ├── StorageQuotaError            storage-quota
-    ├── NotFoundError                not-found
-    │   ├── FitNotFoundError
-    │   └── MeasurementNotFoundError
-    ├── NotAcceptableError           not-acceptable
-    ├── RequestTimeoutError          request-timeout
-    ├── MeasurementInUseError        measurement-in-use
-    ├── FitNotFinishedError          fit-not-finished
-    ├── FitWithoutResultError        fit-without-result
-    ├── TooLargeError                too-large
-    ├── MeasurementTooLargeError     measurement-too-large
-    ├── UnsupportedMediaTypeError    unsupported-media-type
-    ├── RangeNotSatisfiableError     range-not-satisfiable
-    ├── RateLimitedError             rate-limited
-    ├── QueueQuotaError              queue-quota
-    ├── QueueFullError               queue-full
-    ├── OverloadedError              overloaded
-    ├── ShuttingDownError            shutting-down
-    └── NotReadyError                not-ready
+└── ProblemError                     answered with a problem document; a class for each kind
+    └── NotFoundError
+        ├── FitNotFoundError
+        └── MeasurementNotFoundError
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """
@@ -67,19 +48,8 @@ class CheckFailedError(DSBRDFServiceError):
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    Parameters
-    ----------
-    detail : str
-        One sentence: what is wrong and what would be right.
-    headers : mapping, optional
-        Further headers of the response, beside those of the class.
-
-    Attributes
-    ----------
-    kind : str
-        Key of the table `service.http.problems.KINDS`.
-    retry_after : int or None
-        Time after which it is worth asking again, unless `headers` say otherwise [s].
+    `detail` is one sentence: what is wrong and what would be right. `kind` is a key of `service.http.problems.KINDS`;
+    after `retry_after` seconds it is worth asking again, unless `headers` say otherwise.
     """
 
     kind: ClassVar[str]

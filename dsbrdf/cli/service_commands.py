@@ -12,7 +12,7 @@ SERVICE_COMMANDS = {
     "serve": (("fastapi", "pydantic_settings", "uvicorn"), "run the HTTP service"),
     "keys": (("pydantic_settings",), "add, list and revoke API keys of the service"),
     "purge": (("pydantic_settings",), "remove old fits and measurements of the service"),
-    "doctor": (("pydantic_settings",), "check the data folder of the service"),
+    "doctor": (("pydantic_settings",), "check the service's database and stored files"),
 }
 
 

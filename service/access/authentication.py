@@ -29,13 +29,7 @@ _Headers = list[tuple[bytes, bytes]]
 
 
 class AuthenticationMiddleware:
-    """Pure ASGI middleware around the routes: lets a request in with its caller, or refuses it.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        What it protects.
-    """
+    """Pure ASGI middleware around the routes: lets a request in with its caller, or refuses it."""
 
     def __init__(self, app: ASGIApp, settings: Settings, keys: Keys) -> None:
         self._app = app

@@ -9,10 +9,10 @@ import hmac
 import re
 import secrets
 import time
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from service.storage.database import FILE_NAME, Database
 from service.storage.schema import Caller
@@ -20,6 +20,7 @@ from service.storage.schema import Caller
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
     from service.settings import Settings
 
+_LIMITS = "requests_per_second, stored_mb, queued_fits"
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1 << 20
@@ -39,34 +40,31 @@ class KeyLimits:
 class KeyRow:
     """A key without its secret; times are seconds since 1970."""
 
-    COLUMNS: ClassVar[str] = "id, name, created, revoked, requests_per_second, stored_mb, queued_fits"
-
     id: str
     name: str
     created: float
     revoked: float | None
-    requests_per_second: float | None
-    stored_mb: int | None
-    queued_fits: int | None
+    limits: KeyLimits
 
 
 def add_key(database: Database, name: str, limits: KeyLimits) -> tuple[KeyRow, str]:
     """Make a key; return its row and the key itself, which is not stored and cannot be shown again."""
-    key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
-    values = (limits.requests_per_second, limits.stored_mb, limits.queued_fits)
-    row = KeyRow(key_id, name, time.time(), None, *values)
+    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), None, limits), secrets.token_urlsafe(32)
+    values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), *astuple(limits))
     with database.transaction() as db:
         db.execute(
-            "INSERT INTO keys (id, name, secret_sha256, created, requests_per_second, stored_mb, queued_fits)"
-            " VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (key_id, name, hashlib.sha256(secret.encode()).hexdigest(), row.created, *values),
+            f"INSERT INTO keys (id, name, created, secret_sha256, {_LIMITS}) VALUES (?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
+            values,
         )
-    return row, f"dsbrdf_{key_id}_{secret}"
+    return row, f"dsbrdf_{row.id}_{secret}"
 
 
 def all_keys(database: Database) -> list[KeyRow]:
     """Return every key, in the order in which they were made."""
-    return [KeyRow(*row) for row in database.rows(f"SELECT {KeyRow.COLUMNS} FROM keys ORDER BY rowid")]  # noqa: S608
+    rows = database.rows(f"SELECT id, name, created, revoked, {_LIMITS} FROM keys ORDER BY rowid")  # noqa: S608
+    return [
+        KeyRow(key_id, name, created, revoked, KeyLimits(*limits)) for key_id, name, created, revoked, *limits in rows
+    ]
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
@@ -88,13 +86,7 @@ def has_active_key(folder: Path) -> bool:
 
 
 class RateLimit:
-    """A token bucket: holds the requests that may come at once, and fills again at a steady rate.
-
-    Parameters
-    ----------
-    rate : float
-        Requests per second; as many as five seconds give may come at once, and one at least.
-    """
+    """A token bucket: fills at a `rate` of requests per second; those of five seconds, and one, may come at once."""
 
     __slots__ = ("_filled", "_last", "_size", "rate")
 
@@ -125,13 +117,7 @@ class ActiveKey:
 
 
 class Keys:
-    """The active keys in memory; none until they are loaded.
-
-    Parameters
-    ----------
-    settings : Settings
-        The limits of keys that have none of their own.
-    """
+    """The active keys in memory, none until they are loaded; `settings` has the limits of keys without their own."""
 
     def __init__(self, settings: "Settings") -> None:
         self._settings = settings
@@ -139,8 +125,7 @@ class Keys:
 
     def load(self, database: Database) -> None:
         """Read the keys again; the requests that a key has made still count."""
-        columns = "id, secret_sha256, requests_per_second, stored_mb, queued_fits"
-        rows = database.rows(f"SELECT {columns} FROM keys WHERE revoked IS NULL")  # noqa: S608
+        rows = database.rows(f"SELECT id, secret_sha256, {_LIMITS} FROM keys WHERE revoked IS NULL")  # noqa: S608
         self._active = {row[0]: self._key(*row) for row in rows}
 
     def find(self, text: bytes) -> ActiveKey | None:

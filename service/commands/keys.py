@@ -1,20 +1,19 @@
 """The command ``dsbrdf keys``: add, list and revoke API keys, also while a server runs."""
 
 import argparse
-import json
 import math
 import re
-import sqlite3
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import asdict
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict, astuple
 from datetime import UTC, datetime
+from pathlib import Path
 
+from dsbrdf.cli.arguments import Parser, add_json_option, print_json
 from service.access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
-from service.commands import Parser, data_folder, refuse
-from service.errors import DataFolderError
-from service.storage.database import FILE_NAME, Database
+from service.commands import add_data_dir, refuse, run_in_folder
+from service.storage.database import Database
 
 _MAX_NAME = 100
 
@@ -22,21 +21,13 @@ _MAX_NAME = 100
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     arguments = _parser().parse_args(argv)
-    folder = data_folder(arguments)
-    try:
-        if arguments.run is not _add and not (folder / FILE_NAME).exists():
-            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
-        database = Database(folder, exclusive=False)
-        try:
-            run: Callable[[Database, argparse.Namespace], int] = arguments.run
-            return run(database, arguments)
-        finally:
-            database.close()
-    except (DataFolderError, OSError) as error:
-        return refuse(str(error))
-    except sqlite3.Error as error:
-        refuse(f"the database cannot be written to: {error}")
-        return 1
+
+    def work(folder: Path) -> int:
+        with closing(Database(folder, exclusive=False)) as database:
+            code: int = arguments.run(database, arguments)
+            return code
+
+    return run_in_folder(arguments, work, existing=arguments.run is not _add)
 
 
 def _add(database: Database, arguments: argparse.Namespace) -> int:
@@ -50,12 +41,11 @@ def _add(database: Database, arguments: argparse.Namespace) -> int:
 def _list(database: Database, arguments: argparse.Namespace) -> int:
     rows = all_keys(database)
     if arguments.json:
-        print(json.dumps({"items": [_document(row) for row in rows]}))
+        print_json({"items": [_document(row) for row in rows]})
         return 0
     print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
     for row in rows:
-        limits = (row.requests_per_second, row.stored_mb, row.queued_fits)
-        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
+        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in astuple(row.limits))
         print(f"{row.id:<14}{_day(row.created):<18}{_day(row.revoked):<18}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
     return 0
 
@@ -69,7 +59,13 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 
 def _document(row: KeyRow) -> dict[str, object]:
     revoked = None if row.revoked is None else _time(row.revoked).isoformat()
-    return {**asdict(row), "created": _time(row.created).isoformat(), "revoked": revoked}
+    return {
+        "id": row.id,
+        "name": row.name,
+        "created": _time(row.created).isoformat(),
+        "revoked": revoked,
+        **asdict(row.limits),
+    }
 
 
 def _time(seconds: float) -> datetime:
@@ -111,12 +107,12 @@ def _parser() -> Parser:
     add.add_argument("--queued-fits", type=_count, metavar="N", help="most fits that may wait or run")
     listing = commands.add_parser("list", help="print the keys, without their secrets")
     listing.set_defaults(run=_list)
-    listing.add_json()
+    add_json_option(listing)
     revoke = commands.add_parser("revoke", help="refuse a key from now on; what is stored with it stays")
     revoke.set_defaults(run=_revoke)
     revoke.add_argument("id", metavar="ID", help="as the list shows it")
     for command in (add, listing, revoke):
-        command.add_data_dir()
+        add_data_dir(command)
     return parser
 
 

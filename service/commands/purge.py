@@ -5,19 +5,19 @@ fit of their owner uses them, files with the last row of any owner. A running se
 """
 
 import argparse
-import json
 import re
 import sqlite3
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from service.commands import Parser, data_folder, refuse
-from service.errors import DataFolderError
+from dsbrdf.cli.arguments import Parser, add_json_option, print_json
+from service.commands import add_data_dir, run_in_folder
 from service.storage.blobs import Blobs
-from service.storage.database import FILE_NAME, Database
+from service.storage.database import Database
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -46,18 +46,15 @@ def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
 
     Raises DataFolderError if the folder cannot be opened.
     """
-    database, blobs = Database(folder, exclusive=False), Blobs(folder)
-    try:
+    with closing(Database(folder, exclusive=False)) as database:
         if dry_run:
             return _counted(database, before)
         fits = measurements = freed = 0
         while gone := _remove_fits(database, before):
             fits += gone
-        while gone_now := _remove_measurements(database, blobs, before):
+        while gone_now := _remove_measurements(database, Blobs(folder), before):
             measurements += len(gone_now)
             freed += sum(gone_now)
-    finally:
-        database.close()
     return Purged(fits, measurements, freed)
 
 
@@ -104,22 +101,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--older-than", type=_age, required=True, metavar="AGE", help="such as 30d, 12h or 45m")
     parser.add_argument("--dry-run", action="store_true", help="only report what would be removed")
-    parser.add_data_dir()
-    parser.add_json()
+    add_data_dir(parser)
+    add_json_option(parser)
     arguments = parser.parse_args(argv)
-    folder = data_folder(arguments)
-    try:
-        if not (folder / FILE_NAME).exists():
-            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
+
+    def work(folder: Path) -> int:
         purged = purge(folder, time.time() - arguments.older_than, dry_run=arguments.dry_run)
-    except (DataFolderError, OSError) as error:
-        return refuse(str(error))
-    if arguments.json:
-        print(json.dumps({**asdict(purged), "dry_run": arguments.dry_run}))
-    else:
-        verb = "would be removed" if arguments.dry_run else "removed"
-        print(f"{purged.fits} fits and {purged.measurements} measurements {verb}, {purged.bytes / 1e6:.1f} MB of files")
-    return 0
+        removed = f"{purged.fits} fits and {purged.measurements} measurements"
+        if arguments.json:
+            print_json({**asdict(purged), "dry_run": arguments.dry_run})
+        else:
+            verb = "would be removed" if arguments.dry_run else "removed"
+            print(f"{removed} {verb}, {purged.bytes / 1e6:.1f} MB of files")
+        return 0
+
+    return run_in_folder(arguments, work)
 
 
 def _age(text: str) -> int:

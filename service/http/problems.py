@@ -88,10 +88,9 @@ def problem_response(error: ProblemError, path: str) -> Response:
 
 def install(app: FastAPI) -> None:
     """Make `app` answer every exception with a problem document."""
-    app.add_exception_handler(HTTPException, _on_http_exception)
-    app.add_exception_handler(RequestValidationError, _on_validation_error)
+    ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
-    for expected in (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError, Exception):
+    for expected in (*ours, HTTPException, RequestValidationError, Exception):
         app.add_exception_handler(expected, _on_exception)
 
 
@@ -108,6 +107,12 @@ async def _on_exception(request: Request, error: Exception) -> Response:
         return problem_response(error, path)
     if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
         return problem_response(BadRequestError("The client went away before the end of the body."), path)
+    if isinstance(error, HTTPException):
+        return _of_status(request, error, path)
+    if isinstance(error, RequestValidationError):
+        if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
+            return _nothing_at(path)
+        return _response("invalid-argument", validation_sentence(error.errors()), path)
     for expected, kind in _KIND_OF_ERROR.items():
         if isinstance(error, expected):
             return _response(kind, str(error), path)
@@ -121,9 +126,7 @@ async def _on_exception(request: Request, error: Exception) -> Response:
     return _response("internal", _BROKEN, path)
 
 
-async def _on_http_exception(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)  # noqa: S101 (registered for this type only)
-    path = request.url.path
+def _of_status(request: Request, error: HTTPException, path: str) -> Response:
     if error.status_code == 404:
         return _nothing_at(path)
     if error.status_code == 405:
@@ -136,14 +139,6 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     title, status = HTTPStatus(error.status_code).phrase, error.status_code
     content = {"type": "about:blank", "title": title, "status": status, "detail": str(error.detail), "instance": path}
     return JSONResponse(content, status, dict(error.headers or {}), media_type=MEDIA_TYPE)
-
-
-async def _on_validation_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)  # noqa: S101 (registered for this type only)
-    path = request.url.path
-    if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
-        return _nothing_at(path)
-    return _response("invalid-argument", validation_sentence(error.errors()), path)
 
 
 def _nothing_at(path: str) -> Response:

@@ -27,13 +27,7 @@ logger = logging.getLogger(__name__)
 
 
 class RequestLogMiddleware:
-    """Pure ASGI middleware, around everything else of the application.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        The rest of the application.
-    """
+    """Pure ASGI middleware, around everything else of the application."""
 
     def __init__(self, app: ASGIApp, settings: Settings, metrics: Metrics) -> None:
         self._app = app

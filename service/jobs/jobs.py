@@ -5,24 +5,23 @@ or for the engine, their progress, and who waits for a change.
 """
 
 import asyncio
-import hashlib
-import json
 import logging
 import sqlite3
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
 
-import dsbrdf
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
 from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.wire.fit_options import canonical, from_wire, to_wire
+from service.storage.uploads import UploadBody
+from service.wire.fit_options import from_wire
 
 logger = logging.getLogger(__name__)
 
@@ -42,13 +41,6 @@ _INTERRUPTIONS_FORGIVEN = 8
 _FIRST_DELAY = 1.0  # seconds; twice as many with each further interruption
 _INTERRUPTIONS_ALLOWED = 100  # with the longest delay before most of them, this takes most of an hour
 _MAX_DELAY = 30.0  # seconds
-
-
-def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
-    """Return the id of a fit: a hash of the measurement, the canonical options and the algorithm's version."""
-    wire = to_wire(canonical(from_wire(options)))
-    parts = {"measurement": measurement, "options": wire, "algorithm": dsbrdf.ALGORITHM_VERSION}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
 @dataclass
@@ -75,7 +67,6 @@ class Jobs:
         self._metrics = metrics
         self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._running: dict[FitKey, _RunningFit] = {}
-        self._changes_lock = asyncio.Lock()  # a row and its task change together
 
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
@@ -102,19 +93,23 @@ class Jobs:
         except _DISK_ERRORS as error:
             logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
-    async def submit(self, caller: Caller, measurement: str, options: dict[str, Any]) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement with all `options` in their wire form, or find the same one.
+    async def submit(
+        self, caller: Caller, measurement: str | UploadBody, options: dict[str, Any]
+    ) -> tuple[FitRow, bool]:
+        """Accept a fit of a stored measurement, or of one that is stored first, or find the same one.
 
-        Return its row, which is durable, and whether it is computed because of this call.
+        `options` are all options in their wire form. Return the fit's row, which is durable, and whether it is computed
+        because of this call.
         """
-        key = FitKey(caller.owner, fit_identity(measurement, options))
-        versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
-        async with self._changes_lock:
-            row, new = await run_in_threadpool(
-                self._store.add_fit, caller, key.id, measurement, options, versions, self._settings.queue_limit
-            )
-            if new and not self._stopping.done():
-                self._begin(key)
+        queue_limit = self._settings.queue_limit
+        if isinstance(measurement, str):
+            row, new = await run_in_threadpool(self._store.add_fit, caller, measurement, options, queue_limit)
+        else:
+            begin = perf_counter()
+            row, new = await self._store.receive_fit(caller, measurement, options, queue_limit)
+            self._metrics.record_time("upload", perf_counter() - begin)
+        if new and not self._stopping.done():
+            self._begin(row.key)
         return row, new
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
@@ -155,17 +150,17 @@ class Jobs:
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        async with self._changes_lock:
-            row = await run_in_threadpool(self._store.cancel_fit, key)
-            running = self._running.get(key)
-            if row is not None and running is not None:
-                running.task.cancel()
+        running = self._running.get(key)  # before the row changes: the same request may begin another one after it
+        row = await run_in_threadpool(self._store.cancel_fit, key)
         if row is not None and running is not None:
+            running.task.cancel()
             await asyncio.wait([running.task], timeout=_MAX_CANCEL_WAIT)
         return row
 
     def _begin(self, key: FitKey, interruptions: int = 0) -> None:
         previous = self._running.get(key)
+        if previous is not None:  # its row has ended, and this is another one
+            previous.task.cancel()
         task = asyncio.create_task(self._run(key, previous.task if previous else None, interruptions))
         self._running[key] = running = _RunningFit(task)
 
@@ -178,8 +173,9 @@ class Jobs:
 
     async def _run(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
         bind_contextvars(fit=str(key))
-        if previous is not None:  # cancelled, and asked for again before its process had ended
+        if previous is not None:
             await _run_to_end(asyncio.wait([previous]))
+            await _write(self._store.requeue_fit, key)  # in case the previous task has started the new row last
         try:
             if interruptions >= _INTERRUPTIONS_ALLOWED:
                 reason = f"The service was killed {interruptions} times while it ran this fit."

@@ -28,13 +28,7 @@ class LoadedFit:
 
 
 class ModelCache:
-    """The models used last, by fit.
-
-    Parameters
-    ----------
-    size : int
-        How many to keep.
-    """
+    """The `size` models used last, by fit."""
 
     def __init__(self, store: Store, size: int) -> None:
         self._store = store

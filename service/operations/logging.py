@@ -46,7 +46,6 @@ def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
         add_logger_name,
         structlog.contextvars.merge_contextvars,
         ExtraAdder(),
-        _drop_foreign,
         format_exc_info,
         _with_traceback_of_child,
     ]
@@ -75,13 +74,9 @@ class _Repetitions:
         return True
 
 
-def _drop_foreign(_: Any, __: str, event: EventDict) -> EventDict:
-    event.pop(_OF_UVICORN, None)
-    return event
-
-
 def _with_traceback_of_child(_: Any, __: str, event: EventDict) -> EventDict:
     """Add the traceback of a record that came from another process as text."""
+    event.pop(_OF_UVICORN, None)
     text = event["_record"].exc_text
     if text and "exception" not in event:
         event["exception"] = text

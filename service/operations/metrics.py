@@ -29,17 +29,7 @@ logger = logging.getLogger(__name__)
 
 
 class Metrics:
-    """The metrics of one service.
-
-    Attributes
-    ----------
-    requests_in_progress, event_streams : Gauge
-        Requests, and streams of events, that are being answered.
-    uploaded_bytes : Counter
-        Bytes of request bodies, as they came over the wire.
-    retries : Counter
-        Fits that run once more because their process was lost.
-    """
+    """The metrics of one service; each says in its description what it counts."""
 
     def __init__(self) -> None:
         self._registry = registry = CollectorRegistry()
@@ -49,9 +39,7 @@ class Metrics:
         timed: dict[str, Any] = {"buckets": _SECONDS, "registry": registry}
         request_seconds = "Time from a request's head to the end of its answer [s]."
         self._request_seconds = Histogram("dsbrdf_request_seconds", request_seconds, ("method", "route"), **timed)
-        stage_seconds = Histogram(
-            "dsbrdf_stage_seconds", "Time that a part of the work takes [s].", ("stage",), **timed
-        )
+        stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
         self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
         self.event_streams = Gauge("dsbrdf_event_streams", "Streams of a fit's events being sent.", registry=registry)

@@ -5,7 +5,7 @@ All that the page loads comes from the service, so it works without the internet
 
 from importlib.resources import files
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
@@ -26,9 +26,10 @@ _POLICY = (
 )
 _SWAGGER_UI = files("fastapi_offline") / "static"
 # Addresses in the page are relative: they hold behind a proxy that adds a prefix.
-_PAGE, _SCRIPT = (files("service") / "page" / name for name in ("docs.html", "docs.js"))
+_OURS = files("service") / "page"
 _FILES = {
-    "page.js": (_SCRIPT, "text/javascript"),
+    "": (_OURS / "docs.html", "text/html; charset=utf-8"),
+    "page.js": (_OURS / "docs.js", "text/javascript"),
     "swagger-ui-bundle.js": (_SWAGGER_UI / "swagger-ui-bundle.js", "text/javascript"),
     "swagger-ui.css": (_SWAGGER_UI / "swagger-ui.css", "text/css"),
 }
@@ -85,16 +86,13 @@ async def get_metrics(context: TheContext) -> Response:
 
 
 @page.get("/docs")
-async def get_docs(if_none_match: IfNoneMatch = "") -> Response:
-    """Return the page that shows the OpenAPI document."""
-    content = await run_in_threadpool(_PAGE.read_bytes)
-    return tagged_reply(content, if_none_match, "text/html; charset=utf-8", {"Content-Security-Policy": _POLICY})
-
-
 @page.get("/docs/{name}")
-async def get_file(name: str, if_none_match: IfNoneMatch = "") -> Response:
-    """Return a script or the style sheet of the page."""
+async def get_docs(request: Request, if_none_match: IfNoneMatch = "") -> Response:
+    """Return the page that shows the OpenAPI document, its script or its style sheet."""
+    name = request.path_params.get("name", "")
     if name not in _FILES:
         raise NotFoundError(f"There is nothing at /docs/{name[:60]}; GET /docs lists what there is.")
     file, media_type = _FILES[name]
-    return tagged_reply(await run_in_threadpool(file.read_bytes), if_none_match, media_type)
+    content = await run_in_threadpool(file.read_bytes)
+    headers = {} if name else {"Content-Security-Policy": _POLICY}
+    return tagged_reply(content, if_none_match, media_type, headers)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
 
@@ -11,27 +12,15 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.model.decomposition import LABELS
-from service.errors import NotAcceptableError, TooLargeError, UnsupportedMediaTypeError
+from service.errors import NotAcceptableError, TooLargeError
 from service.http import openapi
-from service.http.request_body import receive_small
+from service.http.request_body import media_type_of, receive_small
 from service.http.responses import IfNoneMatch, tagged_reply
 from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
 from service.storage.schema import FitKey
-from service.wire import examples
+from service.wire import examples, values
 from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, component_list, parse_document
-from service.wire.values import (
-    ANGLES,
-    DIRECTIONS,
-    JSON,
-    NPY,
-    PHI_DIFF,
-    Points,
-    from_angles,
-    from_directions,
-    from_npy,
-    from_query,
-    values_reply,
-)
+from service.wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points
 
 
 class _DirectRoute(APIRoute):
@@ -64,6 +53,7 @@ Label = Annotated[
 _MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_PER_POINT = 48
+_QUALITY = re.compile(r"(?:^|;)\s*q\s*=\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(?:;|$)")
 _STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
 
 
@@ -103,31 +93,23 @@ _POST_RESPONSES = openapi.response(
 ) | openapi.problems(
     "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
+_get = partial(router.get, response_model=Values, responses=_GET_RESPONSES, openapi_extra=_QUERY)
+_post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)
 
 
-@router.get(
-    "/brdf", response_model=Values, summary="Values at some points", responses=_GET_RESPONSES, openapi_extra=_QUERY
-)
+@_get("/brdf", summary="Values at some points")
 async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values; parameters repeat for several points."""
     return await _values_of_query(request, context, fit, None)
 
 
-@router.get(
-    "/lobes/{label}/brdf",
-    response_model=Values,
-    summary="A component's values at some points",
-    responses=_GET_RESPONSES,
-    openapi_extra=_QUERY,
-)
+@_get("/lobes/{label}/brdf", summary="A component's values at some points")
 async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values; the three components' values add up to the fit's."""
     return await _values_of_query(request, context, fit, label)
 
 
-@router.post(
-    "/brdf", response_model=Values, summary="Values at many points", responses=_POST_RESPONSES, openapi_extra=_BATCH
-)
+@_post("/brdf", summary="Values at many points")
 async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
 
@@ -138,13 +120,7 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
     return await _values_of_batch(request, context, fit, None)
 
 
-@router.post(
-    "/lobes/{label}/brdf",
-    response_model=Values,
-    summary="A component's values at many points",
-    responses=_POST_RESPONSES,
-    openapi_extra=_BATCH,
-)
+@_post("/lobes/{label}/brdf", summary="A component's values at many points")
 async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
     return await _values_of_batch(request, context, fit, label)
@@ -166,8 +142,8 @@ async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNone
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     model = await context.models.component(fit, label)
-    points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    return await values_reply(model, points, JSON, context.metrics)
+    points = values.from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
+    return await values.values_reply(model, points, JSON, context.metrics)
 
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
@@ -177,58 +153,45 @@ async def _values_of_batch(request: Request, context: Context, fit: FitKey, labe
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise TooLargeError(detail)
-    return await values_reply(model, points, media_type, context.metrics)
+    return await values.values_reply(model, points, media_type, context.metrics)
 
 
 async def _batch(request: Request, max_points: int) -> Points:
     """Return the points in the body."""
-    media_type = request.headers.get("content-type", JSON).partition(";")[0].strip().lower()
-    if media_type == NPY:
+    if media_type_of(request, JSON, NPY) == NPY:
         body = await receive_small(request, max_points * _NPY_BYTES_PER_POINT + 4096)
-        return await run_in_threadpool(from_npy, body)
-    if media_type == JSON:
-        max_points = min(max_points, _MAX_JSON_POINTS)
-        text = bytes(await receive_small(request, max_points * _JSON_BYTES_PER_POINT + 4096))
-        if text.count(b",") > 6 * max_points:
-            raise TooLargeError(f"A JSON body may have {max_points} points; send more of them as {NPY}.")
-        return await run_in_threadpool(_from_json, text)
-    detail = f"The content type {media_type[:60]!r} is not supported; send {JSON} or {NPY}."
-    raise UnsupportedMediaTypeError(detail, {"Accept-Post": f"{JSON}, {NPY}"})
+        return await run_in_threadpool(values.from_npy, body)
+    max_points = min(max_points, _MAX_JSON_POINTS)
+    text = bytes(await receive_small(request, max_points * _JSON_BYTES_PER_POINT + 4096))
+    if text.count(b",") > 6 * max_points:
+        raise TooLargeError(f"A JSON body may have {max_points} points; send more of them as {NPY}.")
+    return await run_in_threadpool(_from_json, text)
 
 
 def _from_json(body: bytes) -> Points:
     if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
         vectors = parse_document(DirectionsRequest, body, strict=True)
-        return from_directions(vectors.omega_in, vectors.omega_out)
+        return values.from_directions(vectors.omega_in, vectors.omega_out)
     angles = parse_document(AnglesRequest, body, strict=True)
-    return from_angles(angles.theta_half_deg, angles.theta_diff_deg, angles.phi_diff_deg)
+    return values.from_angles(angles.theta_half_deg, angles.theta_diff_deg, angles.phi_diff_deg)
 
 
 def _accepted_type(request: Request) -> str:
     """Return which of JSON and .npy ``Accept`` prefers; what is said of a type itself goes before any range."""
     ranges: dict[str, float] = {}
-    for entry in ",".join(request.headers.getlist("accept")).split(","):
-        media_type, *parameters = (part.strip().lower() for part in entry.split(";"))
-        if media_type:
-            ranges[media_type] = max(ranges.get(media_type, 0.0), _quality(parameters))
+    for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
+        media_type, _, parameters = entry.partition(";")
+        quality = _QUALITY.search(parameters)
+        if media_type.strip():
+            weight = min(float(quality[1]), 1.0) if quality else 1.0
+            ranges[media_type.strip()] = max(ranges.get(media_type.strip(), 0.0), weight)
 
-    def weight(name: str, in_range: float) -> float:
+    def quality_of(name: str, in_range: float) -> float:
         if name in ranges:
             return ranges[name]
         return in_range * ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
 
-    json, npy = weight(JSON, 0.5), weight(NPY, 0.25)  # a type that is named counts more; JSON is the default
+    json, npy = quality_of(JSON, 0.5), quality_of(NPY, 0.25)  # a type that is named counts more; JSON is the default
     if not (json or npy):
         raise NotAcceptableError(f"The values are available as {JSON} or {NPY}; accept one of them.")
     return NPY if npy > json else JSON
-
-
-def _quality(parameters: list[str]) -> float:
-    for parameter in parameters:
-        name, _, value = parameter.partition("=")
-        if name.strip() == "q":
-            try:
-                return min(max(float(value), 0.0), 1.0)
-            except ValueError:
-                return 1.0
-    return 1.0

@@ -6,7 +6,6 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Request
 
-from dsbrdf.engines.engine import Engine
 from service.access.authentication import CALLER
 from service.access.keys import Keys
 from service.jobs.jobs import Jobs
@@ -28,7 +27,6 @@ class Context:
 
     settings: Settings
     store: Store
-    engine: Engine
     jobs: Jobs
     models: ModelCache
     keys: Keys

@@ -1,4 +1,4 @@
-"""Fits: submit, look up, follow, cancel and delete."""
+"""Fits: submit, look up, follow, export, cancel and delete."""
 
 import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Coroutine
@@ -13,35 +13,26 @@ from starlette.responses import Response
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.output.export import FORMATS, export_model
 from service.access.authentication import invalid_key
-from service.errors import FitNotFoundError, RequestTimeoutError, UnsupportedMediaTypeError
+from service.errors import FitNotFoundError, RequestTimeoutError
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
-from service.http.request_body import receive_measurement, receive_small
+from service.http.request_body import media_type_of, receive_small, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
-from service.wire import examples
-from service.wire.fit_options import OPTIONS_SCHEMA, from_query, from_wire, to_wire
-from service.wire.schemas import (
-    FitDocument,
-    FitList,
-    FitRequest,
-    Page,
-    Progress,
-    Waiting,
-    fit_document,
-    fit_progress,
-    fit_summary,
-    parse_document,
-)
+from service.storage.uploads import UploadBody
+from service.wire import examples, schemas
+from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire, to_wire
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
+exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
-_submitted_as = partial(openapi.response, model=FitDocument, links=_LINKS)
+_submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait.", "wait=10"
 )
@@ -65,7 +56,7 @@ _SUBMISSION_BODY = openapi.body(
     "A MERL file, or a reference to a stored measurement.",
     {
         BINARY: openapi.file(BINARY, maxLength=FILE_SIZE),
-        JSON: {"schema": openapi.reference(FitRequest), "example": examples.SUBMISSION},
+        JSON: {"schema": openapi.reference(schemas.FitRequest), "example": examples.SUBMISSION},
     },
 )
 
@@ -73,7 +64,7 @@ _SUBMISSION_BODY = openapi.body(
 @router.post(
     "",
     status_code=201,
-    response_model=FitDocument,
+    response_model=schemas.FitDocument,
     summary="Fit a measurement",
     responses=_submitted_as("The fit has ended.", examples.FIT, status=201, headers=["Location"])
     | _submitted_as("The same request was made before; its fit has ended.", examples.FIT, headers=["Location"])
@@ -89,17 +80,12 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
     `Location` tells where to ask again.
     """
-    media_type = request.headers.get("content-type", BINARY).partition(";")[0].strip().lower()
-    if media_type == BINARY:
-        options = to_wire(from_query(request.query_params.multi_items()))
-        with context.metrics.timing("upload"):
-            row, _ = await receive_measurement(request, caller, context.store)
-        measurement = row.sha256
-    elif media_type == JSON:
-        measurement, options = await _stored_submission(request)
+    measurement: str | UploadBody
+    if media_type_of(request, BINARY, JSON) == BINARY:
+        measurement = upload_body(request)
+        options = to_wire(canonical(from_query(request.query_params.multi_items())))
     else:
-        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {BINARY}, or JSON."
-        raise UnsupportedMediaTypeError(detail, {"Accept-Post": f"{BINARY}, {JSON}"})
+        measurement, options = await _stored_submission(request)
     fit, new = await context.jobs.submit(caller, measurement, options)
     wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
     return await _submitted(request, context, caller, fit, new, wait)
@@ -107,25 +93,25 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
 
 @router.get(
     "",
-    response_model=FitList,
+    response_model=schemas.FitList,
     summary="List the fits",
     responses=openapi.response("Fits, newest first.", examples.FIT_LIST, optional_headers=["Link"])
     | openapi.problems("invalid-argument"),
 )
 async def list_fits(
-    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[schemas.Page, Query()]
 ) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
     rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit, before)
-    items = [fit_summary(row, context.jobs.progress(row)) for row in rows]
+    items = [schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows]
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
-    return json_reply(FitList(items=items), headers=headers)
+    return json_reply(schemas.FitList(items=items), headers=headers)
 
 
 @router.get(
     "/{fit_id}",
-    response_model=FitDocument,
+    response_model=schemas.FitDocument,
     summary="Look a fit up",
     responses=openapi.response(
         "The fit.",
@@ -142,7 +128,7 @@ async def get_fit(
     context: TheContext,
     caller: TheCaller,
     fit: TheFit,
-    waiting: Annotated[Waiting, Query()],
+    waiting: Annotated[schemas.Waiting, Query()],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
@@ -154,7 +140,7 @@ async def get_fit(
 
 @router.delete(
     "/{fit_id}",
-    response_model=FitDocument,
+    response_model=schemas.FitDocument,
     summary="Cancel or delete a fit",
     responses=openapi.response("The fit was unfinished and is cancelled.", examples.CANCELLED_FIT)
     | openapi.response("The fit had ended and is deleted.", status=204)
@@ -171,6 +157,33 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     return Response(status_code=204)
 
 
+@exports.get(
+    "/{fit_id}/export",
+    response_class=Response,
+    summary="A fit for another program",
+    responses=openapi.response(
+        "The file: JSON for `json`, bytes for the other formats.",
+        content={
+            BINARY: openapi.file(BINARY),
+            JSON: {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)},
+        },
+        headers=["Content-Disposition"],
+    )
+    | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
+)
+async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
+    """Return the model, or one component, as `json` or `npz` (lossless) or as a MERL table.
+
+    The report of the fit goes with the whole model in the lossless formats.
+    """
+    model = await context.models.component(fit, wanted.component)
+    report = (await context.models.get(fit)).report if wanted.component is None else None
+    content = await run_in_threadpool(export_model, model, wanted.format, report)
+    name = "-".join(part for part in (fit.id, wanted.component) if part)
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{FORMATS[wanted.format].suffix}"'}
+    return Response(content, 200, headers, FORMATS[wanted.format].media_type)
+
+
 async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     """Look the fit up before the stream begins, while the answer can still be 404."""
     if await run_in_threadpool(context.store.fit, fit) is None:
@@ -181,8 +194,8 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
 _EVENT = {
     "type": "object",
     "properties": {
-        "event": Progress.model_json_schema()["properties"]["status"],
-        "data": {"type": "string", "contentMediaType": JSON, "contentSchema": openapi.reference(Progress)},
+        "event": schemas.Progress.model_json_schema()["properties"]["status"],
+        "data": {"type": "string", "contentMediaType": JSON, "contentSchema": openapi.reference(schemas.Progress)},
     },
     "required": ["event", "data"],
 }
@@ -205,7 +218,7 @@ async def follow_fit(
     with context.metrics.event_streams.track_inprogress():
         async with _task_of(revocation(context.keys, caller)) as revoked:
             async for row in context.jobs.watch(fit, revoked):
-                event: Progress = fit_progress(row, context.jobs.progress(row))
+                event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
                 yield ServerSentEvent(data=event, event=row.status)
 
 
@@ -213,8 +226,8 @@ async def _stored_submission(request: Request) -> tuple[str, dict[str, Any]]:
     """Return measurement and options of a JSON body."""
     if request.query_params:
         raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
-    document = parse_document(FitRequest, bytes(await receive_small(request, _MAX_JSON)))
-    return document.measurement, to_wire(from_wire(document.options))
+    document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
+    return document.measurement, to_wire(canonical(from_wire(document.options)))
 
 
 async def _submitted(
@@ -266,6 +279,6 @@ async def _departure(request: Request) -> None:
             pass
 
 
-async def _document(context: Context, row: FitRow) -> FitDocument:
+async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
     model = (await context.models.get(row.key)).model if row.status == "succeeded" else None
-    return fit_document(row, context.jobs.progress(row), model)
+    return schemas.fit_document(row, context.jobs.progress(row), model)

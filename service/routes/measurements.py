@@ -8,16 +8,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from dsbrdf.data.merl_validation import FILE_SIZE
-from service.errors import MeasurementNotFoundError, UnsupportedMediaTypeError
+from service.errors import MeasurementNotFoundError
 from service.http import openapi
 from service.http.openapi import BINARY
-from service.http.request_body import receive_measurement
+from service.http.request_body import media_type_of, upload_body
 from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
 from service.routes.dependencies import Context, Sha256, TheCaller, TheContext
 from service.routes.fits import CONTENT_ENCODING
 from service.storage.schema import Caller, MeasurementRow
 from service.wire import examples
-from service.wire.schemas import MeasurementDocument, MeasurementList, Page, measurement_document
+from service.wire.schemas import MeasurementDocument, MeasurementList, Page, from_row
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
 
@@ -54,14 +54,11 @@ _RANGE = openapi.header_parameter(
 )
 async def upload_measurement(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
-    media_type = request.headers.get("content-type", BINARY).partition(";")[0].strip().lower()
-    if media_type != BINARY:
-        detail = f"The content type {media_type[:60]!r} is not supported; send a MERL file as {BINARY}."
-        raise UnsupportedMediaTypeError(detail, {"Accept-Post": BINARY})
+    media_type_of(request, BINARY)
     with context.metrics.timing("upload"):
-        row, new = await receive_measurement(request, caller, context.store)
+        row, new = await context.store.receive_measurement(caller, upload_body(request))
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
-    return json_reply(measurement_document(row), 201 if new else 200, headers)
+    return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
 
 @router.get(
@@ -80,7 +77,7 @@ async def list_measurements(
     before = None if page.cursor is None else int(page.cursor)
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit, before)
     headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
-    return json_reply(MeasurementList(items=[measurement_document(row) for row in rows]), headers=headers)
+    return json_reply(MeasurementList(items=[from_row(MeasurementDocument, row) for row in rows]), headers=headers)
 
 
 @router.get(

@@ -13,13 +13,7 @@ _SUFFIX = ".binary"
 
 
 class Incoming:
-    """A file that is being received; it is either placed by `Blobs.place` or discarded.
-
-    Attributes
-    ----------
-    size : int
-        Bytes written so far.
-    """
+    """A file that is being received, of `size` bytes so far; it is either placed by `Blobs.place` or discarded."""
 
     def __init__(self, folder: Path) -> None:
         descriptor, name = tempfile.mkstemp(prefix="upload-", dir=folder)
@@ -57,13 +51,7 @@ class Incoming:
 
 
 class Blobs:
-    """Folder of measurement files, named by the sha256 of their bytes.
-
-    Parameters
-    ----------
-    folder : Path
-        The data folder; ``blobs`` and ``tmp`` are made in it.
-    """
+    """Measurement files, named by the sha256 of their bytes, in ``blobs`` and ``tmp`` of the data folder."""
 
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
@@ -102,10 +90,7 @@ class Blobs:
                     return None
                 digest = hashlib.file_digest(file, "sha256")
         except OSError as error:
-            if error.errno in (
-                errno.EMFILE,
-                errno.ENFILE,
-            ):  # this process has too many open files; the measurement may be sound
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # too many open files; the measurement may be sound
                 raise
             return error.strerror or str(error)
         if digest.hexdigest() != sha256:

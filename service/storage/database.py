@@ -23,23 +23,11 @@ _COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
 class Database:
     """Two connections that all threads of this process share: one writes, one reads and never waits for the writer.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist, for its user alone.
-    exclusive : bool
-        Whether to hold the lock, as a server does; a command goes without, so that a server may run or start.
+    The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock; a command
+    goes without, so that a server may run or start. `busy_timeout` is how long a transaction waits until it begins [s].
 
-    Raises
-    ------
-    DataFolderError
-        If another process holds the lock and it is needed, another release has written the database, or it is
-        damaged.
-
-    Attributes
-    ----------
-    busy_timeout : float
-        Time that a transaction waits until it can begin [s].
+    Raises DataFolderError if another process holds the lock and it is needed, another release has written the
+    database, or it is damaged.
     """
 
     def __init__(self, folder: Path, *, exclusive: bool = True) -> None:

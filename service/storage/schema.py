@@ -78,18 +78,10 @@ class FitKey(NamedTuple):
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks, and how much they may have at once.
+    """Who asks, and how much they may have at once; rows are seen by their owner only."""
 
-    Attributes
-    ----------
-    owner : str
-        Id of the key that was sent; '' without one. Rows are seen by their owner only.
-    stored_bytes, queued_fits : int or None
-        Most bytes stored, and most unfinished fits; None is no bound.
-    """
-
-    owner: str = ""
-    stored_bytes: int | None = None
+    owner: str = ""  # id of the key that was sent
+    stored_bytes: int | None = None  # None is no bound
     queued_fits: int | None = None
 
 

@@ -4,6 +4,7 @@ Every method is safe to call from any thread and returns when the change is dura
 state are written in one transaction. One server at a time may open a data folder, and commands while it runs.
 """
 
+import hashlib
 import json
 import sqlite3
 import time
@@ -11,6 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import dsbrdf
 from service.errors import (
     DataFolderError,
     MeasurementInUseError,
@@ -19,8 +21,8 @@ from service.errors import (
 )
 from service.storage.blobs import Blobs, Incoming
 from service.storage.database import Database
-from service.storage.quotas import Uploads, check_queue, check_storage
 from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
+from service.storage.uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
 
 _Row = TypeVar("_Row")
 
@@ -39,30 +41,25 @@ _INSERT_MEASUREMENT = (
 )
 
 
+def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
+    """Return the id of a fit: a hash of the measurement, the options on the wire and the algorithm's version."""
+    parts = {"measurement": measurement, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
 class Store:
-    """Rows and blobs below one folder.
+    """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-    exclusive : bool
-        Whether no other process may serve the folder; otherwise what a server has not finished is left alone.
-
-    Raises
-    ------
-    DataFolderError
-        If another server has the folder open, another release has written it, or the database is damaged.
+    Raises DataFolderError if one has, another release has written the folder, or the database is damaged.
     """
 
-    def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.database = Database(folder, exclusive=exclusive)
+        self.database = Database(folder)
         self.blobs = Blobs(folder)
-        self._uploads = Uploads(self.database)
+        self.uploads = Uploads(self.database, self.blobs)
         try:
-            if exclusive:
-                self._remove_orphans()
+            self._remove_orphans()
         except sqlite3.DatabaseError as error:
             self.close()
             raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
@@ -74,24 +71,28 @@ class Store:
         """Release the folder."""
         self.database.close()
 
-    def begin_upload(self, caller: Caller) -> Incoming:
-        """Return a new file for an upload, and reserve room for it in what the caller may store.
+    async def receive_measurement(self, caller: Caller, body: UploadBody) -> tuple[MeasurementRow, bool]:
+        """Store the MERL file that is the body; the flag says whether it is new to the caller.
 
-        Raises StorageQuotaError if other uploads of the caller take all of that already.
+        Raises as `Uploads.received` and `add_measurement`.
         """
-        self._uploads.begin(caller)
-        try:
-            return self.blobs.incoming()
-        except BaseException:
-            self._uploads.end(caller)
-            raise
+        async with self.uploads.received(caller, body) as received:
+            return await in_thread(self.add_measurement, caller, *received)
 
-    def end_upload(self, caller: Caller, incoming: Incoming) -> None:
-        """Remove the file of an upload, unless it was stored, and free the room that was reserved for it."""
-        try:
-            incoming.discard()
-        finally:
-            self._uploads.end(caller)
+    async def receive_fit(
+        self, caller: Caller, body: UploadBody, options: Mapping[str, Any], queue_limit: int
+    ) -> tuple[FitRow, bool]:
+        """Store the MERL file that is the body, and accept a fit of it or find the same one.
+
+        Raises as `receive_measurement` and `add_fit`; if it is the latter, the measurement is stored nevertheless.
+        """
+
+        def add(received: Received) -> tuple[FitRow, bool]:
+            self.add_measurement(caller, *received)
+            return self.add_fit(caller, received.sha256, options, queue_limit)
+
+        async with self.uploads.received(caller, body) as received:
+            return await in_thread(add, received)
 
     def add_measurement(
         self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
@@ -149,20 +150,16 @@ class Store:
         return removed
 
     def add_fit(
-        self,
-        caller: Caller,
-        fit_id: str,
-        measurement: str,
-        options: Mapping[str, Any],
-        versions: tuple[str, str],
-        queue_limit: int,
+        self, caller: Caller, measurement: str, options: Mapping[str, Any], queue_limit: int
     ) -> tuple[FitRow, bool]:
         """Accept a fit, or find the same one; the flag says whether it has to be computed.
 
-        `options` are in their wire form, `versions` those of algorithm and library; at most `queue_limit` fits may be
-        waiting. Raises MeasurementNotFoundError, QueueQuotaError, StorageQuotaError or QueueFullError.
+        `options` are in their wire form; at most `queue_limit` fits may be waiting.
+
+        Raises MeasurementNotFoundError, QueueQuotaError, StorageQuotaError or QueueFullError.
         """
-        key = (caller.owner, fit_id)
+        key = FitKey(caller.owner, fit_identity(measurement, options))
+        versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         with self.database.transaction() as db:
             values = db.execute(f"{_SELECT_FIT} {_WHERE_FIT}", key).fetchone()
             known = None if values is None else FitRow.from_values(values)

@@ -28,6 +28,7 @@ from dsbrdf.fitting.paper_method import DEFAULT_LOBES
 from dsbrdf.model.lobes import FAMILIES
 
 _ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
+_NUMBERS = (*_ANGLES, "mask")  # the library checks the types of the others
 _DECIMALS = 9  # of a degree: takes off what the conversion to radians and back has added
 _WIRE_NAMES = {field.name: f"{field.name}_deg" if field.name in _ANGLES else field.name for field in fields(FitOptions)}
 _WORDS = {"none": None, "null": None, "true": True, "false": False}
@@ -50,7 +51,7 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
         plural = "options" if len(unknown) > 1 else "option"
         raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(_PROPERTIES)}.")
     given = {name: values[wire] for name, wire in _WIRE_NAMES.items() if wire in values}
-    return FitOptions(**{name: _to_radians(name, _checked(_WIRE_NAMES[name], value)) for name, value in given.items()})
+    return FitOptions(**{name: _from_json(name, value) for name, value in given.items()})
 
 
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
@@ -67,7 +68,7 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
 
 def canonical(options: FitOptions) -> FitOptions:
-    """Return the options with one spelling of all that give the same fit."""
+    """Return the options with the method's own choices filled in; those that give the same fit become equal."""
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
@@ -90,12 +91,18 @@ def _to_degrees(name: str, value: Any) -> Any:
     return value
 
 
-def _to_radians(name: str, value: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(_to_radians(name, item) for item in value)
-    if name in _ANGLES and isinstance(value, (int, float)):
-        return float(np.radians(round(float(value), _DECIMALS)))
-    return value
+def _from_json(name: str, value: Any) -> Any:
+    """Return the library's value for a JSON value; the library checks all of it but what is a number."""
+    if name in _NUMBERS and value is not None:
+        numbers = value if name == "knots" and isinstance(value, list) else [value]
+        if not all(type(number) in (int, float) and abs(number) <= sys.float_info.max for number in numbers):
+            expected = "a list of numbers" if name == "knots" else "a number"
+            raise InvalidArgumentError(f"{_WIRE_NAMES[name]} must be {expected} or none, not {str(value)[:60]!r}.")
+        if name == "mask":
+            return _whole(value)
+        radians = tuple(float(np.radians(round(float(number), _DECIMALS))) for number in numbers)
+        return radians if name == "knots" else radians[0]
+    return _whole(value) if isinstance(value, (int, float, type(None))) else str(value)[:60]
 
 
 def _from_text(text: str) -> Any:
@@ -106,48 +113,9 @@ def _from_text(text: str) -> Any:
     return json.loads(word) if _NUMBER.fullmatch(word) else text
 
 
-def _checked(name: str, value: Any) -> Any:
-    """Return a JSON value of a type that the option has, with integers for whole numbers however they are written."""
-    value = _whole(value)
-    choices = _PROPERTIES[name].get("anyOf", [_PROPERTIES[name]])
-    if any(_matches(value, choice) for choice in choices):
-        return value
-    expected = " or ".join(word for choice in choices for word in _described(choice))
-    raise InvalidArgumentError(f"{name} must be {expected}, not {str(value)[:60]!r}.")
-
-
 def _whole(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_whole(item) for item in value]
+    """Return a whole number as an int, however it is written."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-def _matches(value: Any, schema: Mapping[str, Any]) -> bool:
-    """Return whether a value is of the type of a schema; its range is the library's concern."""
-    if schema["type"] == "array":
-        return isinstance(value, list) and all(_matches(item, {"type": "number"}) for item in value)
-    if isinstance(value, bool) or schema["type"] == "boolean":
-        return isinstance(value, bool) and schema["type"] == "boolean"
-    if isinstance(value, (int, float)):
-        right = schema["type"] == "number" or (schema["type"] == "integer" and isinstance(value, int))
-        return right and abs(value) <= sys.float_info.max  # and no NaN
-    if isinstance(value, str):
-        return value in schema.get("enum", ())
-    return value is None and schema["type"] == "null"
-
-
-def _described(schema: Mapping[str, Any]) -> list[str]:
-    """Return the kinds of value that a schema allows, in words."""
-    if "enum" in schema:
-        return [repr(value) for value in schema["enum"]]
-    words = {
-        "integer": "an integer",
-        "number": "a number",
-        "boolean": "true or false",
-        "null": "none",
-        "array": "a list of numbers",
-    }
-    return [words[schema["type"]]]
 
 
 DEFAULTS = to_wire(FitOptions())

@@ -46,7 +46,7 @@ class _Input(BaseModel):
 
 
 _Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
-_Document = TypeVar("_Document", bound=_Input)
+_Document = TypeVar("_Document", bound=BaseModel)
 
 
 def parse_document(kind: type[_Document], body: bytes, *, strict: bool = False) -> _Document:
@@ -239,25 +239,14 @@ class Export(_Input):
     ] = None
 
 
-def fit_summary(row: FitRow, progress: float) -> FitSummary:
-    """Return a fit's document without lobes."""
-    return FitSummary.model_validate({**asdict(row), "progress": progress})
+def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
+    """Return a row's document; `more` is what the row does not have."""
+    return kind.model_validate({**asdict(row), **more})
 
 
 def fit_document(row: FitRow, progress: float, model: DSBRDF | None) -> FitDocument:
     """Return a fit's document; `model` is that of a fit that succeeded."""
-    lobes = None if model is None else lobes_document(model)
-    return FitDocument.model_validate({**asdict(row), "progress": progress, "lobes": lobes})
-
-
-def fit_progress(row: FitRow, progress: float) -> Progress:
-    """Return the event that reports a fit's state."""
-    return Progress.model_validate({**asdict(row), "progress": progress})
-
-
-def measurement_document(row: MeasurementRow) -> MeasurementDocument:
-    """Return a measurement's document."""
-    return MeasurementDocument.model_validate(asdict(row))
+    return from_row(FitDocument, row, progress=progress, lobes=None if model is None else lobes_document(model))
 
 
 def component_list(decomposition: Iterable[Component]) -> ComponentList:

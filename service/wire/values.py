@@ -158,16 +158,11 @@ def _read_npy(data: bytes | memoryview) -> Array:
 
 def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
     """Return the two names that are given, which have to belong together."""
-    names = set(given) - {PHI_DIFF}
-    if set(given) & {*ANGLES, PHI_DIFF} and names & set(DIRECTIONS):
-        raise InvalidArgumentError(f"The query mixes angles and directions; {_CHOICE}.")
     for pair in (ANGLES, DIRECTIONS):
-        if names == set(pair):
+        if set(given) - ({PHI_DIFF} if pair == ANGLES else set()) == set(pair):
             return pair
-    for first, second in (ANGLES, ANGLES[::-1], DIRECTIONS, DIRECTIONS[::-1]):
-        if names == {first}:
-            raise InvalidArgumentError(f"{first} is given without {second}; {_CHOICE}.")
-    raise InvalidArgumentError(f"The query names no point; {_CHOICE}.")
+    fault = f"has {' and '.join(given)}" if given else "names no point"
+    raise InvalidArgumentError(f"The query {fault}; {_CHOICE}.")
 
 
 def _check_count(names: tuple[str, str], first: int, second: int) -> None:

@@ -76,6 +76,9 @@ def test_eval_by_directions(model_file: Path, capsys: Capture) -> None:
     assert cli.main(["eval", str(model_file), *words]) == 0
     expected = load(model_file).evaluate_directions(np.array([[-0.6, 0, 0.8], [0, 0, 1]]), np.array([0.6, 0, 0.8]))
     np.testing.assert_array_equal(document(capsys)["values"], expected)
+    exchanged = ["--omega-in", "0.6,0,0.8", "--omega-out", "-0.6,0,0.8", "--json"]
+    assert cli.main(["eval", str(model_file), *exchanged]) == 0
+    np.testing.assert_allclose(document(capsys)["values"], expected[:1], rtol=1e-12)
 
 
 def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:

@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from dsbrdf import FitOptions
 from dsbrdf.output.serialize import from_json
 from service.http.problems import KINDS, TYPE_PREFIX
 from service.wire import schemas
+from service.wire.fit_options import to_wire
 from tests.support.server import Server
 
 
@@ -144,5 +146,13 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any], ser
         for parameter in document["paths"]["/v1/fits"]["post"]["parameters"]
         if parameter["in"] == "query"
     }
-    fit = server.http.post("/v1/fits", json={"measurement": stored}, headers={"Prefer": "respond-async"})
-    assert described == {name: "none" if value is None else value for name, value in fit.json()["options"].items()}
+    options = {name: None if value == "none" else value for name, value in described.items()}
+    assert options == to_wire(FitOptions())
+    headers = {"Prefer": "respond-async"}
+    fit, same = (
+        server.http.post("/v1/fits", json={"measurement": stored, **given}, headers=headers)
+        for given in ({}, {"options": options})
+    )
+    server.http.delete(fit.headers["Location"])  # not finished, and in the way of other tests
+    assert same.json()["id"] == fit.json()["id"]
+    assert set(fit.json()["options"]) == set(described)

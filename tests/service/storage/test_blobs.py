@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,6 +32,37 @@ def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> Non
     assert list(blobs.all()) == [sha256]
     assert blobs.path(sha256).read_bytes() == b"b"
     assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_file_is_durable_before_it_is_placed_and_its_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blobs = Blobs(tmp_path)
+    incoming = blobs.incoming()
+    incoming.write(b"content")
+    steps: list[tuple[str, str]] = []
+    fsync, replace = os.fsync, Path.replace
+
+    def record_fsync(descriptor: int) -> None:
+        steps.append(("fsync", str(Path(f"/proc/self/fd/{descriptor}").readlink())))
+        fsync(descriptor)
+
+    def record_replace(source: Path, target: Path) -> Path:
+        steps.append(("replace", str(source)))
+        return replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", record_fsync)
+    monkeypatch.setattr(Path, "replace", record_replace)
+    sha256 = incoming.close()
+    blobs.place(incoming, sha256)
+    folder = blobs.path(sha256).parent
+    written = str(incoming.path)
+    assert steps == [
+        ("fsync", written),
+        ("fsync", str(folder.parent)),
+        ("replace", written),
+        ("fsync", str(folder)),
+    ]
 
 
 def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from service.errors import DataFolderError, StorageQuotaError
 from service.storage.schema import VERSION, Caller, FitKey
-from service.storage.store import Store
+from service.storage.store import Store, fit_identity
 
 
 def test_database_of_another_release_is_refused(tmp_path: Path) -> None:
@@ -37,23 +37,24 @@ def test_owners_share_only_the_file_of_a_measurement(tmp_path: Path) -> None:
     assert place(store, "b", b"x") == sha256
     assert [row.seq for row in store.measurements("b", 10, None)] == [1]
     assert [row.seq for row in store.measurements("a", 10, None)] == [2, 1]
+    fit_id = fit_identity(sha256, {})
     for owner in "ab":
-        row, new = store.add_fit(Caller(owner), "f", sha256, {}, ("1", "0"), 10)
+        row, new = store.add_fit(Caller(owner), sha256, {}, 10)
         assert new
-        assert row.key == FitKey(owner, "f")
-    assert store.start_fit(FitKey("b", "f")) is not None
-    assert store.complete_fit(FitKey("b", "f"), "of b", {}) is not None
-    fit = store.fit(FitKey("a", "f"))
+        assert row.key == FitKey(owner, fit_id)
+    assert store.start_fit(FitKey("b", fit_id)) is not None
+    assert store.complete_fit(FitKey("b", fit_id), "of b", {}) is not None
+    fit = store.fit(FitKey("a", fit_id))
     assert fit is not None
     assert fit.status == "accepted"
-    assert store.result(FitKey("a", "f")) is None
+    assert store.result(FitKey("a", fit_id)) is None
     assert store.remove_measurement("b", sha256)  # a's fit of it is unfinished, b's is not
     assert store.blobs.path(sha256).exists()
     assert not store.remove_measurement("b", sha256)
-    assert store.cancel_fit(FitKey("a", "f")) is not None
+    assert store.cancel_fit(FitKey("a", fit_id)) is not None
     assert store.remove_measurement("a", sha256)
     assert not store.blobs.path(sha256).exists()
-    assert store.result(FitKey("b", "f")) == "of b"
+    assert store.result(FitKey("b", fit_id)) == "of b"
     store.close()
 
 
@@ -61,16 +62,18 @@ def test_stored_bytes_include_results(tmp_path: Path) -> None:
     store = Store(tmp_path)
     sha256 = place(store, "a", b"12345")
 
-    def submit(fit_id: str, most: int) -> None:
-        assert store.add_fit(Caller("a", stored_bytes=most), fit_id, sha256, {}, ("1", "0"), 10)[1]
+    def submit(name: str, most: int) -> FitKey:
+        row, new = store.add_fit(Caller("a", stored_bytes=most), sha256, {"name": name}, 10)
+        assert new
+        return row.key
 
-    submit("f", 6)
-    store.start_fit(FitKey("a", "f"))
-    store.complete_fit(FitKey("a", "f"), "é", {})
+    first = submit("f", 6)
+    store.start_fit(first)
+    store.complete_fit(first, "é", {})
     with pytest.raises(StorageQuotaError, match="stored"):
         submit("g", 7)
     submit("g", 8)
-    assert store.remove_fit(FitKey("a", "f"))
+    assert store.remove_fit(first)
     with pytest.raises(StorageQuotaError):
         submit("h", 5)
     submit("h", 6)

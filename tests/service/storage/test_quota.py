@@ -10,7 +10,6 @@ import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
 from service.errors import StorageQuotaError
-from service.storage.quotas import Uploads
 from service.storage.schema import Caller
 from service.storage.store import Store
 from tests.support.guarded import new_key
@@ -70,19 +69,18 @@ def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
 
 def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    uploads = Uploads(store.database)
+    uploads = store.uploads
     for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
         caller = Caller(str(stored_bytes), stored_bytes=stored_bytes)
         for _ in range(2):
-            for _ in range(most):
-                uploads.begin(caller)
+            begun = [uploads.begin(caller) for _ in range(most)]
             for _ in range(2):
                 with pytest.raises(StorageQuotaError, match="in progress"):
                     uploads.begin(caller)
-            for _ in range(most):
-                uploads.end(caller)
-    for _ in range(1000):
-        uploads.begin(Caller())
+            for incoming in begun:
+                uploads.end(caller, incoming)
+    for incoming in [uploads.begin(Caller()) for _ in range(100)]:
+        uploads.end(Caller(), incoming)
     store.close()
 
 
@@ -92,11 +90,11 @@ def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: 
     with monkeypatch.context() as broken:
         broken.setattr(store.blobs, "incoming", lambda: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            store.begin_upload(caller)
-    store.end_upload(caller, store.begin_upload(caller))
-    incoming = store.begin_upload(caller)
+            store.uploads.begin(caller)
+    store.uploads.end(caller, store.uploads.begin(caller))
+    incoming = store.uploads.begin(caller)
     with pytest.raises(StorageQuotaError):
-        store.begin_upload(caller)
-    store.end_upload(caller, incoming)
+        store.uploads.begin(caller)
+    store.uploads.end(caller, incoming)
     assert list((tmp_path / "tmp").iterdir()) == []
     store.close()

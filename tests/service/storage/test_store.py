@@ -7,12 +7,11 @@ import pytest
 import dsbrdf
 from service.errors import DataFolderInUseError, MeasurementNotFoundError
 from service.storage.schema import Caller, FitKey
-from service.storage.store import Store
+from service.storage.store import Store, fit_identity
 from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
-
-FIT = FitKey("", "f")
+OPTIONS = to_wire(dsbrdf.FitOptions())
 
 
 def test_finished_fit_cannot_change(tmp_path: Path) -> None:
@@ -21,22 +20,23 @@ def test_finished_fit_cannot_change(tmp_path: Path) -> None:
     incoming.write(b"content")
     sha256 = incoming.close()
     store.add_measurement(LOCAL, incoming, sha256, 1)
-    arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
+    arguments = (sha256, OPTIONS, 10)
+    key = FitKey("", fit_identity(sha256, OPTIONS))
     with pytest.raises(MeasurementNotFoundError):
-        store.add_fit(LOCAL, "f", "other", {}, ("1", "0"), 10)
-    row, new = store.add_fit(LOCAL, "f", *arguments)
+        store.add_fit(LOCAL, "other", OPTIONS, 10)
+    row, new = store.add_fit(LOCAL, *arguments)
     assert (row.status, new) == ("accepted", True)
-    assert store.complete_fit(FIT, "document", {}) is None  # it does not run
-    assert store.start_fit(FIT) is not None
-    assert store.start_fit(FIT) is None
-    assert not store.remove_fit(FIT)
-    assert store.complete_fit(FIT, "document", {"male": 0.5}) is not None
-    for refused in (store.cancel_fit(FIT), store.fail_fit(FIT, {}), store.requeue_fit(FIT), store.start_fit(FIT)):
+    assert store.complete_fit(key, "document", {}) is None  # it does not run
+    assert store.start_fit(key) is not None
+    assert store.start_fit(key) is None
+    assert not store.remove_fit(key)
+    assert store.complete_fit(key, "document", {"male": 0.5}) is not None
+    for refused in (store.cancel_fit(key), store.fail_fit(key, {}), store.requeue_fit(key), store.start_fit(key)):
         assert refused is None
-    row, new = store.add_fit(LOCAL, "f", *arguments)
-    assert (row.status, new, row.metrics, store.result(FIT)) == ("succeeded", False, {"male": 0.5}, "document")
-    assert store.remove_fit(FIT)
-    assert store.fit(FIT) is None
+    row, new = store.add_fit(LOCAL, *arguments)
+    assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
+    assert store.remove_fit(key)
+    assert store.fit(key) is None
     store.close()
 
 
@@ -46,11 +46,12 @@ def test_failed_fit_runs_again_unless_its_input_is_at_fault(tmp_path: Path, orig
     incoming = store.blobs.incoming()
     sha256 = incoming.close()
     store.add_measurement(LOCAL, incoming, sha256, 1)
-    arguments = (sha256, to_wire(dsbrdf.FitOptions()), ("1", "0"), 10)
-    store.add_fit(LOCAL, "f", *arguments)
-    store.start_fit(FIT)
-    store.fail_fit(FIT, {"origin": origin, "type": "T", "message": "M"})
-    assert store.add_fit(LOCAL, "f", *arguments)[1] is repeats
+    arguments = (sha256, OPTIONS, 10)
+    key = FitKey("", fit_identity(sha256, OPTIONS))
+    store.add_fit(LOCAL, *arguments)
+    store.start_fit(key)
+    store.fail_fit(key, {"origin": origin, "type": "T", "message": "M"})
+    assert store.add_fit(LOCAL, *arguments)[1] is repeats
     store.close()
 
 
@@ -60,6 +61,14 @@ def test_data_folder_is_opened_by_one_store_at_a_time(tmp_path: Path) -> None:
         Store(tmp_path)
     first.close()
     Store(tmp_path).close()
+
+
+def test_transactions_are_synced_to_the_disk_before_they_end(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.database.transaction() as db:
+        assert db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: the log is synced at every commit
+        assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    store.close()
 
 
 def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:

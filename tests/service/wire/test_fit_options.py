@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
-from service.jobs.jobs import fit_identity
+from service.storage.store import fit_identity
 from service.wire.fit_options import DEFAULTS, OPTIONS_SCHEMA, canonical, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
@@ -153,6 +153,10 @@ def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: 
     assert len(others | {base}) == 4
 
 
+def identity(options: FitOptions) -> str:
+    return fit_identity("a" * 64, to_wire(canonical(options)))
+
+
 @pytest.mark.parametrize(
     ("options", "same"),
     [
@@ -167,7 +171,7 @@ def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: 
 def test_options_that_change_nothing_leave_the_identity(options: dict[str, Any], same: dict[str, Any]) -> None:
     first, second = FitOptions(**options), FitOptions(**same)
     assert canonical(first) == canonical(second) == canonical(canonical(first))
-    assert fit_identity("a" * 64, to_wire(first)) == fit_identity("a" * 64, to_wire(second))
+    assert identity(first) == identity(second)
 
 
 def test_every_other_option_changes_the_identity() -> None:
@@ -187,5 +191,5 @@ def test_every_other_option_changes_the_identity() -> None:
         {"method": "paper", "n_lobes": 2},
         {"method": "paper", "weighting": "log"},
     ]
-    identities = {fit_identity("a" * 64, to_wire(FitOptions(**options))) for options in changed}
+    identities = {identity(FitOptions(**options)) for options in changed}
     assert len(identities) == len(changed)

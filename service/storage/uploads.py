@@ -1,0 +1,237 @@
+"""Uploads: measurements that are hashed and checked while they are written, and how much an API key may have.
+
+A body is never held whole, and nothing of it stays if anything is wrong with it.
+"""
+
+import asyncio
+import sqlite3
+import threading
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import NamedTuple, ParamSpec, Protocol, TypeVar
+
+from anyio import CapacityLimiter, to_thread
+
+from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_header, check_length
+from dsbrdf.errors import MeasurementFormatError
+from service.errors import MeasurementTooLargeError, QueueQuotaError, StorageQuotaError, TooLargeError
+from service.storage.blobs import Blobs, Incoming
+from service.storage.database import Database
+from service.storage.schema import Caller
+
+P = ParamSpec("P")
+T = TypeVar("T")
+Sink = Callable[[bytes], object]
+
+_PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
+# Few threads for all uploads: each that has ever worked keeps memory for its next piece.
+_threads = CapacityLimiter(4)
+# Compressors add less than this to what they cannot compress.
+_MAX_ENCODED = FILE_SIZE + FILE_SIZE // 64
+_STORED = (
+    "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
+    " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
+)
+_REMEDY = "delete what is not needed any more."
+
+
+class Decoder(Protocol):
+    """Passes what a body decodes to on to a sink."""
+
+    def feed(self, data: bytes) -> None:
+        """Decode the next bytes."""
+
+    def finish(self) -> None:
+        """Check that the body is complete."""
+
+
+@dataclass(frozen=True)
+class UploadBody:
+    """What a client sends: `parts` as they arrive, the `length` it has declared, and the decoder it needs, if any."""
+
+    parts: AsyncIterator[bytes]
+    length: int | None = None
+    decoder: Callable[[Sink], Decoder] | None = None
+
+
+class Received(NamedTuple):
+    """A measurement that is complete and right, in a file that is not in its place yet."""
+
+    incoming: Incoming
+    sha256: str
+    valid_nodes: int
+
+
+class Uploads:
+    """The uploads in progress, counted by owner: what they write takes room before it is stored."""
+
+    def __init__(self, database: Database, blobs: Blobs) -> None:
+        self._database = database
+        self._blobs = blobs
+        self._lock = threading.Lock()
+        self._in_progress: Counter[str] = Counter()
+
+    @asynccontextmanager
+    async def received(self, caller: Caller, body: UploadBody) -> AsyncIterator[Received]:
+        """Receive and check the MERL file that is the body; the block stores it, or it is removed.
+
+        Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, it
+        does not decode, or the caller may not store it.
+        """
+        if body.length not in (None, FILE_SIZE):
+            await _refuse_early(body.parts, body.length or 0)
+        incoming = await in_thread(self.begin, caller)
+        try:
+            await _write(body, incoming)
+            # The disk and the processor have work of their own here, and neither waits for the other.
+            closing = asyncio.ensure_future(in_thread(incoming.close))
+            try:
+                valid_nodes = await in_thread(_valid_nodes, incoming)
+            finally:
+                sha256 = await closing
+            yield Received(incoming, sha256, valid_nodes)
+        finally:
+            await asyncio.shield(in_thread(self.end, caller, incoming))
+
+    def begin(self, caller: Caller) -> Incoming:
+        """Return a new file for an upload, which is counted from now on.
+
+        One upload at a time is let in for a caller that has no room left: its file may be one that is stored already.
+
+        Raises StorageQuotaError if those in progress take all the room that the caller has left.
+        """
+        with self._lock:
+            in_progress = self._in_progress[caller.owner]
+            if caller.stored_bytes is not None:
+                ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
+                if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
+                    uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
+                    raise StorageQuotaError(f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}")
+            incoming = self._blobs.incoming()
+            self._in_progress[caller.owner] += 1
+        return incoming
+
+    def end(self, caller: Caller, incoming: Incoming) -> None:
+        """Remove the file of an upload, unless it was stored, and the upload from the count."""
+        try:
+            incoming.discard()
+        finally:
+            with self._lock:
+                self._in_progress[caller.owner] -= 1
+                if not self._in_progress[caller.owner]:
+                    del self._in_progress[caller.owner]
+
+
+async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call what belongs to an upload in one of the few threads for all of them."""
+    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_threads)
+
+
+async def _write(body: UploadBody, incoming: Incoming) -> None:
+    """Write what the body decodes to, each piece while the next one arrives; header and length are checked."""
+    header, n_received = b"", 0
+
+    def write(data: bytes) -> None:
+        nonlocal header
+        if len(header) < HEADER_SIZE:
+            header += data[: HEADER_SIZE - len(header)]
+            if len(header) == HEADER_SIZE:
+                check_header(header)
+        _check_not_longer(incoming.size + len(data))
+        incoming.write(data)
+
+    decoder = None if body.decoder is None else body.decoder(write)
+    feed = write if decoder is None else decoder.feed
+    writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    writing.set_result(None)
+    try:
+        async for piece in _pieces(body.parts):
+            await writing
+            n_received += len(piece)
+            if n_received > _MAX_ENCODED:
+                most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
+                raise TooLargeError(most)
+            writing = asyncio.ensure_future(in_thread(feed, piece))
+            if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
+                await writing
+        await writing
+        if decoder is not None:
+            await in_thread(decoder.finish)
+    finally:
+        await asyncio.gather(writing, return_exceptions=True)
+
+
+async def _pieces(parts: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """Yield the body in pieces that are worth a switch to another thread."""
+    waiting: list[bytes] = []
+    size = 0
+    async for part in parts:
+        waiting.append(part)
+        size += len(part)
+        if size >= _PIECE:
+            piece = part if size == len(part) else b"".join(waiting)
+            waiting.clear()
+            size = 0
+            yield piece
+    if size:
+        yield b"".join(waiting)
+
+
+def _valid_nodes(incoming: Incoming) -> int:
+    """Check the values of a file and return the number of its valid nodes.
+
+    They are checked when all are there, since a check takes memory that many uploads should not have at the same time.
+    """
+    checker = MerlChecker()
+    for piece in incoming.pieces(4 * _PIECE):
+        checker.update(piece)
+    return int(checker.finish().sum())
+
+
+async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:
+    """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
+    start = b""
+    async for part in parts:
+        start += part
+        if len(start) >= HEADER_SIZE:
+            check_header(start)
+            break
+    _check_not_longer(length)
+    check_length(length)
+
+
+def _check_not_longer(n_bytes: int) -> None:
+    """Check that a file is not longer than a measurement."""
+    if n_bytes > FILE_SIZE:
+        try:
+            check_length(n_bytes)
+        except MeasurementFormatError as error:  # the library's sentence, with a kind of its own
+            raise MeasurementTooLargeError(str(error)) from None
+
+
+def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
+    """Raise QueueQuotaError if the caller has as many unfinished fits as it may have."""
+    if caller.queued_fits is None:
+        return
+    query = "SELECT count(*) FROM fits WHERE owner = ? AND status IN ('accepted', 'running')"
+    (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
+    if unfinished >= caller.queued_fits:
+        raise QueueQuotaError(
+            f"{unfinished} fits of this key are unfinished, as many as may be; ask again when one has ended."
+        )
+
+
+def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
+    """Raise StorageQuotaError if the caller has no room for `more` bytes, or for one at least."""
+    if caller.stored_bytes is None:
+        return
+    (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
+    if stored + max(more, 1) > caller.stored_bytes:
+        measurement = f" and the measurement has {more / 1e6:.1f} MB" if more else ""
+        raise StorageQuotaError(f"{_usage(caller, stored)}{measurement}; {_REMEDY}")
+
+
+def _usage(caller: Caller, stored: int) -> str:
+    return f"this key has stored {stored / 1e6:.1f} of {(caller.stored_bytes or 0) / 1e6:.1f} MB"
