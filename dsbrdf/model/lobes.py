@@ -179,7 +179,7 @@ def _tangent(squared_tangent: Array, center: Array, largest: float = _LARGEST_TA
 
 
 def _log_cos(squared_tangent: Array, center: Array | None) -> Array:
-    """log cos(theta' - center), exact where it is small."""
+    """Logarithm of cos(theta' - center), exact where it is small."""
     at = squared_tangent if center is None else _tangent(squared_tangent, center, _STEEPEST_TANGENT) ** 2
     return -0.5 * np.log1p(at)
 
