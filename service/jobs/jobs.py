@@ -175,7 +175,7 @@ class Jobs:
         bind_contextvars(fit=str(key))
         if previous is not None:
             await _run_to_end(asyncio.wait([previous]))
-            await _write(self._store.requeue_fit, key)  # in case the previous task has started the new row last
+            await _write(self._store.requeue_running, key)  # the previous task may have started the new row last
         try:
             if interruptions >= _INTERRUPTIONS_ALLOWED:
                 reason = f"The service was killed {interruptions} times while it ran this fit."

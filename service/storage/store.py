@@ -224,10 +224,11 @@ class Store:
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
-    def requeue_running(self) -> None:
-        """Set running fits back to accepted: this process is about to end, and the next one runs them."""
+    def requeue_running(self, key: FitKey | None = None) -> None:
+        """Set all running fits, or one, back to accepted; that they were started does not count as an attempt."""
+        which, values = ("", ()) if key is None else (" AND owner = ? AND id = ?", key)
         with self.database.transaction() as db:
-            db.execute(f"{_REQUEUE} WHERE status = 'running'")
+            db.execute(f"{_REQUEUE} WHERE status = 'running'{which}", values)
 
     def resume(self) -> list[FitRow]:
         """Set fits that a killed process left running back to accepted; return all accepted fits.

@@ -172,14 +172,18 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
     async def story(place: Race) -> None:
+        place.engine.slots.resize({"here": 2})  # the next attempt need not wait for a slot
         slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
         key = await place.submit()
         place.engine.go_on.set()
         await until(slow.there)  # a thread is about to write what is not true any more
         place.engine.go_on.clear()
         runs = place.engine.runs
-        assert (await place.jobs.cancel(key)) is not None
-        assert await place.submit() == key
+        cancelling = asyncio.create_task(place.jobs.cancel(key))
+        while (cancelled := place.store.fit(key)) is None or cancelled.status != "cancelled":
+            await asyncio.sleep(0.001)
+        assert await place.submit() == key  # while the first attempt is still ending
+        assert (await cancelling) is not None
         await asyncio.sleep(0.5)  # it has written
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
