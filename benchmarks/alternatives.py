@@ -20,12 +20,12 @@ from scipy.sparse import csr_array, kron
 
 from benchmarks.ggx import Objective, fit_ggx
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from benchmarks.scoring import PAPER_RANGE, RowPredictor, Score, errors, n_numbers, of_profile
+from benchmarks.scoring import PAPER_RANGE, RowPredictor, Score, errors, of_model, of_profile
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.metrics import OUTSIDE_CENTER, on_grid
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 
@@ -58,7 +58,7 @@ def of_options(options: FitOptions) -> Method:
 
     def describe(measurement: Measurement) -> Fitted:
         model = fit(measurement, options).model
-        return of_profile(on_grid(model)), n_numbers(model)
+        return of_model(model), model.n_numbers
 
     return describe
 

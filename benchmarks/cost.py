@@ -17,19 +17,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from dsbrdf.fitting.knot_placement import place_knots
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_files, chosen_measurements
-from benchmarks.scoring import n_numbers
 from dsbrdf.data.merl import read_merl, write_merl
-from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.options import MAX_LOBES, FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.splines import knot_angles
 
 LOBES = tuple(range(1, MAX_LOBES + 1))
-KNOTS = (8, 14, 19, 27)
+KNOTS = (4, 6, 10, 14)
 MATERIALS = (1, 10, 70)
 PROCESSES = (1, 2)
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -41,14 +37,13 @@ def seconds(path: Path, options: FitOptions) -> tuple[float, int]:
         warnings.simplefilter("ignore", ConvergenceWarning)
         start = time.perf_counter()
         model = fit(read_merl(path), options).model
-        return time.perf_counter() - start, n_numbers(model)
+        return time.perf_counter() - start, model.n_numbers
 
 
-def with_knots(path: Path, count: int) -> FitOptions:
-    """Return options for three lobes and the given number of knots, placed as by default."""
-    data = profiles(read_merl(path))
-    rows = place_knots(data.mean, data.weight, count)
-    return FitOptions(n_lobes=3, knots=tuple(knot_angles(rows).tolist()))
+def with_knots(count: int) -> FitOptions:
+    """Return options for three lobes and the given number of knots, closer towards grazing angles."""
+    degrees = np.unique(np.round(89.0 * np.sin(np.linspace(0.0, np.pi / 2, count))))
+    return FitOptions(n_lobes=3, knots=tuple(np.radians(degrees).tolist()))
 
 
 def timed_batch(files: Sequence[Path], processes: int) -> float:
@@ -107,7 +102,7 @@ def _print_costs(files: Sequence[Path], count_few: int) -> None:
         ):
             print(_row(label, list(pool.map(seconds, few, [options] * len(few)))), flush=True)
         for count in KNOTS:
-            figures = list(pool.map(seconds, few, [with_knots(path, count) for path in few]))
+            figures = list(pool.map(seconds, few, [with_knots(count)] * len(few)))
             print(_row(f"3 lobes, rings auto, {count} knots", figures), flush=True)
     for count in sorted({min(count, len(files)) for count in MATERIALS}):
         for processes in PROCESSES:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.ggx import fit_ggx
-from benchmarks.selected import REFERENCE_VARIABLE, add_arguments, chosen_measurements
+from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
@@ -52,11 +52,6 @@ class Likeness:
     ssim: tuple[float, ...]
 
 
-def three_angles(model: DSBRDF) -> Callable[[Array, Array, Array], Array]:
-    """Model as a function of all angles; phi_diff does not matter to it."""
-    return lambda theta_half, theta_diff, _phi_diff: model.evaluate(theta_half, theta_diff)
-
-
 def phi_means(measurement: Measurement) -> Measurement:
     """Table of the means over phi_diff, all samples above the horizon taken."""
     summary = profiles(measurement, horizon_cutoff=None)
@@ -79,7 +74,7 @@ def compare(measurement: Measurement, model: DSBRDF, peers: Path | None, size: i
     ]
     better = [np.argmax([one.psnr[i] for one in ggx]) for i in range(len(LIGHTINGS))]
     found = {
-        FIT: likeness(three_angles(model)),
+        FIT: likeness(model.evaluate),
         GGX: Likeness(
             tuple(ggx[best].psnr[i] for i, best in enumerate(better)),
             tuple(ggx[best].ssim[i] for i, best in enumerate(better)),
@@ -133,7 +128,7 @@ def strip(measurement: Measurement, model: DSBRDF) -> dict[str, Array]:
     for lighting in LIGHTINGS:
         measured = render_sphere(measurement, lighting=lighting, size=SHEET_SIZE)
         factor = exposure(measured, mask)
-        fitted = render_sphere(three_angles(model), lighting=lighting, size=SHEET_SIZE)
+        fitted = render_sphere(model.evaluate, lighting=lighting, size=SHEET_SIZE)
         seen, compared = displayed(measured, factor), displayed(fitted, factor)
         of = f"\n{lighting}"
         pictures |= {
@@ -143,7 +138,7 @@ def strip(measurement: Measurement, model: DSBRDF) -> dict[str, Array]:
         }
         if lighting == LIGHTINGS[0]:
             for component in decompose(model):
-                part = render_sphere(three_angles(component), lighting=lighting, size=SHEET_SIZE)
+                part = render_sphere(component.evaluate, lighting=lighting, size=SHEET_SIZE)
                 pictures[component.label + of] = displayed(part, factor)
     return pictures
 

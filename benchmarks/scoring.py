@@ -90,8 +90,7 @@ def of_profile(profile: Array) -> RowPredictor:
     return lambda i: profile[:, :, i, None]
 
 
-def n_numbers(model: DSBRDF) -> int:
-    """Return how many numbers a model stores: knots, delta, kappa and gamma of all lobes, center of the ring lobes."""
-    rings = int(np.any(model.center > 0, axis=(0, 1)).sum())
-    knots = model.theta_diff.size
-    return knots + 3 * knots * (1 + 2 * model.n_lobes + rings)
+def of_model(model: DSBRDF) -> RowPredictor:
+    """Return the predictor of a model."""
+    table = model.tabulate()
+    return lambda i: table[:, i]

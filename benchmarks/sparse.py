@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from benchmarks.scoring import RowPredictor, errors, of_profile
+from benchmarks.scoring import RowPredictor, errors, of_model
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.metrics import on_grid
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 
@@ -97,7 +96,7 @@ def figures(measurement: Measurement, factor: int) -> Figures:
     sparse = thinned(measurement, factor)
     means = averaged(sparse)
     return Figures(
-        relative_rms(of_profile(on_grid(fit(sparse, FitOptions()).model))),
+        relative_rms(of_model(fit(sparse, FitOptions()).model)),
         min(relative_rms(interpolated(sparse, coordinate)) for coordinate in COORDINATES),
         min(relative_rms(interpolated(means, coordinate)) for coordinate in COORDINATES),
     )

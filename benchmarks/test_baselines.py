@@ -5,13 +5,12 @@ import pytest
 
 from benchmarks.alternatives import of_table
 from benchmarks.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
-from benchmarks.scoring import PAPER_RANGE, errors, n_numbers, of_profile
+from benchmarks.scoring import PAPER_RANGE, errors, of_model
 from benchmarks.sparse import COORDINATES, interpolated, thinned
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.fitting.metrics import on_grid
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from tests.support.materials import glossy_plastic, polished_metal
@@ -69,14 +68,14 @@ def test_no_row_of_theta_half_is_left_out_of_the_fit(plastic: Measurement) -> No
 @pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
 def test_scores_are_those_of_the_library(plastic: Measurement) -> None:
     result = fit(plastic, FitOptions(method="paper", n_lobes=2))
-    found = errors(plastic, of_profile(on_grid(result.model)), CUTOFF)
+    found = errors(plastic, of_model(result.model), CUTOFF)
     expected = result.report.metrics
     score = found.score()
     assert (score.relative_rms, score.floor, score.excess, score.male) == pytest.approx(
         tuple(expected[key] for key in ("relative_rms", "floor", "excess", "male")), rel=1e-9
     )
     assert found.score(PAPER_RANGE).relative_rms < score.relative_rms
-    assert n_numbers(result.model) == 18 + 3 * 18 * (2 + 2 + 1)
+    assert result.model.n_numbers == 18 + 3 * 18 * (2 + 2 + 1)
 
 
 def test_a_table_is_exact_where_the_measurement_is_bilinear_in_the_indices() -> None:

@@ -99,9 +99,10 @@ class DSBRDF:
             "delta": lambda: np.zeros((3, self.theta_diff.size)),
         }
         for name in _ARRAYS:
-            value = getattr(self, name)
+            value: ArrayLike | None = getattr(self, name)
             try:
-                array = np.array(defaults[name]() if value is None else value, dtype=float)
+                given = value if value is not None else defaults[name]()
+                array = np.array(given, dtype=float)
             except (TypeError, ValueError):
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False

@@ -68,7 +68,7 @@ def test_known_mixtures_come_back(n_lobes: int, seed: int) -> None:
     np.testing.assert_allclose(found["amplitude"], expected["amplitude"][..., order], rtol=0.15)
 
 
-def flat(theta_half: float, theta_diff: Array, phi_diff: Array) -> list[Array]:
+def flat(theta_half: Array | float, theta_diff: Array, phi_diff: Array) -> list[Array]:
     return [part.ravel() for part in np.broadcast_arrays(theta_half, theta_diff, phi_diff)]
 
 

@@ -139,7 +139,7 @@ def scipys_cost(problem: MixtureProblem, start: Array) -> float:
     low, high = problem.structure.bounds()
     inside = np.clip(start, low + 1e-9, high - 1e-9)
     best = least_squares(
-        lambda x: residuals(problem, x),
+        lambda x: residuals(problem, x),  # type: ignore[misc]
         inside,
         bounds=(low, high),
         x_scale="jac",

@@ -324,7 +324,7 @@ def test_copies_are_equal_read_only_and_hash_alike() -> None:
 
 def test_models_that_differ_in_anything_are_not_equal() -> None:
     model = random_model()
-    state = model.__reduce__()[1]
+    state: list[Any] = list(model.__reduce__()[1])
     for index, value in enumerate(state):
         changed: Any = "student"
         if isinstance(value, np.ndarray):

@@ -63,7 +63,7 @@ def test_values_and_derivatives_against_60_digits(family: str, center: float | N
                 orders.append((0, 0, 1, 0))
             if squared > 0.0 or center is None:
                 step = {"h": mp.mpf(10) ** -25, "direction": 1} if squared == 0.0 else {}
-                slope = mp.diff(lambda s, point=point: curve(*point[:3], s), point[3], **step)
+                slope = mp.diff(lambda s, point=point: curve(point[0], point[1], point[2], s), point[3], **step)
             else:
                 slope = mp.mpf(0)  # infinite, but by_elongation is 0 there: any finite number will do
             exactly = [float(mp.diff(curve, point, order)) for order in orders]
