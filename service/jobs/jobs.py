@@ -8,6 +8,7 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, ParamSpec, TypeVar
@@ -266,12 +267,14 @@ async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 async def _run_to_end(work: Coroutine[Any, Any, T]) -> T:
-    """Await `work` to its end, even if this call is cancelled meanwhile."""
+    """Await `work` to its end, however often this call is cancelled meanwhile."""
     task = asyncio.create_task(work)
     try:
         return await asyncio.shield(task)
     except asyncio.CancelledError:
-        await asyncio.wait([task])
+        while not task.done():
+            with suppress(asyncio.CancelledError):
+                await asyncio.wait([task])
         raise
 
 
