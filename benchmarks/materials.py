@@ -25,11 +25,13 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.dsbrdf import DSBRDF
 
-FIGURES = ("relative_rms", "floor", "excess", "male", "seconds")
-WIDTH = 14
+FIGURES = (*METRICS, "numbers", "seconds")
+WIDTH = 16
 SHARES = {"median": 0.5, "p90": 0.9, "max": 1.0}
 
 
@@ -38,18 +40,20 @@ class Row:
     """Outcome of one material; metrics as in `dsbrdf.fitting.metrics`."""
 
     name: str
-    relative_rms: float | None
-    floor: float | None
-    excess: float | None
-    male: float | None
+    metrics: dict[str, float | None]
+    numbers: int
     seconds: float
     n_lobes: int
+
+    def figure(self, name: str) -> float | None:
+        """One of `FIGURES`."""
+        return self.metrics.get(name) if name in METRICS else getattr(self, name)
 
 
 Source = tuple[str, Callable[[], Measurement]]
 """Name of a material, and the function that reads it."""
-Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], int]]
-"""Metrics and number of lobes of a fit."""
+Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], DSBRDF]]
+"""Metrics and model of a fit."""
 
 
 def sources(arguments: argparse.Namespace) -> Iterator[Source]:
@@ -66,10 +70,10 @@ def sources(arguments: argparse.Namespace) -> Iterator[Source]:
     yield from chosen[:: arguments.every]
 
 
-def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], DSBRDF]:
     """Fit in this process."""
     result = fit(material, options)
-    return result.report.metrics, result.model.n_lobes
+    return result.report.metrics, result.model
 
 
 def through(url: str, stack: ExitStack) -> Runner:
@@ -78,9 +82,9 @@ def through(url: str, stack: ExitStack) -> Runner:
 
     client = stack.enter_context(Client(url))
 
-    def run(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+    def run(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], DSBRDF]:
         done = client.fit(material, options)
-        return done.metrics or {}, done.model.n_lobes
+        return done.metrics or {}, done.model
 
     return run
 
@@ -88,10 +92,8 @@ def through(url: str, stack: ExitStack) -> Runner:
 def measured(name: str, material: Measurement, run: Runner, options: FitOptions) -> Row:
     """Fit one material."""
     start = time.perf_counter()
-    metrics, n_lobes = run(material, options)
-    seconds = time.perf_counter() - start
-    figures = {figure: metrics.get(figure) for figure in ("relative_rms", "floor", "excess", "male")}
-    return Row(name, **figures, seconds=seconds, n_lobes=n_lobes)
+    metrics, model = run(material, options)
+    return Row(name, metrics, model.n_numbers, time.perf_counter() - start, model.n_lobes)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
@@ -105,7 +107,7 @@ def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
-    values = [value for row in rows if (value := getattr(row, figure)) is not None]
+    values = [value for row in rows if (value := row.figure(figure)) is not None]
     return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in SHARES.items()}
 
 
@@ -148,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 continue
             rows.append(row)
             if not arguments.json:
-                print_row(name, [getattr(row, figure) for figure in FIGURES], str(row.n_lobes))
+                print_row(name, [row.figure(figure) for figure in FIGURES], str(row.n_lobes))
     document: dict[str, Any] = {"options": asdict(options), "rows": [asdict(row) for row in rows]}
     if arguments.json:
         print(json.dumps(document | {"summary": summary(rows), "failed": failures}, indent=1))
