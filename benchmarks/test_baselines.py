@@ -75,7 +75,7 @@ def test_scores_are_those_of_the_library(plastic: Measurement) -> None:
         tuple(expected[key] for key in ("relative_rms", "floor", "excess", "male")), rel=1e-9
     )
     assert found.score(PAPER_RANGE).relative_rms < score.relative_rms
-    assert result.model.n_numbers == 18 + 3 * 18 * (2 + 2 + 1)
+    assert result.model.n_numbers == 3 * 18 * (3 * 2 + 1)
 
 
 def test_a_table_is_exact_where_the_measurement_is_bilinear_in_the_indices() -> None:

@@ -51,6 +51,7 @@ _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84
 _HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 _FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(30, 90, 3), [89]]))
 _SEARCH_MERGED_BINS = 3
+_FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
 
 
@@ -141,13 +142,13 @@ def _structure(rows: NDArray[np.intp], knots: tuple[Array, Array, Array], option
 
 
 def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:
-    """Take rows and columns, or all of those with data where few have any."""
+    """Take rows and columns, or all of those with data where hardly any of the wanted ones have."""
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         kept = np.intersect1d(wanted, present)
-        chosen.append(kept if 4 * kept.size >= present.size else present)
+        chosen.append(kept if kept.size >= min(_FEW, present.size) else present)
     return FitData.select(data.folded, weight, chosen[0], chosen[1])
 
 

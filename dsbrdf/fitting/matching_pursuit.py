@@ -182,9 +182,11 @@ def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], 
     if mixture.structure.n_lobes:
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
     gain, amplitude = _project(data, residual, np.stack(list(curves.values())))
-    best = int(np.argmax(gain))
+    candidates = list(curves)
+    # Where several do equally well, as on a single column, the widest assumes least.
+    best = max(np.flatnonzero(gain >= (1.0 - 1e-9) * gain.max()).tolist(), key=lambda i: candidates[i].width)
     on_try()
-    start = _append(data, mixture, list(curves)[best], amplitude[:, :, best])
+    start = _append(data, mixture, candidates[best], amplitude[:, :, best])
     problem = MixtureProblem(data, start.structure)
     solution = minimize(problem, start.unknowns, tolerance=_TOLERANCE, iterations=_ITERATIONS)
     return Mixture(start.structure, solution.unknowns)

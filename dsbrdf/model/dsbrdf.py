@@ -11,7 +11,7 @@ Every term is non-negative, continuous where the delta term is 0, and does not c
 places.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -91,7 +91,7 @@ class DSBRDF:
     lobe: str = "hemi_epd"
 
     def __post_init__(self) -> None:
-        defaults = {
+        defaults: dict[str, Callable[[], Array]] = {
             "center": lambda: np.zeros_like(self.kappa),
             "elongation": lambda: np.zeros((1, self.kappa.shape[-1] if self.kappa.ndim else 0)),
             "shape_theta_diff": lambda: self.theta_diff,
@@ -101,8 +101,7 @@ class DSBRDF:
         for name in _ARRAYS:
             value: ArrayLike | None = getattr(self, name)
             try:
-                given = value if value is not None else defaults[name]()
-                array = np.array(given, dtype=float)
+                array = np.array(defaults[name]() if value is None else value, dtype=float)
             except (TypeError, ValueError):
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False
