@@ -11,7 +11,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -25,31 +25,32 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.dsbrdf import DSBRDF
 
-FIGURES = ("relative_rms", "floor", "excess", "male", "seconds")
-WIDTH = 14
-SHARES = {"median": 0.5, "p90": 0.9, "max": 1.0}
+FIGURES = (*METRICS, "numbers", "seconds")
+DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}
+"""Decimal places of the figures that do not have 4."""
+WIDTH = 16
+SHARES = {"min": 0.0, "median": 0.5, "p90": 0.9, "max": 1.0}
 
 
 @dataclass(frozen=True)
 class Row:
-    """Outcome of one material; metrics as in `dsbrdf.fitting.metrics`."""
+    """Outcome of one material: its `FIGURES`, and how many lobes there are about the normal and on rings."""
 
     name: str
-    relative_rms: float | None
-    floor: float | None
-    excess: float | None
-    male: float | None
-    seconds: float
+    figures: dict[str, float | None]
     n_lobes: int
+    ring_lobes: int
 
 
 Source = tuple[str, Callable[[], Measurement]]
 """Name of a material, and the function that reads it."""
-Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], int]]
-"""Metrics and number of lobes of a fit."""
+Runner = Callable[[Measurement, FitOptions], tuple[Mapping[str, float | None], DSBRDF]]
+"""Metrics and model of a fit."""
 
 
 def sources(arguments: argparse.Namespace) -> Iterator[Source]:
@@ -66,10 +67,10 @@ def sources(arguments: argparse.Namespace) -> Iterator[Source]:
     yield from chosen[:: arguments.every]
 
 
-def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+def here(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
     """Fit in this process."""
     result = fit(material, options)
-    return result.report.metrics, result.model.n_lobes
+    return result.report.metrics, result.model
 
 
 def through(url: str, stack: ExitStack) -> Runner:
@@ -78,9 +79,9 @@ def through(url: str, stack: ExitStack) -> Runner:
 
     client = stack.enter_context(Client(url))
 
-    def run(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], int]:
+    def run(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
         done = client.fit(material, options)
-        return done.metrics or {}, done.model.n_lobes
+        return done.metrics or {}, done.model
 
     return run
 
@@ -88,14 +89,15 @@ def through(url: str, stack: ExitStack) -> Runner:
 def measured(name: str, material: Measurement, run: Runner, options: FitOptions) -> Row:
     """Fit one material."""
     start = time.perf_counter()
-    metrics, n_lobes = run(material, options)
+    metrics, model = run(material, options)
     seconds = time.perf_counter() - start
-    figures = {figure: metrics.get(figure) for figure in ("relative_rms", "floor", "excess", "male")}
-    return Row(name, **figures, seconds=seconds, n_lobes=n_lobes)
+    figures = {metric: metrics.get(metric) for metric in METRICS}
+    rings = int(np.count_nonzero(model.is_ring))
+    return Row(name, figures | {"numbers": model.n_numbers, "seconds": seconds}, model.n_lobes - rings, rings)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return median, p90 and maximum of every figure, for each database (the first word of a name) and for all."""
+    """Return the spread of every figure for each database, the first word of a name, and for all."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.name.split("_")[0], []).append(row)
@@ -105,14 +107,17 @@ def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
-    values = [value for row in rows if (value := getattr(row, figure)) is not None]
+    values = [value for row in rows if (value := row.figures[figure]) is not None]
     return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in SHARES.items()}
 
 
-def print_row(name: str, figures: Sequence[float | None], lobes: str = "") -> None:
+def print_row(name: str, figures: Mapping[str, float | None], lobes: str = "") -> None:
     """Print one line of the table."""
-    shown = [f"{'-':>{WIDTH}}" if value is None else f"{value:{WIDTH}.4f}" for value in figures[:-1]]
-    print(f"{name:34}{''.join(shown)}{figures[-1]:{WIDTH}.2f}{lobes:>7}", flush=True)
+    cells = [f"{name:34}"]
+    for figure in FIGURES:
+        value = figures[figure]
+        cells.append("-".rjust(WIDTH) if value is None else f"{value:{WIDTH}.{DIGITS.get(figure, 4)}f}")
+    print("".join(cells) + f"{lobes:>7}", flush=True)
 
 
 def print_summary(rows: Sequence[Row]) -> None:
@@ -120,7 +125,8 @@ def print_summary(rows: Sequence[Row]) -> None:
     for group, figures in summary(rows).items():
         count = len(rows) if group == "all" else sum(row.name.split("_")[0] == group for row in rows)
         for share in SHARES:
-            print_row(f"{share} of {group} ({count})", [figures[figure][share] for figure in FIGURES])
+            spread = {figure: shares[share] for figure, shares in figures.items()}
+            print_row(f"{share} of {group} ({count})", spread)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -148,7 +154,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 continue
             rows.append(row)
             if not arguments.json:
-                print_row(name, [getattr(row, figure) for figure in FIGURES], str(row.n_lobes))
+                print_row(name, row.figures, f"{row.n_lobes}+{row.ring_lobes}")
     document: dict[str, Any] = {"options": asdict(options), "rows": [asdict(row) for row in rows]}
     if arguments.json:
         print(json.dumps(document | {"summary": summary(rows), "failed": failures}, indent=1))
