@@ -11,7 +11,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -31,28 +31,25 @@ from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 
 FIGURES = (*METRICS, "numbers", "seconds")
+DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}
+"""Decimal places of the figures that do not have 4."""
 WIDTH = 16
-SHARES = {"median": 0.5, "p90": 0.9, "max": 1.0}
+SHARES = {"min": 0.0, "median": 0.5, "p90": 0.9, "max": 1.0}
 
 
 @dataclass(frozen=True)
 class Row:
-    """Outcome of one material; metrics as in `dsbrdf.fitting.metrics`."""
+    """Outcome of one material: its `FIGURES`, and how many lobes there are about the normal and on rings."""
 
     name: str
-    metrics: dict[str, float | None]
-    numbers: int
-    seconds: float
+    figures: dict[str, float | None]
     n_lobes: int
-
-    def figure(self, name: str) -> float | None:
-        """One of `FIGURES`."""
-        return self.metrics.get(name) if name in METRICS else getattr(self, name)
+    ring_lobes: int
 
 
 Source = tuple[str, Callable[[], Measurement]]
 """Name of a material, and the function that reads it."""
-Runner = Callable[[Measurement, FitOptions], tuple[dict[str, float | None], DSBRDF]]
+Runner = Callable[[Measurement, FitOptions], tuple[Mapping[str, float | None], DSBRDF]]
 """Metrics and model of a fit."""
 
 
@@ -70,7 +67,7 @@ def sources(arguments: argparse.Namespace) -> Iterator[Source]:
     yield from chosen[:: arguments.every]
 
 
-def here(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], DSBRDF]:
+def here(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
     """Fit in this process."""
     result = fit(material, options)
     return result.report.metrics, result.model
@@ -82,7 +79,7 @@ def through(url: str, stack: ExitStack) -> Runner:
 
     client = stack.enter_context(Client(url))
 
-    def run(material: Measurement, options: FitOptions) -> tuple[dict[str, float | None], DSBRDF]:
+    def run(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
         done = client.fit(material, options)
         return done.metrics or {}, done.model
 
@@ -93,11 +90,14 @@ def measured(name: str, material: Measurement, run: Runner, options: FitOptions)
     """Fit one material."""
     start = time.perf_counter()
     metrics, model = run(material, options)
-    return Row(name, metrics, model.n_numbers, time.perf_counter() - start, model.n_lobes)
+    seconds = time.perf_counter() - start
+    figures = {metric: metrics.get(metric) for metric in METRICS}
+    rings = int(np.count_nonzero(model.is_ring))
+    return Row(name, figures | {"numbers": model.n_numbers, "seconds": seconds}, model.n_lobes - rings, rings)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return median, p90 and maximum of every figure, for each database (the first word of a name) and for all."""
+    """Return the spread of every figure for each database, the first word of a name, and for all."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.name.split("_")[0], []).append(row)
@@ -107,14 +107,17 @@ def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
-    values = [value for row in rows if (value := row.figure(figure)) is not None]
+    values = [value for row in rows if (value := row.figures[figure]) is not None]
     return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in SHARES.items()}
 
 
-def print_row(name: str, figures: Sequence[float | None], lobes: str = "") -> None:
+def print_row(name: str, figures: Mapping[str, float | None], lobes: str = "") -> None:
     """Print one line of the table."""
-    shown = [f"{'-':>{WIDTH}}" if value is None else f"{value:{WIDTH}.4f}" for value in figures[:-1]]
-    print(f"{name:34}{''.join(shown)}{figures[-1]:{WIDTH}.2f}{lobes:>7}", flush=True)
+    cells = [f"{name:34}"]
+    for figure in FIGURES:
+        value = figures[figure]
+        cells.append("-".rjust(WIDTH) if value is None else f"{value:{WIDTH}.{DIGITS.get(figure, 4)}f}")
+    print("".join(cells) + f"{lobes:>7}", flush=True)
 
 
 def print_summary(rows: Sequence[Row]) -> None:
@@ -122,7 +125,8 @@ def print_summary(rows: Sequence[Row]) -> None:
     for group, figures in summary(rows).items():
         count = len(rows) if group == "all" else sum(row.name.split("_")[0] == group for row in rows)
         for share in SHARES:
-            print_row(f"{share} of {group} ({count})", [figures[figure][share] for figure in FIGURES])
+            spread = {figure: shares[share] for figure, shares in figures.items()}
+            print_row(f"{share} of {group} ({count})", spread)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -150,7 +154,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 continue
             rows.append(row)
             if not arguments.json:
-                print_row(name, [row.figure(figure) for figure in FIGURES], str(row.n_lobes))
+                print_row(name, row.figures, f"{row.n_lobes}+{row.ring_lobes}")
     document: dict[str, Any] = {"options": asdict(options), "rows": [asdict(row) for row in rows]}
     if arguments.json:
         print(json.dumps(document | {"summary": summary(rows), "failed": failures}, indent=1))

@@ -1,0 +1,73 @@
+"""How much the components change when the data change a little.
+
+Each material is fitted as it is, with the horizon cutoff at 76 instead of 80 degrees, with 1 % noise, and with every
+second row of theta_diff left out.  The change of a component is that of its directional albedo at normal incidence,
+channels added, as a share of it; components that hold less than 1 % of the albedo do not count.
+"""
+
+import argparse
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.decomposition import LABELS, decompose
+
+Array = NDArray[np.float64]
+
+NOISE = 0.01
+CUTOFF = float(np.radians(76.0))
+SMALLEST_SHARE = 0.01
+
+
+def changes_of(measurement: Measurement) -> dict[str, tuple[Measurement, FitOptions]]:
+    """The changed measurements, and the options that they are fitted with."""
+    random = np.random.default_rng(0)
+    noisy = measurement.values * (1.0 + NOISE * random.standard_normal(measurement.values.shape))
+    noisy = np.where(measurement.valid, np.maximum(noisy, 0.0), -1.0)
+    thinned = measurement.valid.copy()
+    thinned[:, 1::2] = False
+    return {
+        "cutoff 76 degrees": (measurement, FitOptions(horizon_cutoff=CUTOFF)),
+        "1 % noise": (Measurement.from_values(noisy, measurement.valid, measurement.name), FitOptions()),
+        "every second theta_diff": (replace(measurement, valid=thinned), FitOptions()),
+    }
+
+
+def albedos(measurement: Measurement, options: FitOptions) -> Array:
+    """Albedo of each component at normal incidence, channels added, shape (3,)."""
+    return np.array([component.albedo.sum() for component in decompose(fit(measurement, options).model)])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the changes of each material and their spread."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks stability", description=__doc__)
+    add_arguments(parser, every=7)
+    found: dict[str, list[Array]] = {}
+    print(f"{'relative change of the albedo of: ' + ', '.join(LABELS)}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        for measurement in chosen_measurements(parser.parse_args(argv)):
+            before = albedos(measurement, FitOptions())
+            counts = before > SMALLEST_SHARE * before.sum()
+            for what, (changed, options) in changes_of(measurement).items():
+                change = np.abs(albedos(changed, options) - before) / np.where(counts, before, np.inf)
+                found.setdefault(what, []).append(change[counts])
+                cells = "".join(f"{c:9.1%}" if used else f"{'-':>9}" for c, used in zip(change, counts, strict=True))
+                print(f"{measurement.name:34} {what:24}{cells}", flush=True)
+    for what, every in (found | {"all": [np.concatenate(rows) for rows in found.values()]}).items():
+        spread = np.quantile(np.concatenate(every), [0.5, 0.9, 1.0])
+        print(f"{what:24} median {spread[0]:.1%}, p90 {spread[1]:.1%}, largest {spread[2]:.1%}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
