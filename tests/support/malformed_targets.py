@@ -241,7 +241,7 @@ QUERIES = [
     "/v1/fits/@/brdf?omega_in=0,0,1&theta_diff_deg=1",
     "/v1/fits/@/brdf?omega_in=0,0&omega_out=0,0,1",
     "/v1/fits/@/brdf?omega_in=0,0,2&omega_out=0,0,1",
-    "/v1/fits/@/brdf?omega_in=0,0,-1&omega_out=0,0,1",
+    "/v1/fits/@/brdf?omega_in=0,0,-1.5&omega_out=0,0,1",
     "/v1/fits/@/brdf?omega_in=nan,0,1&omega_out=0,0,1",
     "/v1/fits/@/brdf?theta_half_deg=1_0&theta_diff_deg=1",
     "/v1/fits/@/brdf?theta_half_deg=%D9%A3&theta_diff_deg=1",
