@@ -1,10 +1,11 @@
 """The paper's procedure: Algorithm 1 on each of 18 slices of theta_diff, 5 degrees apart (Nishino 2009, section 6).
 
 The lobes are matched across slices by sorting on kappa; kappa and gamma run linearly between slices; a delta term takes
-what is left where theta_half < 1 degree.
+what is left where theta_half < 1 degree.  The number of lobes, if it is not given, is chosen by Williams' test.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting import em
+from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -23,13 +25,19 @@ Array = NDArray[np.float64]
 
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
 """The 18 slices of the paper, 0 to 85 degrees [rad]."""
-DEFAULT_LOBES = 3
 
 
-def fit_slicewise(
-    data: Profiles, options: FitOptions, progress: Callable[[float], None]
-) -> tuple[DSBRDF, dict[str, list[Any]]]:
-    """Fit all slices of all channels in one batch.
+@dataclass(frozen=True, eq=False)
+class PaperFit:
+    """Model and what the report says of it, see `dsbrdf.FitReport`."""
+
+    model: DSBRDF
+    slices: dict[str, list[Any]]
+    selection: list[dict[str, Any]]
+
+
+def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> PaperFit:
+    """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
 
     Parameters
     ----------
@@ -40,39 +48,48 @@ def fit_slicewise(
 
     Returns
     -------
-    model : DSBRDF
-    slices : dict
-        As in `FitReport`.
+    PaperFit
 
     Raises
     ------
     FitError
         If the options leave no data to fit.
     """
-    n_lobes = DEFAULT_LOBES if options.n_lobes == "auto" else options.n_lobes
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
     mask = 1.0 if options.mask is None else options.mask
     kept = OUTSIDE_CENTER & (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)
     weight = np.where(kept, data.weight[:, rows], 0.0)
-    # A slice with fewer nodes than parameters has nothing to say about them.
-    fitted = np.sum(weight > 0, axis=2) >= 2 * n_lobes
-    if not fitted.any(axis=1).all():
-        raise FitError(
-            "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
-            "raise the horizon cutoff or lower the mask or the number of lobes"
+    columns, largest_kappa = np.flatnonzero(OUTSIDE_CENTER), _largest_kappa(data, rows)
+    mean, within = data.mean[:, rows], np.where(weight > 0.0, data.within[:, rows], 0.0)
+
+    def fit_those(chosen: NDArray[np.bool_], n_lobes: int, progress: Callable[[float], None]) -> em.SliceFits:
+        return em.fit_slices(
+            THETA_HALF[columns],
+            mean[chosen][:, columns],
+            weight[chosen][:, columns],
+            n_lobes,
+            iterations=options.em_iterations,
+            robust=options.robust,
+            largest_kappa=largest_kappa[chosen],
+            on_iteration=lambda number: progress(number / options.em_iterations),
         )
-    columns = np.flatnonzero(OUTSIDE_CENTER)
-    largest_kappa = _largest_kappa(data, rows)[fitted]
-    slices = em.fit_slices(
-        THETA_HALF[columns],
-        data.mean[:, rows][fitted][:, columns],
-        weight[fitted][:, columns],
-        n_lobes,
-        iterations=options.em_iterations,
-        robust=options.robust,
-        largest_kappa=largest_kappa,
-        on_iteration=lambda number: progress(number / options.em_iterations),
-    )
+
+    selection: list[dict[str, Any]] = []
+    if options.n_lobes == "auto":
+        compared = _with_nodes(weight, 2 * LARGEST_AUTOMATIC, at_least=2)
+        parts = (part[compared][:, columns] for part in (mean, weight, within))
+        tries = LARGEST_AUTOMATIC + 1
+        n_lobes, selection = choose_n_lobes(
+            THETA_HALF[columns],
+            *parts,
+            lambda k: fit_those(compared, k, lambda share: progress((k - 1 + share) / tries)),
+        )
+        last = lambda share: progress((tries - 1 + share) / tries)  # noqa: E731
+    else:
+        n_lobes, last = options.n_lobes, progress
+    # A slice with fewer nodes than parameters has nothing to say about them.
+    fitted = _with_nodes(weight, 2 * n_lobes, at_least=2 * n_lobes)
+    slices = fit_those(fitted, n_lobes, last)
     nearest = _nearest_fitted(fitted)
     kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
     delta = _delta(data, rows, kappa, gamma)
@@ -82,9 +99,28 @@ def fit_slicewise(
         "fitted": fitted.tolist(),
         "converged": _spread(slices.converged, fitted, nearest).tolist(),
         "iterations": _spread(slices.iterations, fitted, nearest).tolist(),
-        "bounds_hit": _spread(_bounds_hit(slices, largest_kappa), fitted, nearest).tolist(),
+        "bounds_hit": _spread(_bounds_hit(slices, largest_kappa[fitted]), fitted, nearest).tolist(),
     }
-    return model, report
+    return PaperFit(model, report, selection)
+
+
+def _with_nodes(weight: Array, wanted: int, *, at_least: int) -> NDArray[np.bool_]:
+    """Slices (3, D) that have the nodes wanted; where no slice of a channel has, those with at least so many.
+
+    Raises
+    ------
+    FitError
+        If a channel has no slice at all.
+    """
+    count = np.sum(weight > 0, axis=2)
+    for enough in (wanted, at_least):
+        chosen = count >= enough
+        if chosen.any(axis=1).all():
+            return np.asarray(chosen)
+    raise FitError(
+        "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
+        "raise the horizon cutoff or lower the mask or the number of lobes"
+    )
 
 
 def _largest_kappa(data: Profiles, rows: NDArray[np.intp]) -> Array:

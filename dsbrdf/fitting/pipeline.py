@@ -83,13 +83,14 @@ def fit(
     report_progress(0.1)
     progress_fit = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
     if options.method == "paper":
-        model, slices = fit_slicewise(data, options, progress_fit)
+        papers = fit_slicewise(data, options, progress_fit)
+        model, slices, selection = papers.model, papers.slices, papers.selection
         growth, bound = list[GrowthStep](), options.em_iterations
         clock.lap("em")
     else:
         outcome = fit_global(data, options, progress_fit, clock.lap)
         model, slices, growth = outcome.model, outcome.slices, outcome.growth
-        bound = MAX_ITERATIONS
+        selection, bound = list[dict[str, Any]](), MAX_ITERATIONS
     albedo = model.albedo(ALBEDO_ANGLES)
     clock.lap("albedo")
     chosen = asdict(options) | {"knots": None if options.knots is None else list(options.knots)}
@@ -99,6 +100,7 @@ def fit(
         by_theta_diff=[],
         slices=slices,
         growth=[asdict(step) for step in growth],
+        selection=selection,
         albedo={"theta_out": ALBEDO_ANGLES.tolist(), "albedo": albedo.tolist()},
         n_numbers=model.n_numbers,
         timings=clock.laps,

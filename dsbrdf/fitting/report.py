@@ -23,6 +23,10 @@ class FitReport:
     growth : list of dict
         For each lobe tried: ``n_lobes``, ``ring_lobes``, ``error`` on the samples held out, as a share of their squared
         signal, and ``pays``.  Empty for the method "paper".
+    selection : list of dict
+        Of the method "paper", where it chose the number of lobes, for each number: ``n_lobes``, ``e_p`` (expected
+        negative log probability), ``squared_error``, ``bic``, and Williams' ``t``, ``critical_value`` and
+        ``significant``.  Else empty.
     albedo : dict
         ``theta_out`` [rad], ``albedo``: directional albedo there, (n, 3).
     n_numbers : int
@@ -40,6 +44,7 @@ class FitReport:
     by_theta_diff: list[dict[str, Any]]
     slices: dict[str, list[Any]]
     growth: list[dict[str, Any]]
+    selection: list[dict[str, Any]]
     albedo: dict[str, list[Any]]
     n_numbers: int
     timings: dict[str, float]

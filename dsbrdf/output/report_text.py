@@ -83,6 +83,17 @@ def growth_table(report: FitReport) -> list[str]:
     return lines
 
 
+def selection_table(report: FitReport) -> list[str]:
+    """Return a table of the numbers of lobes that Williams' test compared; empty if the number was not chosen so."""
+    lines = [f"{'lobes':<14}{'E_p':>10}{'squared error':>16}{'t':>10}{'critical':>10}"] if report.selection else []
+    for row in report.selection:
+        t, critical = ("" if row[name] is None else f"{row[name]:.3f}" for name in ("t", "critical_value"))
+        verdict = "   worse" if row["significant"] else ""
+        cells = f"{row['n_lobes']:<14}{row['e_p']:>10.4f}{row['squared_error']:>16.4g}{t:>10}{critical:>10}"
+        lines.append(f"{cells}{verdict}".rstrip())
+    return lines
+
+
 def bands_table(report: FitReport) -> list[str]:
     """Return a table of the errors of each channel and of each band of theta_diff with data."""
     rows = [(f"{row['channel']} channel", row) for row in report.by_channel]
@@ -104,7 +115,7 @@ def model_text(model: DSBRDF, *, channel: str = "red") -> list[str]:
 def result_text(file: Path, result: FitResult) -> list[str]:
     """Return the report of one fit: metrics, components, parameters, lobes tried, errors."""
     lines = [headline(file, result), "", *model_text(result.model)]
-    for table in (growth_table(result.report), bands_table(result.report)):
+    for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
 

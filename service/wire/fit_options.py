@@ -24,7 +24,6 @@ from dsbrdf.fitting.options import (
     WEIGHTINGS,
     FitOptions,
 )
-from dsbrdf.fitting.paper_method import DEFAULT_LOBES
 from dsbrdf.model.lobes import FAMILIES
 
 _ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
@@ -74,7 +73,6 @@ def canonical(options: FitOptions) -> FitOptions:
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
     return replace(
         options,
-        n_lobes=DEFAULT_LOBES if paper and options.n_lobes == "auto" else options.n_lobes,
         ring_lobes=0 if paper else options.ring_lobes,
         horizon_cutoff=None if horizon else options.horizon_cutoff,
         mask=float(mask),

@@ -22,6 +22,7 @@ def report() -> FitReport:
         by_theta_diff=[],
         slices={"theta_diff": numbers[0], "converged": [[True, False]], "iterations": [[3, 100]]},
         growth=[{"n_lobes": 1, "ring_lobes": 0, "error": 1e-5, "pays": True}],
+        selection=[{"n_lobes": 1, "t": None, "significant": False}],
         albedo={"theta_out": [0.0], "albedo": numbers},
         n_numbers=378,
         timings={"em": 0.1},

@@ -1,0 +1,141 @@
+"""Williams' test chooses the number of lobes of the paper's method, and the report says how."""
+
+import json
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.grid import THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import profiles
+from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting import em
+from dsbrdf.fitting.lobe_selection import BACKGROUND, choose_n_lobes, expected_negative_log_probability
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.report import FitReport
+from dsbrdf.fitting.williams_test import bic, williams_test
+
+Array = NDArray[np.float64]
+
+ANGLES = THETA_HALF[OUTSIDE_CENTER]
+LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])
+
+
+def slices_of(n_lobes: int, noise: float = 0.02, count: int = 24) -> Array:
+    """Slices (count, N) of so many well separated lobes with noise."""
+    random = np.random.default_rng(n_lobes)
+    factor = random.uniform(0.8, 1.2, (count, n_lobes, 2))
+    curves = em.lobe_curves(np.log(np.cos(ANGLES)), np.log(LOBES[:n_lobes] * factor)).sum(axis=1)
+    return np.asarray(curves * (1.0 + noise * random.standard_normal(curves.shape)))
+
+
+def choose(mean: Array) -> tuple[int, list[dict[str, Any]]]:
+    weight = np.full(mean.shape, 180.0)
+    return choose_n_lobes(
+        ANGLES, mean, weight, np.zeros_like(mean), lambda k: em.fit_slices(ANGLES, mean, weight, k, iterations=60)
+    )
+
+
+@pytest.mark.parametrize("n_lobes", [1, 2])
+def test_separated_lobes_are_counted(n_lobes: int) -> None:
+    chosen, table = choose(slices_of(n_lobes))
+    assert chosen == n_lobes
+    assert [row["n_lobes"] for row in table] == [1, 2, 3, 4, 5]
+    assert [row["significant"] for row in table] == [k < n_lobes for k in range(1, 6)]
+
+
+def test_table_holds_the_test_the_error_and_the_criterion() -> None:
+    mean = slices_of(2, count=9)
+    weight = np.random.default_rng(0).uniform(50.0, 180.0, mean.shape)
+    within = np.random.default_rng(1).uniform(0.0, 0.1, mean.shape)
+    fits = {k: em.fit_slices(ANGLES, mean, weight, k, iterations=30) for k in range(1, 6)}
+    chosen, table = choose_n_lobes(ANGLES, mean, weight, within, fits.__getitem__)
+    statistic = []
+    for k, row in zip(range(1, 6), table, strict=True):
+        parameters = np.log(np.stack([fits[k].kappa, fits[k].gamma], axis=-1))
+        curves = em.lobe_curves(np.log(np.cos(ANGLES)), parameters).sum(axis=1)
+        error = np.sum(weight * (curves - mean) ** 2) + within.sum()
+        assert row["squared_error"] == pytest.approx(error, rel=1e-12)
+        assert row["bic"] == pytest.approx(float(bic(error, weight.sum(), 2 * k * 9)), rel=1e-12)
+        statistic.append(expected_negative_log_probability(ANGLES, mean, weight > 0, curves))
+        assert row["e_p"] == pytest.approx(np.mean(statistic[-1]), rel=1e-12)
+    expected = williams_test(statistic)
+    assert chosen == expected.n_lobes
+    for row, test in zip(table, expected.table, strict=True):
+        assert (row["t"], row["critical_value"], row["significant"]) == (test.t, test.critical_value, test.significant)
+
+
+def test_expected_negative_log_probability_is_that_of_a_loop() -> None:
+    random = np.random.default_rng(3)
+    mean, curves = random.uniform(0.1, 2.0, (2, ANGLES.size)), random.uniform(0.1, 2.0, (2, ANGLES.size))
+    used = random.uniform(size=mean.shape) > 0.2
+    found = expected_negative_log_probability(ANGLES, mean, used, curves)
+    steps = np.gradient(ANGLES)
+    for s in range(2):
+        areas = [float(np.sin(ANGLES[n]) * steps[n]) if used[s, n] else 0.0 for n in range(ANGLES.size)]
+        total = sum(area * curves[s, n] for n, area in enumerate(areas))
+        light = logs = 0.0
+        for n, area in enumerate(areas):
+            density = (1.0 - BACKGROUND) * curves[s, n] / total + BACKGROUND / sum(areas)
+            logs -= area * mean[s, n] * np.log(density)
+            light += area * mean[s, n]
+        assert found[s] == pytest.approx(logs / light, rel=1e-12)
+
+
+def test_true_density_has_the_least() -> None:
+    mean = slices_of(2, noise=0.0)
+    best = expected_negative_log_probability(ANGLES, mean, np.ones_like(mean, bool), mean)
+    for share in (0.9, 1.1):
+        other = expected_negative_log_probability(ANGLES, mean, np.ones_like(mean, bool), mean**share)
+        assert np.all(other > best)
+    black = expected_negative_log_probability(ANGLES, 0.0 * mean, np.ones_like(mean, bool), mean)
+    assert black.tolist() == [0.0] * len(mean)
+
+
+@pytest.fixture(scope="module")
+def report(plastic: Measurement) -> FitReport:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return fit(profiles(plastic), method="paper").report
+
+
+def test_papers_method_chooses_and_says_so(plastic: Measurement, report: FitReport) -> None:
+    assert [row["n_lobes"] for row in report.selection] == [1, 2, 3, 4, 5]
+    assert report.options["n_lobes"] == "auto"
+    worse = [row["significant"] for row in report.selection]
+    n_lobes = worse.index(False) + 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        result = fit(profiles(plastic), method="paper", n_lobes=n_lobes)
+    assert report.n_numbers == result.model.n_numbers
+    assert result.report.selection == []
+    json.dumps(report.selection, allow_nan=False)
+
+
+def test_progress_of_the_choice_rises_from_0_to_1(matte: Measurement) -> None:
+    shares: list[float] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        fit(profiles(matte), FitOptions(method="paper", em_iterations=5), progress=shares.append)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
+
+
+def test_few_nodes_bound_the_number_of_lobes(plastic: Measurement) -> None:
+    data = profiles(plastic)
+    few = np.zeros((90, 90))
+    few[::5, 15:21] = 1.0  # six angles can tell three lobes at most
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        thin = type(data)(**(vars(data) | {"weight": data.weight * few}))
+        result = fit(thin, FitOptions(method="paper", em_iterations=5))
+    assert [row["n_lobes"] for row in result.report.selection] == [1, 2, 3]
+
+
+def test_global_method_has_no_such_table(plastic: Measurement) -> None:
+    assert fit(profiles(plastic), FitOptions(n_lobes=1, ring_lobes=0)).report.selection == []
