@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
 """The 18 slices of the paper, 0 to 85 degrees [rad]."""
+_ANGLES = THETA_HALF[OUTSIDE_CENTER]
+_SEARCH_SHARE = 0.8  # of the work, where the number of lobes is chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,40 +58,21 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
         If the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
-    mask = 1.0 if options.mask is None else options.mask
-    kept = OUTSIDE_CENTER & (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)
-    weight = np.where(kept, data.weight[:, rows], 0.0)
-    columns, largest_kappa = np.flatnonzero(OUTSIDE_CENTER), _largest_kappa(data, rows)
-    mean, within = data.mean[:, rows], np.where(weight > 0.0, data.within[:, rows], 0.0)
-
-    def fit_those(chosen: NDArray[np.bool_], n_lobes: int, progress: Callable[[float], None]) -> em.SliceFits:
-        return em.fit_slices(
-            THETA_HALF[columns],
-            mean[chosen][:, columns],
-            weight[chosen][:, columns],
-            n_lobes,
-            iterations=options.em_iterations,
-            robust=options.robust,
-            largest_kappa=largest_kappa[chosen],
-            on_iteration=lambda number: progress(number / options.em_iterations),
-        )
-
+    data_slices = _slices(data, rows, options)
     selection: list[dict[str, Any]] = []
     if options.n_lobes == "auto":
-        compared = _with_nodes(weight, 2 * LARGEST_AUTOMATIC, at_least=2)
-        parts = (part[compared][:, columns] for part in (mean, weight, within))
-        tries = LARGEST_AUTOMATIC + 1
-        n_lobes, selection = choose_n_lobes(
-            THETA_HALF[columns],
-            *parts,
-            lambda k: fit_those(compared, k, lambda share: progress((k - 1 + share) / tries)),
-        )
-        last = lambda share: progress((tries - 1 + share) / tries)  # noqa: E731
+        n_lobes, selection = _choose(data_slices, options, lambda share: progress(_SEARCH_SHARE * share))
+        progress_last = lambda share: progress(_SEARCH_SHARE + (1.0 - _SEARCH_SHARE) * share)  # noqa: E731
     else:
-        n_lobes, last = options.n_lobes, progress
+        n_lobes, progress_last = options.n_lobes, progress
     # A slice with fewer nodes than parameters has nothing to say about them.
-    fitted = _with_nodes(weight, 2 * n_lobes, at_least=2 * n_lobes)
-    slices = fit_those(fitted, n_lobes, last)
+    fitted = data_slices.with_nodes(2 * n_lobes)
+    if not fitted.any(axis=1).all():
+        raise FitError(
+            "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
+            "raise the horizon cutoff or lower the mask or the number of lobes"
+        )
+    slices = data_slices.fit(fitted, n_lobes, options, progress_last)
     nearest = _nearest_fitted(fitted)
     kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
     delta = _delta(data, rows, kappa, gamma)
@@ -99,28 +82,63 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
         "fitted": fitted.tolist(),
         "converged": _spread(slices.converged, fitted, nearest).tolist(),
         "iterations": _spread(slices.iterations, fitted, nearest).tolist(),
-        "bounds_hit": _spread(_bounds_hit(slices, largest_kappa[fitted]), fitted, nearest).tolist(),
+        "bounds_hit": _spread(_bounds_hit(slices, data_slices.largest_kappa[fitted]), fitted, nearest).tolist(),
     }
     return PaperFit(model, report, selection)
 
 
-def _with_nodes(weight: Array, wanted: int, *, at_least: int) -> NDArray[np.bool_]:
-    """Slices (3, D) that have the nodes wanted; where no slice of a channel has, those with at least so many.
+@dataclass(frozen=True, eq=False)
+class _Slices:
+    """What the lobes are fitted to: profiles (3, D, N) from 1 degree on, and the largest kappa (3, D)."""
 
-    Raises
-    ------
-    FitError
-        If a channel has no slice at all.
-    """
-    count = np.sum(weight > 0, axis=2)
-    for enough in (wanted, at_least):
-        chosen = count >= enough
-        if chosen.any(axis=1).all():
-            return np.asarray(chosen)
-    raise FitError(
-        "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
-        "raise the horizon cutoff or lower the mask or the number of lobes"
-    )
+    mean: Array
+    weight: Array
+    within: Array
+    largest_kappa: Array
+
+    def with_nodes(self, count: int) -> NDArray[np.bool_]:
+        """Slices (3, D) that have at least so many nodes."""
+        return np.asarray(np.sum(self.weight > 0, axis=2) >= count)
+
+    def fit(
+        self, chosen: NDArray[np.bool_], n_lobes: int, options: FitOptions, progress: Callable[[float], None]
+    ) -> em.SliceFits:
+        """Run Algorithm 1 on the chosen slices."""
+        return em.fit_slices(
+            _ANGLES,
+            self.mean[chosen],
+            self.weight[chosen],
+            n_lobes,
+            iterations=options.em_iterations,
+            robust=options.robust,
+            largest_kappa=self.largest_kappa[chosen],
+            on_iteration=lambda number: progress(number / options.em_iterations),
+        )
+
+
+def _slices(data: Profiles, rows: NDArray[np.intp], options: FitOptions) -> _Slices:
+    mask = 1.0 if options.mask is None else options.mask
+    kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
+    mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
+    return _Slices(mean, np.where(kept, weight, 0.0), np.where(kept, within, 0.0), _largest_kappa(data, rows))
+
+
+def _choose(
+    slices: _Slices, options: FitOptions, progress: Callable[[float], None]
+) -> tuple[int, list[dict[str, Any]]]:
+    """Choose the number of lobes on the slices that have enough nodes for any; else on all that have nodes."""
+    compared = slices.with_nodes(2 * LARGEST_AUTOMATIC)
+    if not compared.any(axis=1).all():
+        compared = slices.with_nodes(2)
+    if not compared.any():
+        return 1, []
+    mean, weight, within = (part[compared] for part in (slices.mean, slices.weight, slices.within))
+
+    def fit_slices(n_lobes: int) -> em.SliceFits:
+        done = (n_lobes - 1) / LARGEST_AUTOMATIC
+        return slices.fit(compared, n_lobes, options, lambda share: progress(done + share / LARGEST_AUTOMATIC))
+
+    return choose_n_lobes(_ANGLES, mean, weight, within, fit_slices)
 
 
 def _largest_kappa(data: Profiles, rows: NDArray[np.intp]) -> Array:
