@@ -11,7 +11,8 @@ and the M-step fits each lobe alone to its share by Levenberg-Marquardt,
 Because q depends on theta_half only, the sum over the raw samples and the sum over the profile differ by a
 constant, so that the algorithm runs exactly on `Profiles`.  All slices, channels and lobes iterate together:
 each Levenberg-Marquardt step is one pass over an array of shape (problems, theta_half) and a 2 x 2 system in
-(log kappa, log gamma) for each problem.
+(log kappa, log gamma) for each problem.  A step needs the paper's lobe, which is not divided by its height, and its two
+derivatives in the same few operations; `dsbrdf.model.lobes` would compute four more and a division to be undone.
 """
 
 from collections.abc import Callable

@@ -6,7 +6,8 @@ The lobe of scale ``kappa > 0`` and shape ``gamma >= 0`` is, without its normali
     l(theta) = exp(kappa * cos(theta)**gamma) - 1.
 
 ``gamma = 0`` is a constant (a Lambertian lobe), ``gamma -> infinity`` a mirror.  A *ring lobe* is the
-same function of ``theta - center``; ``center = 0`` is the paper's lobe.
+same function of ``theta - center``; ``center = 0`` is the paper's lobe.  Fitting and evaluation take the lobe
+divided by its height, with derivatives, from `dsbrdf.model.lobes`.
 
 Energy.  Integrating the exponential series term by term over the hemisphere gives
 
@@ -54,31 +55,6 @@ def lobe(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike, center: ArrayLike
     """
     kappa, gamma = _check_parameters(kappa, gamma)
     return np.expm1(kappa * _power(_log_cos(np.asarray(theta, float) - np.asarray(center, float)), gamma))
-
-
-def lobe_derivatives(
-    theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike, center: ArrayLike = 0.0
-) -> tuple[Array, Array, Array, Array]:
-    """Value of the lobe and its derivatives in log kappa, log gamma and center.
-
-    Parameters are those of `lobe`.
-
-    Returns
-    -------
-    value, by_log_kappa, by_log_gamma, by_center : ndarray
-        The last one per radian.  From ``theta - center = +-pi/2`` on, where the lobe is 0, they are 0.
-    """
-    kappa, gamma = _check_parameters(kappa, gamma)
-    offset = np.asarray(theta, float) - np.asarray(center, float)
-    log_cos = _log_cos(offset)
-    exponent = kappa * _power(log_cos, gamma)
-    value = np.expm1(exponent)
-    by_log_kappa = exponent * (value + 1.0)
-    gamma_log_cos = gamma * np.where(np.isfinite(log_cos), log_cos, 0.0)
-    by_log_gamma = by_log_kappa * gamma_log_cos
-    inside = np.abs(offset) < np.pi / 2
-    by_center = by_log_kappa * gamma * np.tan(np.where(inside, offset, 0.0))
-    return value, by_log_kappa, by_log_gamma, by_center
 
 
 def energy(kappa: ArrayLike, gamma: ArrayLike, center: ArrayLike = 0.0) -> Array:
