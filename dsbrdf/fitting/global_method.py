@@ -50,7 +50,7 @@ _SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 _HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 _FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(30, 90, 3), [89]]))
-_SEARCH_MERGED_BINS = 3
+_SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
 
@@ -90,9 +90,8 @@ def fit_global(
     weight = _weights(data, options)
     measured_rows = np.flatnonzero(weight.sum(axis=(0, 2, 3)) > 0)
     coarse = _structure(measured_rows, _SEARCH_KNOTS, options)
-    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
-    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
-    fitted, held_out = fitted.merge_bins(_SEARCH_MERGED_BINS), held_out.merge_bins(_SEARCH_MERGED_BINS)
+    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
+    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
@@ -142,13 +141,13 @@ def _structure(rows: NDArray[np.intp], knots: tuple[Array, Array, Array], option
 
 
 def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:
-    """Take rows and columns, or all of those with data where hardly any of the wanted ones have."""
+    """Take the rows and columns with data that are nearest to the wanted ones, or all where there are hardly any."""
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
-        kept = np.intersect1d(wanted, present)
-        chosen.append(kept if kept.size >= min(_FEW, present.size) else present)
+        nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
+        chosen.append(nearest if nearest.size >= min(_FEW, present.size) else present)
     return FitData.select(data.folded, weight, chosen[0], chosen[1])
 
 

@@ -13,11 +13,11 @@ Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown that stands at a bound an
 combination of values within bounds is within them too, so that nothing has to be clipped between knots.
 
 A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
-control values.
+control values.  Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,19 +26,22 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
-from dsbrdf.model.lobes import SMALLEST_COSINE, Stretch, lobe_derivatives, lobe_values, stretch
+from dsbrdf.model.lobes import Stretch, half_width, lobe_derivatives, lobe_values, log_cosine, stretch
 from dsbrdf.model.splines import n_control_values, roughness, spline_basis
 
 Array = NDArray[np.float64]
 
-SMOOTHING = 1e-7
+SMOOTHING = (1e-7, 3e-6, 1e-6)
+"""Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 """From nothing to the largest value that a measurement may have."""
 KAPPA_BOUNDS = (1e-2, 10.0)
 GAMMA_BOUNDS = (1e-2, 5e4)
 """From flat to a sixth of a degree, about the narrowest peak that the grid resolves."""
 CENTER_BOUNDS = (-0.25, float(np.pi / 2))
-ELONGATION_BOUNDS = (-2.5, 2.5)
+ELONGATION_BOUNDS = (-2.0, 2.0)
+CUSP_WIDTHS = 1.0
+"""A negative center is at most this many half widths: a cusp stays about as steep as the lobe itself."""
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _LARGEST_DAMPING = 1e8
 _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the tolerance
@@ -102,6 +105,12 @@ class Structure:
         amplitude, shape, elongation = (p.reshape(block) for p, block in zip(parts, self._blocks, strict=True))
         return amplitude, shape, elongation
 
+    def is_kappa(self) -> NDArray[np.bool_]:
+        """Which unknowns are logarithms of kappa, shape (n_unknowns,)."""
+        found = np.zeros(self.n_unknowns)
+        self.split(found)[1][:, : self.n_lobes] = 1.0
+        return found > 0.0
+
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of the unknowns, shape (n_unknowns,) each."""
         sides = []
@@ -114,6 +123,15 @@ class Structure:
             shape[:, 2 * k :], elongation[...] = CENTER_BOUNDS[side], ELONGATION_BOUNDS[side]
             sides.append(bound)
         return sides[0], sides[1]
+
+    def limit_cusps(self, unknowns: Array) -> Array:
+        """Hold negative centers above a multiple of the half width: a cusp is no steeper than its lobe can be."""
+        limited = unknowns.copy()
+        shape, k = self.split(limited)[1], self.n_lobes
+        rings = slice(k - self.n_rings, k)
+        width = half_width(np.exp(shape[:, :k][:, rings]), np.exp(shape[:, k : 2 * k][:, rings]), self.family)
+        np.maximum(shape[:, 2 * k :], -CUSP_WIDTHS * width, out=shape[:, 2 * k :])
+        return limited
 
 
 def change_knots(old: Structure, unknowns: Array, new: Structure) -> Array:
@@ -155,14 +173,12 @@ class FitData:
         cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
         return cls(folded.mean[chosen], weight[chosen], cos2_phi, rows, columns)
 
-    def merge_bins(self, count: int) -> "FitData":
-        """Join ``count`` neighbouring bins of phi_diff, a divisor of their number, to one."""
-        groups = self.weight.reshape(*self.weight.shape[:3], -1, count)
-        total = groups.sum(axis=4)
-        share = groups / np.where(total > 0.0, total, 1.0)[..., None]
-        mean = np.sum(share * self.mean.reshape(groups.shape), axis=4)
-        cos2_phi = np.sum(share.mean(axis=0) * self.cos2_phi.reshape(groups.shape[1:]), axis=3)
-        return replace(self, mean=mean, weight=total, cos2_phi=cos2_phi)
+    def take_bins(self, bins: Sequence[int]) -> "FitData":
+        """Keep some bins of phi_diff only."""
+        chosen = list(bins)
+        return replace(
+            self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
+        )
 
     @property
     def signal(self) -> float:
@@ -177,19 +193,19 @@ class MixtureProblem:
     ----------
     data : FitData
     structure : Structure
-    smoothing : float, optional
-        See the module.
+    smoothing : tuple of float, optional
+        See `SMOOTHING`.
     """
 
-    def __init__(self, data: FitData, structure: Structure, smoothing: float = SMOOTHING) -> None:
+    def __init__(self, data: FitData, structure: Structure, smoothing: tuple[float, float, float] = SMOOTHING) -> None:
         self.data, self.structure = data, structure
         angles = THETA_DIFF[data.rows]
         knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
         self.bases = tuple(spline_basis(k, angles) for k in knots)
         self._squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
-        self._log_cos = np.log(np.maximum(np.cos(angles), SMALLEST_COSINE))[:, None, None]
-        self._smoothing = smoothing * data.signal
-        self._rough = tuple(roughness(basis.shape[1]) for basis in self.bases[:2])
+        self._log_cos = log_cosine(angles)[:, None, None]
+        self._signal = data.signal
+        self._rough = tuple(pull * roughness(b.shape[1]) for b, pull in zip(self.bases, smoothing, strict=True))
 
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, 9) [1/sr]."""
@@ -254,15 +270,15 @@ class MixtureProblem:
 
     def _pull(self, unknowns: Array) -> float:
         parts = self.structure.split(unknowns)
-        terms = (np.einsum("dp,de,ep->", part, rough, part) for part, rough in zip(parts, self._rough, strict=False))
-        return self._smoothing * float(sum(terms))
+        terms = (np.einsum("dp,de,ep->", part, rough, part) for part, rough in zip(parts, self._rough, strict=True))
+        return self._signal * float(sum(terms))
 
     def _add_pull(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
         start = 0
-        for part, rough in zip(self.structure.split(unknowns), self._rough, strict=False):
+        for part, rough in zip(self.structure.split(unknowns), self._rough, strict=True):
             block = slice(start, start + part.size)
-            matrix[block, block] += self._smoothing * np.kron(rough, np.eye(part.shape[1]))
-            gradient[block] += self._smoothing * (rough @ part).ravel()
+            matrix[block, block] += self._signal * np.kron(rough, np.eye(part.shape[1]))
+            gradient[block] += self._signal * (rough @ part).ravel()
             start += part.size
 
     def _kinds(self, shape: Array, elongation: Array) -> Iterator[tuple[Stretch, Array, Array, Array | None]]:
@@ -322,6 +338,7 @@ def minimize(
     *,
     tolerance: float,
     iterations: int,
+    fixed: NDArray[np.bool_] | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Solution:
     """Levenberg-Marquardt within the bounds of the structure.
@@ -335,6 +352,8 @@ def minimize(
         Relative decrease of the cost below which an iteration counts as stalled.
     iterations : int
         Bound on the number of steps tried.
+    fixed : ndarray of bool, optional
+        Unknowns that keep the value they start from.
     on_iteration : callable, optional
         Called with the number of each step.
 
@@ -343,15 +362,17 @@ def minimize(
     Solution
     """
     low, high = problem.structure.bounds()
-    unknowns = np.clip(start, low, high)
+    unknowns = problem.structure.limit_cusps(np.clip(start, low, high))
     cost, matrix, gradient = problem.linearize(unknowns)
     damping, growth, stalled = 1e-3, 2.0, 0
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)
         held = ((unknowns <= low) & (gradient > 0)) | ((unknowns >= high) & (gradient < 0))
+        if fixed is not None:
+            held |= fixed
         step = _step(matrix, gradient, damping, held)
-        proposed = np.clip(unknowns + step, low, high)
+        proposed = problem.structure.limit_cusps(np.clip(unknowns + step, low, high))
         step = proposed - unknowns
         predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
         new_cost = problem.cost(proposed) if predicted > 0.0 else np.inf

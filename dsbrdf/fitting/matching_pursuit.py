@@ -1,11 +1,15 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
 A new lobe is looked for where the current mixture leaves the largest residual: lobes of many widths, centers and
-elongations are projected on it, and the one that explains most is fitted together with all the others for some
-iterations.  Lobes about the normal and ring lobes compete on the same terms.  All channels get the same new lobe.
+elongations are projected on it, and the one that explains most is fitted together with all the others.  Lobes about the
+normal and ring lobes compete on the same terms.  All channels get the same new lobe.
 
-Whether it pays is decided on rows of theta_diff that no mixture was fitted to: a lobe that follows noise does not lower
-the error there.
+The old lobes have adapted to the lack of the new one, above all in kappa, which trades against gamma: each fit starts
+again from kappa = 1 at the same half widths, and holds it there for the first iterations.
+
+Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
+lower the error there.  Growth ends at once where the residual looks like noise, that is where neighbouring samples of
+phi_diff deviate independently.  A mixture of lobes about the normal that gets there is taken instead of one with rings.
 """
 
 from collections.abc import Callable
@@ -17,18 +21,20 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Structure, minimize
-from dsbrdf.model.hemi_epd import half_width
-from dsbrdf.model.lobes import SMALLEST_COSINE, lobe_values, stretch
+from dsbrdf.model.lobes import gamma_factor, gamma_of_half_width, half_width, lobe_values, log_cosine, stretch
 from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
 
 MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
-PAYS = 0.05
+PAYS = 0.04
 """Share of the error on the rows held out by which a lobe has to lower it."""
-NEGLIGIBLE = 1e-6
-"""... and share of the weighted squared signal: errors below 0.1 % are nobody's material."""
+NEGLIGIBLE = 1e-5
+"""... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
+NOISE_CORRELATION = 0.22
+"""Correlation of neighbouring residuals below which they count as noise: between samples of a smooth material that a
+mixture misses it is above 0.3 as a rule, and 0 for noise of single samples."""
 _DEGREE = np.pi / 180.0
 _WIDTHS = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
 _RING_WIDTHS = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
@@ -40,7 +46,9 @@ _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: one that starts too faint has no derivative to grow by
 _START_SMOOTHING = 3e-2
-_ITERATIONS, _TOLERANCE = 12, 1e-3
+_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 12, 1e-3
+_LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
+_MOST_PLAIN_LOBES = 4  # lobes about the normal that are tried in the place of rings
 _PATIENCE = 2  # lobes that do not pay before the next one may: two can need each other
 
 
@@ -82,10 +90,9 @@ class _Candidate:
     def is_ring(self) -> bool:
         return self.center != 0.0
 
-    @property
-    def gamma(self) -> float:
-        """Shape of a lobe of kappa 1 that has the half width: log-cosines scale with 1 / gamma."""
-        return float(np.log(np.cos(half_width(_START_KAPPA, 1.0))) / np.log(np.cos(self.width)))
+    def gamma(self, family: str) -> Array:
+        """Shape of a lobe that starts with the half width."""
+        return gamma_of_half_width(np.array(self.width), np.array(_START_KAPPA), family)
 
 
 def grow(
@@ -119,35 +126,44 @@ def grow(
         curves[candidate] = _curve(fitted, candidate, empty.family)
     mixture, steps = Mixture(empty, np.zeros(0)), list[GrowthStep]()
     best, error, signal, failures = mixture, held_out.signal, held_out.signal, 0
-    while mixture.structure.n_lobes < MAX_LOBES or _is_short(mixture.structure, n_lobes, ring_lobes):
-        rings = mixture.structure.n_rings
-        wanted = _kinds_wanted(mixture.structure.n_lobes - rings, rings, n_lobes, ring_lobes)
-        if not wanted:
-            break
+    while wanted := _kinds_wanted(mixture.structure, n_lobes, ring_lobes):
         allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in wanted}
         must = _is_short(mixture.structure, n_lobes, ring_lobes)
-        mixture = _add_best(fitted, mixture, allowed, on_try)
-        new_error = _error(held_out, mixture)
-        pays = must or error - new_error > PAYS * error + NEGLIGIBLE * signal
+        on_try()
+        start = _add_best(fitted, mixture, allowed)
+        least = 0.0 if must else PAYS * error + NEGLIGIBLE * signal
+        mixture, new_error = _fit_start(fitted, held_out, start, error - least)
+        only_noise = False
+        if n_lobes == ring_lobes == "auto":
+            mixture, only_noise = _prefer_plain(fitted, mixture)
+            new_error = _error(held_out, mixture)
+        pays = must or error - new_error > least
         count = mixture.structure
         steps.append(GrowthStep(count.n_lobes - count.n_rings, count.n_rings, new_error / signal, pays))
         if pays:
             best, error, failures = mixture, min(error, new_error), 0
         else:
             failures += 1
-            if failures > _PATIENCE:
-                break
+        if failures > _PATIENCE or (pays and only_noise):
+            break
     return best, steps
 
 
 def _kinds_wanted(
-    n_lobes: int, n_rings: int, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
+    structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
 ) -> set[bool]:
-    """Which kinds the next lobe may be: False about the normal, True a ring.  The first is about the normal."""
+    """Which kinds the next lobe may be: False about the normal, True a ring.  The first is about the normal.
+
+    Where one number is fixed and the other is found, the last places are kept for the lobes that have to be there.
+    """
+    centered = structure.n_lobes - structure.n_rings
+    missing = 0 if wanted == "auto" else wanted - centered
+    missing_rings = 0 if wanted_rings == "auto" else wanted_rings - structure.n_rings
+    room = structure.n_lobes + missing + missing_rings < MAX_LOBES
     kinds = set()
-    if wanted == "auto" or n_lobes < wanted:
+    if missing > 0 or (wanted == "auto" and room):
         kinds.add(False)
-    if (n_lobes or wanted == 0) and (wanted_rings == "auto" or n_rings < wanted_rings):
+    if (centered or wanted == 0) and (missing_rings > 0 or (wanted_rings == "auto" and room)):
         kinds.add(True)
     return kinds
 
@@ -170,14 +186,15 @@ def _candidates() -> list[_Candidate]:
 def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     """Values of a candidate, shape (R, N * 9)."""
     squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
-    log_cos = np.log(np.maximum(np.cos(THETA_DIFF[data.rows]), SMALLEST_COSINE))[:, None, None]
+    log_cos = log_cosine(THETA_DIFF[data.rows])[:, None, None]
     at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent
     center = np.array(candidate.center) if candidate.is_ring else None
-    values = lobe_values(at, np.array(_START_KAPPA), np.array(candidate.gamma), center, family)
+    values = lobe_values(at, np.array(_START_KAPPA), candidate.gamma(family), center, family)
     return np.ascontiguousarray(values.reshape(len(data.rows), -1))
 
 
-def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], on_try: Callable[[], None]) -> Mixture:
+def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> Mixture:
+    """Add the candidate that explains most of the residual, not yet fitted."""
     residual = data.mean
     if mixture.structure.n_lobes:
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
@@ -185,11 +202,83 @@ def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array], 
     candidates = list(curves)
     # Where several do equally well, as on a single column, the widest assumes least.
     best = max(np.flatnonzero(gain >= (1.0 - 1e-9) * gain.max()).tolist(), key=lambda i: candidates[i].width)
-    on_try()
-    start = _append(data, mixture, candidates[best], amplitude[:, :, best])
+    return _append(data, mixture, candidates[best], amplitude[:, :, best])
+
+
+def _fit_start(fitted: FitData, held_out: FitData, start: Mixture, goal: float) -> tuple[Mixture, float]:
+    """Fit from kappa = 1; where the error on the rows held out is not below the goal, also from kappa as it is."""
+    mixture = _fit(fitted, _restart_kappa(start))
+    error = _error(held_out, mixture)
+    if error < goal:
+        return mixture, error
+    again = _minimize(fitted, start, _ITERATIONS)
+    new_error = _error(held_out, again)
+    return (again, new_error) if new_error < error else (mixture, error)
+
+
+def _fit(data: FitData, start: Mixture) -> Mixture:
+    """Fit with kappa held at first."""
+    start = _minimize(data, start, _FIXED_ITERATIONS, start.structure.is_kappa())
+    return _minimize(data, start, _ITERATIONS)
+
+
+def _minimize(data: FitData, start: Mixture, iterations: int, fixed: NDArray[np.bool_] | None = None) -> Mixture:
     problem = MixtureProblem(data, start.structure)
-    solution = minimize(problem, start.unknowns, tolerance=_TOLERANCE, iterations=_ITERATIONS)
-    return Mixture(start.structure, solution.unknowns)
+    found = minimize(problem, start.unknowns, tolerance=_TOLERANCE, iterations=iterations, fixed=fixed)
+    return Mixture(start.structure, found.unknowns)
+
+
+def _restart_kappa(mixture: Mixture) -> Mixture:
+    """Set every kappa to that of a new lobe, at the same half widths."""
+    structure, unknowns = mixture.structure, mixture.unknowns.copy()
+    k, shape = structure.n_lobes, structure.split(unknowns)[1]
+    factor = gamma_factor(np.exp(shape[:, :k]), np.array(_START_KAPPA), structure.family)
+    shape[:, k : 2 * k] += np.log(factor)
+    shape[:, :k] = np.log(_START_KAPPA)
+    return Mixture(structure, unknowns)
+
+
+def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
+    """Replace ring lobes by lobes about the normal where these leave only noise.
+
+    Returns
+    -------
+    mixture : Mixture
+    only_noise : bool
+        Whether the residual of the mixture is noise.
+    """
+    structure = mixture.structure
+    if 0 < structure.n_rings and structure.n_lobes <= _MOST_PLAIN_LOBES:
+        plain = _fit(data, _restart_kappa(_about_normal(mixture)))
+        if _correlation(data, plain) < NOISE_CORRELATION:
+            return plain, True
+    return mixture, _correlation(data, mixture) < NOISE_CORRELATION
+
+
+def _about_normal(mixture: Mixture) -> Mixture:
+    """Replace each ring lobe by one about the normal that reaches as far."""
+    old = mixture.structure
+    amplitude, shape, elongation = old.split(mixture.unknowns)
+    k, plain = old.n_lobes, old.n_lobes - old.n_rings
+    kappa, gamma, center = np.exp(shape[:, plain:k]), np.exp(shape[:, k + plain : 2 * k]), shape[:, 2 * k :]
+    width = half_width(kappa, gamma, old.family)
+    reach = np.clip(width + center, 0.3 * width, 1.5)
+    shape = shape[:, : 2 * k].copy()
+    shape[:, k + plain :] = np.log(gamma_of_half_width(reach, kappa, old.family))
+    unknowns = np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
+    return Mixture(replace(old, rings=(False,) * k), unknowns)
+
+
+def _correlation(data: FitData, mixture: Mixture) -> float:
+    """Correlation of the weighted residuals of neighbouring bins of phi_diff, large ones clipped."""
+    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
+    residual = residual * np.sqrt(data.weight)
+    limit = _LARGEST_RESIDUAL * float(np.sqrt(np.mean(residual**2))) or 1.0
+    residual = np.clip(residual / limit, -1.0, 1.0)
+    both = (data.weight[..., 1:] > 0) & (data.weight[..., :-1] > 0)
+    first, second = residual[..., 1:][both], residual[..., :-1][both]
+    size = float(np.sqrt(np.sum(first**2) * np.sum(second**2)))
+    return float(np.sum(first * second)) / size if size > 0.0 else 0.0
 
 
 def _project(data: FitData, residual: Array, curves: Array) -> tuple[Array, Array]:
@@ -232,7 +321,7 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
         shapes[:, others], shapes[:, [k + lobe for lobe in others]] = old_shapes[:, :n], old_shapes[:, n : 2 * n]
         shapes[:, 2 * k : 2 * k + old.n_rings] = old_shapes[:, 2 * n :]
         elongations[:, others] = old_elongations
-    shapes[:, place], shapes[:, k + place] = np.log(_START_KAPPA), np.log(candidate.gamma)
+    shapes[:, place], shapes[:, k + place] = np.log(_START_KAPPA), np.log(candidate.gamma(old.family))
     elongations[:, place] = _START_ELONGATION * candidate.elongation
     if candidate.is_ring:
         shapes[:, -1] = candidate.center

@@ -27,7 +27,7 @@ PLAIN_SHARE = 1.5
 """What the plain error counts beside the seen one."""
 SEEN_POWER = 1.2
 """Power of f that an error counts relative to."""
-_DARK = 0.02  # of the median: errors of values below count alike
+_DARK = 0.02  # of the mean that a lit material shows: errors of values below count alike
 _SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
 _TRUST_POWER = 8
 _SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none
@@ -52,11 +52,11 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
         return plain * cosines
     if weighting == "log":
         return plain * cosines / (1.0 + mean) ** 2
-    measured = folded.weight.sum(axis=3) > 0
-    median = float(np.median(mean[measured])) if measured.any() else 1.0
     across = np.maximum(np.sin(2.0 * THETA_DIFF), 0.0) + 0.1
     solid_angle = across[:, None, None] * _solid_angles()[:, None]
-    seen = folded.weight * cosines * solid_angle / (mean + _DARK * median + 1e-12) ** SEEN_POWER
+    lit = folded.weight * cosines * solid_angle
+    level = float(np.sum(lit * folded.mean)) / (float(np.sum(lit)) or 1.0)
+    seen = lit / (mean + _DARK * level + 1e-12) ** SEEN_POWER
     return PLAIN_SHARE * plain / _floor(folded, plain) + seen / _floor(folded, seen)
 
 

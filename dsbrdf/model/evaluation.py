@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.model.lobes import SMALLEST_COSINE, lobe_values
+from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ class Evaluator:
         The parameters and the stretch are found once for all of them.
         """
         amplitude, kappa, gamma, center, elongation = self.parameters(theta_diff)
-        log_cos = np.log(np.maximum(np.cos(theta_diff), SMALLEST_COSINE))[:, None]
+        log_cos = log_cosine(theta_diff)[:, None]
         cos2 = np.square(np.cos(phi_diff))
         ratios = [np.exp(elongation[:, lobe, None] * log_cos) for lobe in range(self._n_lobes)]
         factors = [cos2 / ratio + (1.0 - cos2) * ratio for ratio in ratios]
@@ -164,7 +164,7 @@ class Evaluator:
         if self._round:
             stretched = np.broadcast_to(squared, (k, squared.size))
         else:
-            log_cos = np.log(np.maximum(np.cos(theta_diff), SMALLEST_COSINE))
+            log_cos = log_cosine(theta_diff)
             cos2 = np.square(np.cos(phi_diff))
             ratio = np.exp(elongation * log_cos)
             stretched = squared * (cos2 / ratio + (1.0 - cos2) * ratio)

@@ -6,12 +6,18 @@ value, so that its amplitude is its height in 1/sr:
     hemi_epd    s = expm1(kappa cos(theta' - center)**gamma) / expm1(kappa)        (Nishino 2009, eq. 3)
     student     s = (1 + gamma tan(theta' - center)**2)**-kappa                    (Student's t over slopes)
 
-``center = 0`` is the paper's lobe about the normal; ``center > 0`` peaks on a ring; ``center < 0`` is the flank of such
-a lobe, a cusp at the normal, where it is then largest.
+``center = 0`` is the paper's lobe about the normal; ``center > 0`` peaks on a ring; ``center < 0`` is a cusp, largest
+at the normal: the flank of a lobe, moved there by its tangent, which reaches the horizon together with theta':
+
+    tan(theta' - center) = tan(theta') + tan(-center),    center < 0.
 
 ``theta'`` is theta_half stretched along and across the plane of incidence by one number, the elongation e:
 
-    tan(theta')**2 = tan(theta_half)**2 (cos(phi_diff)**2 c**-e + sin(phi_diff)**2 c**e),    c = cos(theta_diff).
+    tan(theta')**2 = tan(theta_half)**2 (cos(phi_diff)**2 c**-e + sin(phi_diff)**2 c**e),
+    c**4 = cos(theta_diff)**4 + g**4 (1 - cos(theta_diff)**4).
+
+c is the cosine of theta_diff, held above g = `GRAZING_COSINE` (to 75 degrees it differs by less than 0.3 %): with the
+cosine itself the stretch would be infinite at the horizon, and in the last degrees steeper than any measurement tells.
 
 ``e = 0`` is the paper's lobe, round about the half vector.  Turning phi_diff by half a turn, which swaps the two
 directions, leaves theta' as it is: every lobe is reciprocal.
@@ -29,8 +35,8 @@ Array = NDArray[np.float64]
 
 FAMILIES = ("hemi_epd", "student")
 """Known lobes."""
-SMALLEST_COSINE = 1e-6
-"""cos(theta_diff) below this counts as this: at the horizon itself the stretch would be infinite."""
+GRAZING_COSINE = 0.08
+"""The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
 _STEEPEST_TANGENT = 1e12
 _LARGEST_TANGENT = float(np.tan(1.57))
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
@@ -64,6 +70,33 @@ class LobeDerivatives:
     by_squared_tangent: Array
 
 
+def log_cosine(theta_diff: Array) -> Array:
+    """Logarithm of the cosine c that stretches lobes, from 0 at normal incidence to that of `GRAZING_COSINE`."""
+    fourth = GRAZING_COSINE**4
+    return np.asarray(0.25 * np.log(fourth + (1.0 - fourth) * np.cos(theta_diff) ** 4))
+
+
+def half_width(kappa: Array, gamma: Array, family: str) -> Array:
+    """Angle from the center at which a lobe has half its height [rad]."""
+    squared = _fall_to_half(kappa, family) / gamma
+    if family == "hemi_epd":
+        squared = np.expm1(np.minimum(2.0 * squared, -_LOWEST_LOG))
+    return np.asarray(np.arctan(np.sqrt(squared)))
+
+
+def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
+    """Gamma of a lobe that has half its height at an angle from the center [rad]."""
+    squared = np.tan(width) ** 2
+    if family == "hemi_epd":
+        squared = 0.5 * np.log1p(squared)
+    return np.asarray(_fall_to_half(kappa, family) / squared)
+
+
+def gamma_factor(kappa: Array, new_kappa: Array, family: str) -> Array:
+    """What gamma has to be multiplied by so that a lobe keeps its half width when kappa changes."""
+    return _fall_to_half(new_kappa, family) / _fall_to_half(kappa, family)
+
+
 def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elongation: Array) -> Stretch:
     """Stretch theta_half along and across the plane of incidence.
 
@@ -74,7 +107,7 @@ def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elonga
     cos2_phi : ndarray
         ``cos(phi_diff)**2``.
     log_cos_diff : ndarray
-        ``log(cos(theta_diff))``, not below that of `SMALLEST_COSINE`.
+        As `log_cosine` gives it.
     elongation : ndarray
     """
     along = cos2_phi * np.exp(-elongation * log_cos_diff)
@@ -127,8 +160,10 @@ def lobe_derivatives(
         return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
     by_offset = np.where(tangent < _LARGEST_TANGENT, by_offset, 0.0)
     root = np.sqrt(squared_tangent)
-    by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * (1.0 + squared_tangent))
-    by_center = np.where(center < 0.0, by_top, 0.0) - by_offset
+    is_cusp, at_offset = center < 0.0, 1.0 + tangent**2
+    per_root = np.where(is_cusp, at_offset, 1.0 + squared_tangent)
+    by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * per_root)
+    by_center = np.where(is_cusp, by_top - by_offset * (1.0 + np.tan(negative) ** 2) / at_offset, -by_offset)
     return LobeDerivatives(value, by_log_kappa, by_log_gamma, by_center, by_squared_tangent)
 
 
@@ -171,10 +206,17 @@ def _student_derivatives(
     return value, value * fall, by_log_gamma, by_offset, by_top
 
 
+def _fall_to_half(kappa: Array, family: str) -> Array:
+    """Gamma times tan**2 ("student") or -log(cos) ("hemi_epd") of the half width."""
+    if family == "student":
+        return np.expm1(np.log(2.0) / kappa)
+    return np.log(kappa / np.log1p(0.5 * np.expm1(kappa)))
+
+
 def _tangent(squared_tangent: Array, center: Array, largest: float = _LARGEST_TANGENT) -> Array:
-    """tan(theta' - center); the largest from a right angle on, where the tangent would come back."""
+    """tan(theta' - center), as the module defines it."""
     root, tan_center = np.sqrt(squared_tangent), np.tan(center)
-    tangent = (root - tan_center) / np.maximum(1.0 + root * tan_center, 1.0 / largest)
+    tangent = (root - tan_center) / (1.0 + root * np.maximum(tan_center, 0.0))
     return np.clip(tangent, -largest, largest)
 
 

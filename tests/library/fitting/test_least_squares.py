@@ -9,9 +9,10 @@ from scipy.optimize import least_squares
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import FoldedProfiles, profiles
+from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.least_squares import (
     CENTER_BOUNDS,
+    CUSP_WIDTHS,
     ELONGATION_BOUNDS,
     GAMMA_BOUNDS,
     KAPPA_BOUNDS,
@@ -22,13 +23,13 @@ from dsbrdf.fitting.least_squares import (
     minimize,
 )
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobes import FAMILIES, half_width
 
 Array = NDArray[np.float64]
 
 ROWS, COLUMNS = np.arange(0, 80, 9), np.array([0, 6, 14, 22, 30, 45, 60, 75])
 KNOTS = np.radians([0.0, 40.0, 72.0])
-SMOOTHING = 1e-4  # far above the usual, so that it counts in the tests
+SMOOTHING = (1e-4, 3e-4, 2e-4)  # far above the usual, so that it counts in the tests
 
 
 def structure_of(rings: tuple[bool, ...], family: str = "hemi_epd") -> Structure:
@@ -63,10 +64,10 @@ def problem_of(structure: Structure, seed: int = 0) -> MixtureProblem:
 
 def residuals(problem: MixtureProblem, unknowns: Array) -> Array:
     """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards smooth parameters."""
-    parts = problem.structure.split(unknowns)[:2]
-    pull = np.concatenate([np.diff(part, 2, axis=0).ravel() for part in parts])
+    parts = zip(problem.structure.split(unknowns), SMOOTHING, strict=True)
+    pull = np.concatenate([np.sqrt(share) * np.diff(part, 2, axis=0).ravel() for part, share in parts])
     fit = np.sqrt(problem.data.weight) * (problem.values(unknowns) - problem.data.mean)
-    return np.concatenate([fit.ravel(), np.sqrt(SMOOTHING * problem.data.signal) * pull])
+    return np.concatenate([fit.ravel(), np.sqrt(problem.data.signal) * pull])
 
 
 def jacobian(problem: MixtureProblem, unknowns: Array) -> Array:
@@ -241,24 +242,31 @@ def test_selection_takes_rows_and_columns(plastic: Measurement) -> None:
     assert data.signal == pytest.approx(expected, rel=1e-12)
 
 
-def test_merged_bins_keep_the_sums() -> None:
-    random = np.random.default_rng(1)
-    shape = (3, 90, 90, 9)
-    weight = random.uniform(0.0, 20.0, shape) * (random.uniform(size=shape) > 0.3)
-    folded = FoldedProfiles(random.uniform(size=shape), weight, random.uniform(size=shape[1:]))
-    data = FitData.select(folded, weight, ROWS, COLUMNS)
-    merged = data.merge_bins(3)
-    assert merged.mean.shape == (3, ROWS.size, COLUMNS.size, 3)
-    for joined in range(3):
-        part = slice(3 * joined, 3 * joined + 3)
-        total = data.weight[..., part].sum(axis=-1)
-        np.testing.assert_allclose(merged.weight[..., joined], total, rtol=1e-12)
-        np.testing.assert_allclose(
-            merged.weight[..., joined] * merged.mean[..., joined],
-            np.sum(data.weight[..., part] * data.mean[..., part], axis=-1),
-            rtol=1e-12, atol=1e-12,
-        )  # fmt: skip
-        lowest, highest = data.cos2_phi[..., part].min(axis=-1), data.cos2_phi[..., part].max(axis=-1)
-        seen = np.all(total > 0.0, axis=0)
-        inside = (merged.cos2_phi[..., joined] >= lowest - 1e-12) & (merged.cos2_phi[..., joined] <= highest + 1e-12)
-        assert np.all(inside[seen])
+def test_taken_bins_are_those_of_the_data() -> None:
+    problem = problem_of(structure_of((False,)))
+    taken = problem.data.take_bins((0, 3, 8))
+    for n, bin_of_phi in enumerate((0, 3, 8)):
+        np.testing.assert_array_equal(taken.mean[..., n], problem.data.mean[..., bin_of_phi])
+        np.testing.assert_array_equal(taken.weight[..., n], problem.data.weight[..., bin_of_phi])
+        np.testing.assert_array_equal(taken.cos2_phi[..., n], problem.data.cos2_phi[..., bin_of_phi])
+
+
+def test_fixed_unknowns_keep_their_values() -> None:
+    problem = problem_of(structure_of((False, True)))
+    start = truth_of(problem.structure, seed=3)
+    kappa = problem.structure.is_kappa()
+    assert kappa.sum() == 2 * problem.bases[1].shape[1]
+    solution = minimize(problem, start, tolerance=1e-6, iterations=10, fixed=kappa)
+    np.testing.assert_array_equal(solution.unknowns[kappa], start[kappa])
+    assert np.all(solution.unknowns[~kappa] != start[~kappa])
+
+
+def test_a_cusp_is_at_most_as_far_from_its_flank_as_its_half_width() -> None:
+    structure = structure_of((False, True))
+    unknowns = truth_of(structure)
+    shape = structure.split(unknowns)[1]
+    shape[:, 4] = -0.25
+    limited = structure.split(structure.limit_cusps(unknowns))[1]
+    width = half_width(np.exp(shape[:, 1]), np.exp(shape[:, 3]), "hemi_epd")
+    np.testing.assert_allclose(limited[:, 4], np.maximum(-0.25, -CUSP_WIDTHS * width))
+    np.testing.assert_array_equal(limited[:, :4], shape[:, :4])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def positive(model: DSBRDF, knots: Array, values: Array, theta_diff: Array, *, a
 def expected_values(model: DSBRDF, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
     """Values (n, 3), a lobe and a channel at a time, by the formula of the module `dsbrdf.model.lobes`."""
     values = np.zeros((theta_half.size, 3))
-    cosine = np.maximum(np.cos(theta_diff), 1e-6)
+    cosine = (np.cos(theta_diff) ** 4 * (1.0 - GRAZING_COSINE**4) + GRAZING_COSINE**4) ** 0.25
     for k in range(model.n_lobes):
         e = curve(model, model.elongation_theta_diff, model.elongation[:, k], theta_diff)
         with np.errstate(over="ignore"):
@@ -85,7 +85,8 @@ def expected_values(model: DSBRDF, theta_half: Array, theta_diff: Array, phi_dif
             knots = model.shape_theta_diff
             kappa, gamma = (positive(model, knots, p[c, :, k], theta_diff) for p in (model.kappa, model.gamma))
             center = curve(model, knots, model.center[c, :, k], theta_diff)
-            offset, top = np.arctan(np.sqrt(squared)) - center, np.minimum(center, 0.0)
+            top = np.minimum(center, 0.0)
+            offset = np.arctan(np.sqrt(squared) - np.tan(top)) - np.maximum(center, 0.0)
             # A right angle from the center is behind the lobe: the formula holds to within a thousandth of a radian.
             if model.lobe == "student":
                 square = np.tan(np.minimum(offset, 1.57)) ** 2 if center.any() else squared

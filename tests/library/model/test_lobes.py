@@ -9,7 +9,18 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import directions
 from dsbrdf.model.hemi_epd import lobe
-from dsbrdf.model.lobes import FAMILIES, LobeDerivatives, lobe_derivatives, lobe_values, stretch
+from dsbrdf.model.lobes import (
+    FAMILIES,
+    GRAZING_COSINE,
+    LobeDerivatives,
+    gamma_factor,
+    gamma_of_half_width,
+    half_width,
+    lobe_derivatives,
+    lobe_values,
+    log_cosine,
+    stretch,
+)
 
 Array = NDArray[np.float64]
 Number = Any  # mpmath has no types
@@ -25,8 +36,8 @@ NAMES = ("value", "by_log_kappa", "by_log_gamma", "by_center", "by_squared_tange
 
 def exact(family: str, squared: Number, kappa: Number, gamma: Number, center: Number) -> Number:
     """The formula of the module; beyond a right angle from the center it is at its smallest."""
-    offset = mp.atan(mp.sqrt(squared)) - center
     top = min(center, mp.mpf(0))
+    offset = mp.atan(mp.sqrt(squared)) - center if center >= 0 else mp.atan(mp.sqrt(squared) - mp.tan(center))
     if abs(offset) >= mp.pi / 2:
         return mp.mpf(0)
     if family == "student":
@@ -108,11 +119,13 @@ def test_a_lobe_falls_from_its_center_to_the_horizon_and_its_height_is_1(family:
 @pytest.mark.parametrize("center", [None, -0.1, 0.4])
 def test_hemi_epd_is_the_papers_lobe_divided_by_its_height(center: float | None) -> None:
     angles = np.linspace(0.0, 1.4, 50)
+    flank = -min(center or 0.0, 0.0)
+    moved = np.arctan(np.tan(angles) + np.tan(flank))
     for kappa, gamma in SHAPES:
         middle = None if center is None else np.array(center)
         values = lobe_values(np.tan(angles) ** 2, np.array(kappa), np.array(gamma), middle, "hemi_epd")
-        height = float(lobe(max(-(center or 0.0), 0.0), kappa, gamma))
-        np.testing.assert_allclose(values * height, lobe(angles, kappa, gamma, center or 0.0), rtol=1e-9, atol=1e-80)
+        expected = lobe(moved, kappa, gamma, max(center or 0.0, 0.0))
+        np.testing.assert_allclose(values * float(lobe(flank, kappa, gamma)), expected, rtol=1e-9, atol=1e-80)
 
 
 def test_broadcasting_equals_a_loop() -> None:
@@ -148,6 +161,25 @@ def test_stretch_is_that_of_the_formula_and_its_derivative_that_of_differences()
         np.testing.assert_allclose(found.squared_tangent, expected, rtol=1e-12)
         ahead, behind = (stretched(theta_half, phi, theta_diff, elongation + step) for step in (1e-5, -1e-5))
         np.testing.assert_allclose(found.by_elongation, (ahead - behind) / 2e-5, rtol=1e-7, atol=1e-9)
+
+
+def test_cosine_of_the_stretch_is_that_of_theta_diff_held_above_its_value_at_grazing_angles() -> None:
+    angles = np.radians([0.0, 20.0, 45.0, 80.0, 90.0])
+    fourth = np.cos(angles) ** 4 * (1.0 - GRAZING_COSINE**4) + GRAZING_COSINE**4
+    np.testing.assert_allclose(np.exp(4.0 * log_cosine(angles)), fourth, rtol=1e-12)
+    assert np.exp(log_cosine(np.array(np.pi / 2))) == pytest.approx(GRAZING_COSINE)
+    np.testing.assert_allclose(np.exp(log_cosine(np.radians([0.0, 60.0, 75.0]))), [1.0, 0.5, np.cos(1.309)], rtol=3e-3)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_half_width_is_where_a_lobe_has_half_its_height_and_gamma_follows_from_it(family: str) -> None:
+    for kappa, gamma in ((0.3, 2.0), (1.0, 30.0), (9.0, 3e4)):
+        width = half_width(np.array(kappa), np.array(gamma), family)
+        value = lobe_values(np.tan(width) ** 2, np.array(kappa), np.array(gamma), None, family)
+        assert value == pytest.approx(0.5, rel=1e-9)
+        assert gamma_of_half_width(width, np.array(kappa), family) == pytest.approx(gamma, rel=1e-9)
+        changed = gamma * gamma_factor(np.array(kappa), np.array(2.0), family)
+        assert half_width(np.array(2.0), changed, family) == pytest.approx(float(width), rel=1e-9)
 
 
 def test_stretch_of_no_elongation_and_at_normal_incidence_is_none() -> None:
