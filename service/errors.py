@@ -6,17 +6,16 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
-└── ProblemError                     answered with a problem document; a class for each kind
-    └── NotFoundError
-        ├── FitNotFoundError
-        └── MeasurementNotFoundError
+└── ProblemError                     answered with the problem document of its kind
+    ├── FitNotFoundError
+    └── MeasurementNotFoundError
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """
 
 import sqlite3
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 
 class DSBRDFServiceError(Exception):
@@ -48,119 +47,30 @@ class CheckFailedError(DSBRDFServiceError):
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    `detail` is one sentence: what is wrong and what would be right. `kind` is a key of `service.http.problems.KINDS`;
-    after `retry_after` seconds it is worth asking again, unless `headers` say otherwise.
+    `kind` is a key of `service.http.problems.KINDS`, which has the status; `detail` is one sentence: what is wrong and
+    what would be right. The response gets `headers`.
     """
 
-    kind: ClassVar[str]
-    retry_after: ClassVar[int | None]
-
-    def __init_subclass__(cls, kind: str = "", retry_after: int | None = None) -> None:
-        if kind:  # a subclass of a kind has the same one
-            cls.kind, cls.retry_after = kind, retry_after
-
-    def __init__(self, detail: str, headers: Mapping[str, str] | None = None) -> None:
+    def __init__(self, kind: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
         super().__init__(detail)
+        self.kind = kind
         self.detail = detail
         self.headers = dict(headers or {})
-        if self.retry_after is not None:
-            self.headers.setdefault("Retry-After", str(self.retry_after))
 
 
-class BadRequestError(ProblemError, kind="bad-request"):
-    """The request cannot be understood."""
-
-
-class BadEncodingError(ProblemError, kind="bad-encoding"):
-    """The body does not decode."""
-
-
-class UnauthorizedError(ProblemError, kind="unauthorized"):
-    """A valid API key is needed."""
-
-
-class StorageQuotaError(ProblemError, kind="storage-quota"):
-    """The caller has stored as much as it may, or would with this measurement."""
-
-
-class NotFoundError(ProblemError, kind="not-found"):
-    """There is no such resource."""
-
-
-class FitNotFoundError(NotFoundError):
+class FitNotFoundError(ProblemError):
     """The caller has no fit with this id."""
 
     def __init__(self, fit_id: str) -> None:
-        super().__init__(f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists those that there are.")
+        super().__init__("not-found", f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists those that there are.")
 
 
-class MeasurementNotFoundError(NotFoundError):
+class MeasurementNotFoundError(ProblemError):
     """The caller has no measurement with this sha256."""
 
     def __init__(self, sha256: str) -> None:
-        super().__init__(
-            f"There is no measurement {sha256[:64]!r}; upload it with POST /v1/measurements or POST /v1/fits."
-        )
-
-
-class NotAcceptableError(ProblemError, kind="not-acceptable"):
-    """The resource has no representation that the client accepts."""
-
-
-class RequestTimeoutError(ProblemError, kind="request-timeout"):
-    """The request did not arrive in time."""
-
-
-class MeasurementInUseError(ProblemError, kind="measurement-in-use"):
-    """Unfinished fits use the measurement."""
-
-
-class FitNotFinishedError(ProblemError, kind="fit-not-finished", retry_after=1):
-    """The fit has not finished, so it has no model yet."""
-
-
-class FitWithoutResultError(ProblemError, kind="fit-without-result"):
-    """The fit has ended without a model."""
-
-
-class TooLargeError(ProblemError, kind="too-large"):
-    """The body, or what it asks for, is too large."""
-
-
-class MeasurementTooLargeError(ProblemError, kind="measurement-too-large"):
-    """The file is longer than a MERL measurement."""
-
-
-class UnsupportedMediaTypeError(ProblemError, kind="unsupported-media-type"):
-    """The body's type or encoding is not supported."""
-
-
-class RangeNotSatisfiableError(ProblemError, kind="range-not-satisfiable"):
-    """The file does not have the range of bytes that was asked for."""
-
-
-class RateLimitedError(ProblemError, kind="rate-limited"):
-    """The key makes more requests per second than it may."""
-
-
-class QueueQuotaError(ProblemError, kind="queue-quota", retry_after=5):
-    """The caller has as many unfinished fits as it may have."""
-
-
-class QueueFullError(ProblemError, kind="queue-full", retry_after=10):
-    """As many fits are waiting as may wait."""
-
-
-class OverloadedError(ProblemError, kind="overloaded", retry_after=1):
-    """As many requests are in progress as may be."""
-
-
-class ShuttingDownError(ProblemError, kind="shutting-down", retry_after=10):
-    """The service ends before the request can be answered."""
-
-
-class NotReadyError(ProblemError, kind="not-ready", retry_after=10):
-    """The service cannot take work at present."""
+        remedy = "upload it with POST /v1/measurements or POST /v1/fits"
+        super().__init__("not-found", f"There is no measurement {sha256[:64]!r}; {remedy}.")
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:

@@ -11,7 +11,7 @@ import re
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.access.keys import ActiveKey, Keys
-from service.errors import BadRequestError, NotFoundError, ProblemError, RateLimitedError, UnauthorizedError
+from service.errors import ProblemError
 from service.http.problems import problem_response
 from service.settings import Settings
 from service.storage.schema import Caller
@@ -72,7 +72,7 @@ class AuthenticationMiddleware:
         seconds = key.rate_limit.take()
         if seconds:
             detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
-            raise RateLimitedError(detail, {"Retry-After": str(math.ceil(seconds))})
+            raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
         return key
 
     def _check_local(self, headers: _Headers) -> None:
@@ -93,19 +93,19 @@ def _check_framing(headers: _Headers) -> None:
     names = {name for name, _ in headers}
     if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
         detail = "The body's end is told twice, by Content-Length and by Transfer-Encoding; send one of them."
-        raise BadRequestError(detail, {"Connection": "close"})
+        raise ProblemError("bad-request", detail, {"Connection": "close"})
 
 
 def _check_path(path: str) -> None:
     if not path.isprintable():  # a route would take a line break for the end of the path
-        raise NotFoundError("No path here has control characters; GET /docs lists what there is.")
+        raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
 
 
-def invalid_key() -> UnauthorizedError:
+def invalid_key() -> ProblemError:
     """Return the error for a key that is wrong or revoked."""
     detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
-    return UnauthorizedError(detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
+    return ProblemError("unauthorized", detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
 
 
-def _key_needed(detail: str) -> UnauthorizedError:
-    return UnauthorizedError(detail, {"WWW-Authenticate": "Bearer"})
+def _key_needed(detail: str) -> ProblemError:
+    return ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})

@@ -10,7 +10,7 @@ from http import HTTPStatus
 from starlette.types import Message, Receive
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from service.errors import BadRequestError, OverloadedError, ProblemError, RequestTimeoutError
+from service.errors import ProblemError
 from service.http.problems import problem_response
 from service.http.responses import with_security_headers
 from service.settings import Settings
@@ -38,7 +38,7 @@ class Connection(H11Protocol):
         """Take the next bytes; an excess connection gets 503."""
         if self._excess:
             detail = f"{self.max_connections} connections are open, as many as may; try again later."
-            self._refuse(OverloadedError(detail, _CLOSE))
+            self._refuse(ProblemError("overloaded", detail, _CLOSE))
             return
         super().data_received(data)
         self._update_header_timer()
@@ -65,7 +65,7 @@ class Connection(H11Protocol):
             self.transport.close()  # in the middle of another response
             return
         detail = f"{msg.rstrip('.')}: what was sent is not HTTP/1.1, or its head is too long."
-        self._refuse(BadRequestError(detail, _CLOSE))
+        self._refuse(ProblemError("bad-request", detail, _CLOSE))
 
     def _update_header_timer(self) -> None:
         """Run the header timeout only between requests."""
@@ -83,7 +83,7 @@ class Connection(H11Protocol):
         self._header_timer = None
         if self._idle():
             detail = f"The request's head took longer than the {self.header_timeout:g} s that it may take."
-            self._refuse(RequestTimeoutError(detail, _CLOSE))
+            self._refuse(ProblemError("request-timeout", detail, _CLOSE))
 
     def _refuse(self, error: ProblemError) -> None:
         """Send a problem document without the application, and close."""
@@ -131,7 +131,7 @@ class BodyTimeout:
         self._ended = False
 
     async def __call__(self) -> Message:
-        """Return the next message; raise RequestTimeoutError if it takes too long."""
+        """Return the next message; raise ProblemError if it takes too long."""
         if self._ended:  # the next message is the end of the connection, which may take any time
             return await self._receive()
         loop = asyncio.get_running_loop()
@@ -149,8 +149,8 @@ class BodyTimeout:
         self._ended = not message.get("more_body", False)
         return message
 
-    def _too_slow(self) -> RequestTimeoutError:
+    def _too_slow(self) -> ProblemError:
         self._ended = True
         rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
         detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
-        return RequestTimeoutError(detail, _CLOSE)
+        return ProblemError("request-timeout", detail, _CLOSE)

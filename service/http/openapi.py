@@ -81,7 +81,7 @@ def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
     """Return the responses for problems of these kinds, and of those that can occur at every operation."""
     responses: Responses = {}
     for kind in (*kinds, *_EVERYWHERE, *(_BEHIND_A_KEY if behind_a_key else ())):
-        status, title, detail = table.KINDS[kind]
+        status, title, detail, _ = table.KINDS[kind]
         headers = _headers(_HEADERS_OF_PROBLEMS.get(status, ()), _OPTIONAL_HEADERS_OF_PROBLEMS.get(status, ()))
         described = responses.setdefault(status, {"description": title, "headers": headers, "content": {}})
         content = described["content"].setdefault(table.MEDIA_TYPE, {"schema": reference(Problem), "examples": {}})

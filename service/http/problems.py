@@ -18,18 +18,19 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
-from service.errors import BadRequestError, NotFoundError, NotReadyError, ProblemError, validation_sentence
+from service.errors import ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
 
 
 class Kind(NamedTuple):
-    """A kind of problem: its status, its title, and a detail as an example."""
+    """A kind of problem: its status, its title, a detail as an example, and when it is worth asking again [s]."""
 
     status: int
     title: str
     example: str
+    retry_after: int | None = None
 
 
 _FULL = "The service has no disk space left for this request; try again when space has been freed."
@@ -44,7 +45,7 @@ KINDS: dict[str, Kind] = {
     "not-acceptable": Kind(406, "No acceptable representation", "Accept application/json or application/x-npy."),
     "request-timeout": Kind(408, "The request did not arrive in time", "The body stopped for 30 s."),
     "measurement-in-use": Kind(409, "Unfinished fits use the measurement", "1 unfinished fits use it; cancel them."),
-    "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet."),
+    "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet.", 1),
     "fit-without-result": Kind(409, "The fit has no result", "The fit failed and has no model."),
     "too-large": Kind(413, "The body is too large", "2000000 points are more than the 1000000 allowed."),
     "measurement-too-large": Kind(413, "The file is too long", "The data is longer than 34992012 bytes."),
@@ -54,13 +55,15 @@ KINDS: dict[str, Kind] = {
     "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9."),
     "fit-impossible": Kind(422, "The measurement cannot be fitted with these options", "No sample is left to fit."),
     "rate-limited": Kind(429, "Too many requests", "This key may make 100 requests per second; ask again in 0.2 s."),
-    "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished."),
+    "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished.", 5),
     "internal": Kind(500, "The service failed", _BROKEN),
-    "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later."),
-    "overloaded": Kind(503, "Too many requests are in progress", "512 requests are in progress; ask again later."),
-    "shutting-down": Kind(503, "The service is shutting down", "The service is shutting down; ask again later."),
-    "not-ready": Kind(503, "The service is not ready", "The disk is not ready: 100 MB are free, 256 MB are needed."),
-    "disk-full": Kind(507, "The service's disk is full", _FULL),
+    "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later.", 10),
+    "overloaded": Kind(503, "Too many requests are in progress", "512 requests are in progress; ask again later.", 1),
+    "shutting-down": Kind(503, "The service is shutting down", "The service is shutting down; ask again later.", 10),
+    "not-ready": Kind(
+        503, "The service is not ready", "The disk is not ready: 100 MB are free, 256 MB are needed.", 10
+    ),
+    "disk-full": Kind(507, "The service's disk is full", _FULL, 30),
 }
 
 # The kinds of the errors that are not the service's own.
@@ -77,7 +80,7 @@ logger = logging.getLogger(__name__)
 
 def document(kind: str, detail: str, path: str) -> dict[str, object]:
     """Return the problem document of `kind`."""
-    status, title, _ = KINDS[kind]
+    status, title = KINDS[kind].status, KINDS[kind].title
     return {"type": TYPE_PREFIX + kind, "title": title, "status": status, "detail": detail, "instance": path}
 
 
@@ -106,7 +109,7 @@ async def _on_exception(request: Request, error: Exception) -> Response:
     if isinstance(error, ProblemError):
         return problem_response(error, path)
     if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
-        return problem_response(BadRequestError("The client went away before the end of the body."), path)
+        return _response("bad-request", "The client went away before the end of the body.", path)
     if isinstance(error, HTTPException):
         return _of_status(request, error, path)
     if isinstance(error, RequestValidationError):
@@ -117,11 +120,11 @@ async def _on_exception(request: Request, error: Exception) -> Response:
         if isinstance(error, expected):
             return _response(kind, str(error), path)
     if is_disk_full(error):
-        return _response("disk-full", _FULL, path, {"Retry-After": "30"})
+        return _response("disk-full", _FULL, path)
     if isinstance(error, (OSError, sqlite3.DatabaseError)):
         logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
         detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
-        return problem_response(NotReadyError(detail), path)
+        return _response("not-ready", detail, path)
     logger.error("%s %s failed", request.method, path, exc_info=error)
     return _response("internal", _BROKEN, path)
 
@@ -142,7 +145,7 @@ def _of_status(request: Request, error: HTTPException, path: str) -> Response:
 
 
 def _nothing_at(path: str) -> Response:
-    return problem_response(NotFoundError(f"There is nothing at {path}; GET /docs lists what there is."), path)
+    return _response("not-found", f"There is nothing at {path}; GET /docs lists what there is.", path)
 
 
 def _methods(request: Request) -> list[str]:
@@ -157,4 +160,7 @@ def _methods(request: Request) -> list[str]:
 
 
 def _response(kind: str, detail: str, path: str, headers: Mapping[str, str] | None = None) -> Response:
-    return JSONResponse(document(kind, detail, path), KINDS[kind].status, dict(headers or {}), media_type=MEDIA_TYPE)
+    status, retry_after = KINDS[kind].status, KINDS[kind].retry_after
+    complete = {} if retry_after is None else {"Retry-After": str(retry_after)}
+    complete |= headers or {}
+    return JSONResponse(document(kind, detail, path), status, complete, media_type=MEDIA_TYPE)

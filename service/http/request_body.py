@@ -13,7 +13,7 @@ from typing import Any
 from backports import zstd
 from starlette.requests import Request
 
-from service.errors import BadEncodingError, ProblemError, TooLargeError, UnsupportedMediaTypeError
+from service.errors import ProblemError
 from service.storage.uploads import Sink, UploadBody
 
 PIECE = 1 << 18
@@ -26,19 +26,19 @@ _ZSTD_WINDOW_LOG = 23  # 8 MiB, what RFC 9659 asks every decoder of zstd content
 def media_type_of(request: Request, *supported: str) -> str:
     """Return the media type of the body, which is the first of those `supported` unless the request says otherwise.
 
-    Raises UnsupportedMediaTypeError if it is another one.
+    Raises ProblemError if it is another one.
     """
     media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
     if media_type not in supported:
         detail = f"The content type {media_type[:60]!r} is not supported; send {' or '.join(supported)}."
-        raise UnsupportedMediaTypeError(detail, {"Accept-Post": ", ".join(supported)})
+        raise ProblemError("unsupported-media-type", detail, {"Accept-Post": ", ".join(supported)})
     return media_type
 
 
 def upload_body(request: Request) -> UploadBody:
     """Return the body of `request` as `Uploads` takes it.
 
-    Raises UnsupportedMediaTypeError if its encoding is unknown.
+    Raises ProblemError if its encoding is unknown.
     """
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
     if encoding:
@@ -54,7 +54,7 @@ async def receive_small(request: Request, limit: int) -> memoryview:
 
     Raises ProblemError if it is longer, or its encoding is unknown or damaged.
     """
-    too_large = TooLargeError(f"The body is longer than the {limit} bytes that it may have here.")
+    too_large = ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
     body = memoryview(mmap.mmap(-1, limit))
     size = 0
 
@@ -82,7 +82,7 @@ async def receive_small(request: Request, limit: int) -> memoryview:
 def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
     """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
-    Raises UnsupportedMediaTypeError if it is not one that the service decodes.
+    Raises ProblemError if it is not one that the service decodes.
     """
     given = (name.strip().lower() for name in content_encoding.split(","))
     name = ", ".join(name for name in given if name not in ("", "identity"))
@@ -94,7 +94,7 @@ def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
         options = {int(zstd.DecompressionParameter.window_log_max): _ZSTD_WINDOW_LOG}
         return _MemberDecoder("zstd", partial(zstd.ZstdDecompressor, options=options), sink)
     detail = f"The content encoding {name[:40]!r} is not supported; send the body as it is, or as gzip or zstd."
-    raise UnsupportedMediaTypeError(detail, {"Accept-Encoding": SUPPORTED_ENCODINGS})
+    raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": SUPPORTED_ENCODINGS})
 
 
 class _Identity:
@@ -164,7 +164,7 @@ class _MemberDecoder:
         self._member = self._new_member()
 
     def _damaged(self, reason: str) -> ProblemError:
-        return BadEncodingError(f"The body is not valid {self._name}: {reason[:200]}.")
+        return ProblemError("bad-encoding", f"The body is not valid {self._name}: {reason[:200]}.")
 
 
 def _reason(error: Exception) -> str:

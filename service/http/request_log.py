@@ -12,7 +12,7 @@ from time import perf_counter
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bind_contextvars
 
-from service.errors import OverloadedError, ShuttingDownError
+from service.errors import ProblemError
 from service.http.limits import BodyTimeout
 from service.http.problems import problem_response
 from service.http.responses import with_security_headers
@@ -60,7 +60,7 @@ class RequestLogMiddleware:
         path = scope["path"]
         if self._in_progress > self._settings.limit_concurrency and not path.startswith(_HEALTH):
             detail = f"{self._settings.limit_concurrency} requests are in progress, as many as may; ask again later."
-            await problem_response(OverloadedError(detail), path)(scope, receive, exchange.send)
+            await problem_response(ProblemError("overloaded", detail), path)(scope, receive, exchange.send)
             return
         try:
             await self._app(scope, receive, exchange.send)
@@ -68,7 +68,7 @@ class RequestLogMiddleware:
             # The server is stopping and has waited as long as it may; its task of this request ends here anyway.
             if exchange.status is None:
                 detail = "The service is shutting down and cannot finish this request; ask again later."
-                await problem_response(ShuttingDownError(detail), path)(scope, receive, exchange.send)
+                await problem_response(ProblemError("shutting-down", detail), path)(scope, receive, exchange.send)
         except Exception:
             # Answered with a problem document already, and logged then. An answer that broke off in the middle
             # is the server's to log and to cut off.

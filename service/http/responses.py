@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from service.errors import RangeNotSatisfiableError
+from service.errors import ProblemError
 
 JSON = "application/json"
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
@@ -100,7 +100,7 @@ def check_range(request: Request, size: int) -> None:
 
     A ``Range`` that is not one range of bytes is removed from the request, which means that it is ignored.
 
-    Raises RangeNotSatisfiableError if the range begins beyond the end.
+    Raises ProblemError if the range begins beyond the end.
     """
     found = _RANGE.fullmatch(request.headers.get("range", ""))
     first, last = (found[1], found[2]) if found else ("", "")
@@ -110,7 +110,7 @@ def check_range(request: Request, size: int) -> None:
         request.scope["headers"] = [header for header in request.scope["headers"] if header[0] != b"range"]
     elif (first and int(first) >= size) or (not first and int(last) == 0):
         detail = f"The range begins beyond the end of the file, which has {size} bytes."
-        raise RangeNotSatisfiableError(detail, {"Content-Range": f"bytes */{size}"})
+        raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
 
 
 def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict[str, str]:

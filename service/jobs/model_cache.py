@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from dsbrdf import DSBRDF, Decomposition, FitReport, decompose
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json
-from service.errors import FitNotFinishedError, FitNotFoundError, FitWithoutResultError, NotFoundError, ProblemError
+from service.errors import FitNotFoundError, ProblemError
 from service.storage.schema import FitKey
 from service.storage.store import Store
 
@@ -63,7 +63,7 @@ class ModelCache:
             return (await self.get(key)).model
         decomposition = await self.decomposition(key)
         if label not in LABELS:
-            raise NotFoundError(f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
+            raise ProblemError("not-found", f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
         return decomposition[label].model
 
     async def decomposition(self, key: FitKey) -> Decomposition:
@@ -93,5 +93,5 @@ class ModelCache:
         if row is None:
             return FitNotFoundError(key.id)
         if not row.ended:
-            return FitNotFinishedError(f"The fit is {row.status}; its model exists when it has succeeded.")
-        return FitWithoutResultError(f"The fit {row.status} and has no model; its document says why.")
+            return ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")
+        return ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
-from service.errors import NotFoundError, NotReadyError
+from service.errors import ProblemError
 from service.http import openapi
 from service.http.responses import IfNoneMatch, json_reply, tagged_reply
 from service.operations.metrics import MEDIA_TYPE
@@ -66,7 +66,7 @@ async def get_ready(context: TheContext) -> Response:
     """
     fault = await context.readiness.fault()
     if fault is not None:
-        raise NotReadyError(fault)
+        raise ProblemError("not-ready", fault)
     return json_reply(Health(status="ready", version=dsbrdf.__version__))
 
 
@@ -91,7 +91,7 @@ async def get_docs(request: Request, if_none_match: IfNoneMatch = "") -> Respons
     """Return the page that shows the OpenAPI document, its script or its style sheet."""
     name = request.path_params.get("name", "")
     if name not in _FILES:
-        raise NotFoundError(f"There is nothing at /docs/{name[:60]}; GET /docs lists what there is.")
+        raise ProblemError("not-found", f"There is nothing at /docs/{name[:60]}; GET /docs lists what there is.")
     file, media_type = _FILES[name]
     content = await run_in_threadpool(file.read_bytes)
     headers = {} if name else {"Content-Security-Policy": _POLICY}

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.model.decomposition import LABELS
-from service.errors import NotAcceptableError, TooLargeError
+from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import media_type_of, receive_small
 from service.http.responses import IfNoneMatch, tagged_reply
@@ -152,7 +152,7 @@ async def _values_of_batch(request: Request, context: Context, fit: FitKey, labe
     points = await _batch(request, context.settings.max_points)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
-        raise TooLargeError(detail)
+        raise ProblemError("too-large", detail)
     return await values.values_reply(model, points, media_type, context.metrics)
 
 
@@ -164,7 +164,7 @@ async def _batch(request: Request, max_points: int) -> Points:
     max_points = min(max_points, _MAX_JSON_POINTS)
     text = bytes(await receive_small(request, max_points * _JSON_BYTES_PER_POINT + 4096))
     if text.count(b",") > 6 * max_points:
-        raise TooLargeError(f"A JSON body may have {max_points} points; send more of them as {NPY}.")
+        raise ProblemError("too-large", f"A JSON body may have {max_points} points; send more of them as {NPY}.")
     return await run_in_threadpool(_from_json, text)
 
 
@@ -193,5 +193,5 @@ def _accepted_type(request: Request) -> str:
 
     json, npy = quality_of(JSON, 0.5), quality_of(NPY, 0.25)  # a type that is named counts more; JSON is the default
     if not (json or npy):
-        raise NotAcceptableError(f"The values are available as {JSON} or {NPY}; accept one of them.")
+        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
     return NPY if npy > json else JSON

@@ -15,7 +15,7 @@ from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, export_model
 from service.access.authentication import invalid_key
-from service.errors import FitNotFoundError, RequestTimeoutError
+from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
 from service.http.request_body import media_type_of, receive_small, upload_body
@@ -274,7 +274,7 @@ async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.T
 
 async def _departure(request: Request) -> None:
     """Return when the client has closed the connection."""
-    with suppress(RequestTimeoutError):  # of a body that is not read and arrives too slowly
+    with suppress(ProblemError):  # of a body that is not read and arrives too slowly
         while (await request.receive())["type"] != "http.disconnect":
             pass
 

@@ -13,12 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import dsbrdf
-from service.errors import (
-    DataFolderError,
-    MeasurementInUseError,
-    MeasurementNotFoundError,
-    QueueFullError,
-)
+from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs, Incoming
 from service.storage.database import Database
 from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
@@ -99,7 +94,7 @@ class Store:
     ) -> tuple[MeasurementRow, bool]:
         """Store a received file; the flag says whether it is new to the caller.
 
-        Raises StorageQuotaError if the caller would have stored more than it may.
+        Raises ProblemError if the caller would have stored more than it may.
         """
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
@@ -129,7 +124,7 @@ class Store:
 
         Its file goes with the last owner's row.
 
-        Raises MeasurementInUseError if fits of it are unfinished.
+        Raises ProblemError if fits of it are unfinished.
         """
         with self.database.transaction() as db:
             query = (
@@ -137,8 +132,9 @@ class Store:
             )
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
-                raise MeasurementInUseError(
-                    f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended."
+                raise ProblemError(
+                    "measurement-in-use",
+                    f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended.",
                 )
             delete = "DELETE FROM measurements WHERE owner = ? AND sha256 = ?"
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
@@ -156,7 +152,7 @@ class Store:
 
         `options` are in their wire form; at most `queue_limit` fits may be waiting.
 
-        Raises MeasurementNotFoundError, QueueQuotaError, StorageQuotaError or QueueFullError.
+        Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
         key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
@@ -172,8 +168,9 @@ class Store:
             check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
-                raise QueueFullError(
-                    f"{waiting} fits are waiting already, as many as may; the measurement is stored, ask again later."
+                raise ProblemError(
+                    "queue-full",
+                    f"{waiting} fits are waiting already, as many as may; the measurement is stored, ask again later.",
                 )
             # A fit that runs again is a new row, at the head of the list.
             db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608

@@ -16,7 +16,7 @@ from anyio import CapacityLimiter, to_thread
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_header, check_length
 from dsbrdf.errors import MeasurementFormatError
-from service.errors import MeasurementTooLargeError, QueueQuotaError, StorageQuotaError, TooLargeError
+from service.errors import ProblemError
 from service.storage.blobs import Blobs, Incoming
 from service.storage.database import Database
 from service.storage.schema import Caller
@@ -100,7 +100,7 @@ class Uploads:
 
         One upload at a time is let in for a caller that has no room left: its file may be one that is stored already.
 
-        Raises StorageQuotaError if those in progress take all the room that the caller has left.
+        Raises ProblemError if those in progress take all the room that the caller has left.
         """
         with self._lock:
             in_progress = self._in_progress[caller.owner]
@@ -108,7 +108,9 @@ class Uploads:
                 ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
                 if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
                     uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
-                    raise StorageQuotaError(f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}")
+                    raise ProblemError(
+                        "storage-quota", f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}"
+                    )
             incoming = self._blobs.incoming()
             self._in_progress[caller.owner] += 1
         return incoming
@@ -152,7 +154,7 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
             n_received += len(piece)
             if n_received > _MAX_ENCODED:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
-                raise TooLargeError(most)
+                raise ProblemError("too-large", most)
             writing = asyncio.ensure_future(in_thread(feed, piece))
             if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
                 await writing
@@ -208,29 +210,30 @@ def _check_not_longer(n_bytes: int) -> None:
         try:
             check_length(n_bytes)
         except MeasurementFormatError as error:  # the library's sentence, with a kind of its own
-            raise MeasurementTooLargeError(str(error)) from None
+            raise ProblemError("measurement-too-large", str(error)) from None
 
 
 def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
-    """Raise QueueQuotaError if the caller has as many unfinished fits as it may have."""
+    """Raise ProblemError if the caller has as many unfinished fits as it may have."""
     if caller.queued_fits is None:
         return
     query = "SELECT count(*) FROM fits WHERE owner = ? AND status IN ('accepted', 'running')"
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
-        raise QueueQuotaError(
-            f"{unfinished} fits of this key are unfinished, as many as may be; ask again when one has ended."
+        raise ProblemError(
+            "queue-quota",
+            f"{unfinished} fits of this key are unfinished, as many as may be; ask again when one has ended.",
         )
 
 
 def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
-    """Raise StorageQuotaError if the caller has no room for `more` bytes, or for one at least."""
+    """Raise ProblemError if the caller has no room for `more` bytes, or for one at least."""
     if caller.stored_bytes is None:
         return
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
     if stored + max(more, 1) > caller.stored_bytes:
         measurement = f" and the measurement has {more / 1e6:.1f} MB" if more else ""
-        raise StorageQuotaError(f"{_usage(caller, stored)}{measurement}; {_REMEDY}")
+        raise ProblemError("storage-quota", f"{_usage(caller, stored)}{measurement}; {_REMEDY}")
 
 
 def _usage(caller: Caller, stored: int) -> str:

@@ -108,7 +108,7 @@ def own_proxy(tmp_path: Path) -> Iterator[Callable[..., Proxy]]:
 
 
 def assert_problem(answer: httpx.Response, kind: str) -> None:
-    status, title, _ = KINDS[kind]
+    status, title, *_ = KINDS[kind]
     assert answer.status_code == status
     assert answer.headers["content-type"] == "application/problem+json"
     document = answer.json()

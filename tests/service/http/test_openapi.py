@@ -3,11 +3,13 @@
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import BaseModel
 
+import service
 from dsbrdf import FitOptions
 from dsbrdf.output.serialize import from_json
 from service.http.problems import KINDS, TYPE_PREFIX
@@ -121,6 +123,13 @@ def test_operations_document_their_problems(document: dict[str, Any]) -> None:
             for kind, example in entry["examples"].items():
                 assert example["value"]["type"] == TYPE_PREFIX + kind
                 assert example["value"]["status"] == KINDS[kind][0]
+
+
+def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
+    text = "".join(path.read_text() for path in Path(service.__file__).parent.rglob("*.py"))
+    raised = set(re.findall(r"""\b(?:ProblemError|super\(\).__init__|_response)\(\s*["']([a-z-]+)["']""", text))
+    assert len(raised) > 20
+    assert raised <= set(KINDS)
 
 
 def test_links_name_operations_and_their_parameters(document: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import ProblemError, TooLargeError
+from service.errors import ProblemError
 from service.http.request_body import PIECE, decoder
 from tests.support.strategies import examples
 
@@ -26,7 +26,7 @@ class Sink:
     def __call__(self, data: bytes) -> None:
         self.seen += len(data)
         if self.seen > LIMIT:
-            raise TooLargeError("The body is too long.")
+            raise ProblemError("too-large", "The body is too long.")
         self.parts.append(data)
 
 

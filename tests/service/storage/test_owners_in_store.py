@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import DataFolderError, StorageQuotaError
+from service.errors import DataFolderError, ProblemError
 from service.storage.schema import VERSION, Caller, FitKey
 from service.storage.store import Store, fit_identity
 
@@ -70,11 +70,11 @@ def test_stored_bytes_include_results(tmp_path: Path) -> None:
     first = submit("f", 6)
     store.start_fit(first)
     store.complete_fit(first, "é", {})
-    with pytest.raises(StorageQuotaError, match="stored"):
+    with pytest.raises(ProblemError, match="stored"):
         submit("g", 7)
     submit("g", 8)
     assert store.remove_fit(first)
-    with pytest.raises(StorageQuotaError):
+    with pytest.raises(ProblemError):
         submit("h", 5)
     submit("h", 6)
     store.close()

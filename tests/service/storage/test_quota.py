@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
-from service.errors import StorageQuotaError
+from service.errors import ProblemError
 from service.storage.schema import Caller
 from service.storage.store import Store
 from tests.support.guarded import new_key
@@ -75,7 +75,7 @@ def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
         for _ in range(2):
             begun = [uploads.begin(caller) for _ in range(most)]
             for _ in range(2):
-                with pytest.raises(StorageQuotaError, match="in progress"):
+                with pytest.raises(ProblemError, match="in progress"):
                     uploads.begin(caller)
             for incoming in begun:
                 uploads.end(caller, incoming)
@@ -93,7 +93,7 @@ def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: 
             store.uploads.begin(caller)
     store.uploads.end(caller, store.uploads.begin(caller))
     incoming = store.uploads.begin(caller)
-    with pytest.raises(StorageQuotaError):
+    with pytest.raises(ProblemError):
         store.uploads.begin(caller)
     store.uploads.end(caller, incoming)
     assert list((tmp_path / "tmp").iterdir()) == []
