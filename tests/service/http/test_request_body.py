@@ -20,45 +20,30 @@ import dsbrdf
 from dsbrdf.data.merl import FILE_SIZE
 from tests.support.merl_files import HEADER, filled, header, with_value
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import Server, assert_problem
 
+# One for each check and each moment of it; the system tests send all kinds of malformed files.
 MALFORMED: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda _: b"",
-    "one byte": lambda data: data[:1],
     "part of the header": lambda data: data[:11],
-    "the header alone": lambda data: data[:12],
-    "one value": lambda data: data[:20],
-    "half": lambda data: data[: FILE_SIZE // 2],
-    "one byte less": lambda data: data[:-1],
     "one value less": lambda data: data[:-8],
     "one byte more": lambda data: data + b"\0",
-    "twice": lambda data: data + data,
-    "float32": lambda data: HEADER + np.frombuffer(data, "<f8", offset=12).astype("<f4").tobytes(),
-    "big-endian": lambda data: header(90, 90, 180, order=">") + data[12:],
-    "swapped": lambda data: header(180, 90, 90) + data[12:],
     "same product": lambda data: header(180, 45, 180) + data[12:],
-    "first dimension": lambda data: header(91, 90, 180) + data[12:],
-    "second dimension": lambda data: header(90, 91, 180) + data[12:],
-    "third dimension": lambda data: header(90, 90, 360) + data[12:],
-    "zero dimension": lambda data: header(0, 90, 180) + data[12:],
-    "negative dimension": lambda data: header(90, -90, 180) + data[12:],
-    "huge dimension": lambda data: header(2**31 - 1, 90, 180) + data[12:],
-    "negative pair": lambda data: header(-90, -90, 180) + data[12:],
-    "nan": lambda data: with_value(data, np.nan),
-    "infinity": lambda data: with_value(data, np.inf),
-    "negative infinity": lambda data: with_value(data, -np.inf),
     "nan in the last value": lambda data: with_value(data, np.nan, FILE_SIZE - 8),
     "too large": lambda _: filled(1e12),
-    "all zero": lambda _: filled(0.0),
     "no valid node": lambda _: filled(-1.0),
     "text": lambda _: b"this is not a measurement\n" * 1000,
-    "an archive": lambda data: gzip.compress(data[:100_000]),
 }
 
 
 def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
     for start in range(0, len(content), size):
         yield content[start : start + size]
+
+
+def contents(server: Server) -> tuple[list[Path], list[object]]:
+    """Files and rows that a server has."""
+    return sorted(server.files()), [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
 
 
 @pytest.mark.parametrize("fault", MALFORMED)
@@ -68,8 +53,7 @@ def test_malformed_upload_gets_the_library_error_and_stores_nothing(
     content = MALFORMED[fault](data)
     with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
         dsbrdf.parse_merl(content)
-    files = sorted(server.files())
-    rows = [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
+    before = contents(server)
     kind, status = ("measurement-format", 422)
     if "longer than" in str(raised.value):
         kind, status = ("measurement-too-large", 413)
@@ -77,8 +61,7 @@ def test_malformed_upload_gets_the_library_error_and_stores_nothing(
     for path, body in (("/v1/fits", content), ("/v1/measurements", in_pieces(content))):
         answer = server.http.post(path, content=body)
         assert assert_problem(answer, status, kind) == str(raised.value)
-    assert sorted(server.files()) == files
-    assert [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")] == rows
+    assert contents(server) == before
 
 
 def test_negative_values_are_accepted(server: Server, data: bytes) -> None:
@@ -96,22 +79,22 @@ def gzip_quickly(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
-def test_compressed_upload_equals_the_plain_one(
-    server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
-) -> None:
+def test_compressed_upload_equals_the_plain_one(server: Server, name: str, compress: Callable[[bytes], bytes]) -> None:
+    data = filled(0.5)  # which takes little time to compress
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     for content in (compress(data), compress(data[:1000]) + compress(b"") + compress(data[1000:])):
-        answer = server.http.post("/v1/fits", params=QUICK, content=content, headers={"Content-Encoding": name})
-        assert answer.status_code in (200, 201), answer.text
-        assert answer.json()["measurement"] == stored
+        answer = server.http.post("/v1/measurements", content=content, headers={"Content-Encoding": name})
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["sha256"] == sha256
 
 
 @pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
 def test_damaged_compressed_upload_stores_nothing(
-    server: Server, data: bytes, stored: str, name: str, compress: Callable[[bytes], bytes]
+    server: Server, data: bytes, name: str, compress: Callable[[bytes], bytes]
 ) -> None:
     files = sorted(server.files())
     headers = {"Content-Encoding": name}
-    packed = compress(data)
+    packed = compress(data[:1_000_000])
     cut = server.http.post("/v1/measurements", content=packed[: len(packed) // 2], headers=headers)
     assert cut.status_code in (400, 422)
     assert_problem(cut, cut.status_code)
@@ -119,51 +102,18 @@ def test_damaged_compressed_upload_stores_nothing(
     assert broken.status_code in (400, 422)
     plain = server.http.post("/v1/measurements", content=data, headers=headers)
     assert name in assert_problem(plain, 400, "bad-encoding")
-    longer = server.http.post("/v1/measurements", content=compress(data + b"\0"), headers=headers)
+    even = filled(0.5)
+    longer = server.http.post("/v1/measurements", content=compress(even + b"\0"), headers=headers)
     assert "longer than" in assert_problem(longer, 413, "measurement-too-large")
-    nan = server.http.post("/v1/measurements", content=compress(with_value(data, np.nan)), headers=headers)
+    nan = server.http.post("/v1/measurements", content=compress(with_value(even, np.nan)), headers=headers)
     assert "NaN" in assert_problem(nan, 422, "measurement-format")
     assert sorted(server.files()) == files
-
-
-def bomb_gzip() -> bytes:
-    return gzip.compress(HEADER + bytes(200 << 20), compresslevel=1)
-
-
-def bomb_zstd() -> bytes:
-    return zstandard.ZstdCompressor(level=1).compress(HEADER + bytes(200 << 20))
-
-
-def bomb_members() -> bytes:
-    return gzip.compress(b"") * 300_000
-
-
-def bomb_frames() -> bytes:
-    return zstandard.ZstdCompressor().compress(b"") * 300_000
-
-
-@pytest.mark.parametrize(
-    ("name", "make"), [("gzip", bomb_gzip), ("zstd", bomb_zstd), ("gzip", bomb_members), ("zstd", bomb_frames)]
-)
-def test_decompression_bomb_is_refused_in_little_memory(
-    own_server: Callable[..., Server], name: str, make: Callable[[], bytes]
-) -> None:
-    server = own_server()
-    bomb = make()
-    before = peak_memory(server)
-    spent = server.cpu_seconds()
-    answer = server.http.post("/v1/fits", content=bomb, headers={"Content-Encoding": name})
-    assert server.cpu_seconds() - spent < 2.0
-    assert answer.status_code in (400, 413, 422)
-    assert_problem(answer, answer.status_code)
-    assert peak_memory(server) - before < 24
-    assert not server.files()
 
 
 @pytest.mark.parametrize("encodings", [["br"], ["deflate"], ["gzip, zstd"], ["gzip;q=1"], ["x"], ["gzip", "gzip"]])
 def test_unsupported_encodings_are_refused(server: Server, data: bytes, encodings: list[str]) -> None:
     headers = [("Content-Encoding", encoding) for encoding in encodings]
-    answer = server.http.post("/v1/measurements", content=gzip_quickly(data), headers=headers)
+    answer = server.http.post("/v1/measurements", content=gzip_quickly(data[:1000]), headers=headers)
     assert_problem(answer, 415, "unsupported-media-type")
     assert answer.headers["accept-encoding"] == "gzip, zstd"
 
@@ -176,19 +126,15 @@ def peak_memory(server: Server) -> float:
     return int(found[1]) / 1024
 
 
-def test_upload_takes_less_than_8_mb_of_memory(own_server: Callable[..., Server], plastic_file: Path) -> None:
+def test_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes, plastic_file: Path) -> None:
     server = own_server()
     before = peak_memory(server)
     with plastic_file.open("rb") as file:
-        answer = server.http.post("/v1/fits", params=QUICK, content=file)
+        answer = server.http.post("/v1/measurements", content=file)
     assert answer.status_code == 201
     assert peak_memory(server) - before < 8
 
-
-def test_concurrent_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
     contents = [with_value(data, 0.25 + i) for i in range(8)]
-    before = peak_memory(server)
     with ThreadPoolExecutor(8) as pool:
         url = server.http.base_url.join("/v1/measurements")
         answers = list(pool.map(lambda content: httpx.post(url, content=content, timeout=60), contents))
@@ -197,18 +143,16 @@ def test_concurrent_uploads_take_little_memory(own_server: Callable[..., Server]
     assert peak_memory(server) - before < 48
 
 
-def test_interrupted_upload_stores_nothing(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
+def test_interrupted_upload_stores_nothing(server: Server, data: bytes) -> None:
+    before = contents(server)
     address = (str(server.http.base_url.host), server.http.base_url.port)
     lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
     for share in (0, 12, 100_000, FILE_SIZE - 1):
         with socket.create_connection(address) as connection:
             connection.sendall(lines.encode() + data[:share])
             if share > 20_000_000:
-                wait_until(lambda: bool(server.files()))
-    wait_until(lambda: not server.files())
-    assert server.http.get("/v1/measurements").json() == {"items": []}
-    assert server.http.get("/v1/fits").json() == {"items": []}
+                wait_until(lambda: contents(server)[0] != before[0])
+    wait_until(lambda: contents(server) == before)
 
 
 @pytest.mark.parametrize(
