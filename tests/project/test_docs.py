@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -15,9 +16,11 @@ import httpx
 import pytest
 
 import dsbrdf
+from dsbrdf.cli import main as cli
 from dsbrdf.cli.demo import running_service, stop
 from dsbrdf.model.decomposition import LABELS
 from service.settings import Settings
+from tests.support.commands import run_main
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -32,6 +35,12 @@ def blocks(language: str, *, http: bool) -> list[str]:
 def commands(text: str) -> list[str]:
     """The commands of a shell block, continued lines joined."""
     return [line for line in text.replace("\\\n", " ").splitlines() if line.strip()]
+
+
+def words_of(line: str) -> list[str]:
+    """The arguments of a command, with the names of files that a shell would put in place of a pattern."""
+    words = shlex.split(line)[1:]
+    return [name for word in words for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
 
 
 def run_shell(script: str, folder: Path) -> str:
@@ -87,13 +96,16 @@ def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path
 
 
 @pytest.mark.usefixtures("python_quick_start")
-def test_the_command_line_quick_start(folder: Path) -> None:
+def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [
         line for text in blocks("sh", http=False) for line in commands(text) if not line.startswith("dsbrdf serve")
     ]
-    shown = [run_shell(line, folder) for line in lines]
     assert {line.split()[1] for line in lines} == {"fit", "show", "eval", "decompose", "export"}
-    assert "relative_rms" in shown[0]
+    (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
+    monkeypatch.chdir(tmp_path)
+    shown = [run_main(cli.main, *words_of(line)) for line in lines]
+    assert [answer.returncode for answer in shown] == [0] * len(lines)
+    assert "relative_rms" in shown[0].stdout
 
 
 @pytest.mark.usefixtures("python_quick_start")

@@ -27,6 +27,13 @@ def memory_mb(server: Server) -> float:
     return int(status.partition("VmRSS:")[2].split()[0]) / 1024
 
 
+def submit_two(server: Server, measurement: str, mask: float = 0.0) -> list[str]:
+    """Ask for a fit that takes long enough to be interrupted, and one that waits for it; return their ids."""
+    choices: tuple[dict[str, Any], ...] = (MIDDLE, QUICK)
+    answers = [server.submit(measurement, prefer="respond-async", mask=mask, **options) for options in choices]
+    return [answer.json()["id"] for answer in answers]
+
+
 def test_dask_fit_equals_the_local_fit(
     serve: Callable[[DaskCluster], Server], server: Server, cluster: DaskCluster, data: bytes
 ) -> None:
@@ -61,9 +68,7 @@ def test_stopped_server_leaves_no_fit_and_resumes_it(
 ) -> None:
     server = serve(cluster)
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    fits = [
-        server.submit(sha256, prefer="respond-async", mask=0.1 * number + i, **MIDDLE).json()["id"] for i in range(2)
-    ]
+    fits = submit_two(server, sha256, mask=0.1 * number)
     wait_until(lambda: bool(cluster.fitting()), PATIENCE)
     victims = cluster.fitting()
     server.stop(number)
@@ -82,7 +87,7 @@ def test_fits_wait_for_a_cluster_and_survive_its_scheduler(
         detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
         assert f"The Dask scheduler at {own_cluster.address} cannot be reached" in detail
         sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-        fits = [server.submit(sha256, prefer="respond-async", mask=0.1 * i, **MIDDLE).json()["id"] for i in range(3)]
+        fits = submit_two(server, sha256)
         assert {server.status(fit_id) for fit_id in fits} == {"accepted"}
         own_cluster.start_scheduler()
         wait_until(lambda: "has no workers" in server.http.get("/health/ready").text, PATIENCE)
@@ -107,7 +112,7 @@ def test_fit_survives_the_loss_of_its_worker(
     own_cluster.add_worker()
     server = serve(own_cluster)
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    fits = [server.submit(sha256, prefer="respond-async", mask=0.1 * i, **MIDDLE).json()["id"] for i in range(3)]
+    fits = submit_two(server, sha256)
     wait_until(lambda: bool(own_cluster.fitting()), PATIENCE)
     own_cluster.kill_worker(own_cluster.workers[0])
     for fit_id in fits:

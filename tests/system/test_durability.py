@@ -8,13 +8,13 @@ from tests.support.durability.series import SERIES, run
 from tests.support.soak import repeats
 
 TIMES = {
-    "queue": 8,
-    "server-kill": 2,
-    "child-kill": 2,
+    "queue": 4,
+    "server-kill": 1,
+    "child-kill": 1,
     "memory": 1,
     "terminate": 1,
-    "uploads": 6,
-    "same-file": 6,
+    "uploads": 4,
+    "same-file": 4,
     "disk": 1,
 }
 

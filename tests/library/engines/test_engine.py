@@ -21,7 +21,6 @@ from dsbrdf.output.serialize import to_json
 from tests.support.dask_cluster import forked
 from tests.support.engines import (
     ENDLESS,
-    MIDDLE,
     PATIENCE,
     QUICK,
     SLOW,
@@ -46,7 +45,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
 @pytest.mark.parametrize(
     "options",
     [
-        MIDDLE,
+        FitOptions(method="paper", n_lobes=2, em_iterations=5),
         FitOptions(method="paper", n_lobes=2, em_iterations=5, weighting="log", robust=True, horizon_cutoff=1.2),
         FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine"),
     ],
