@@ -110,10 +110,10 @@ def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
     """Start services that one test has for itself, with settings of its own."""
     started: list[Server] = []
 
-    def start(*, own_interpreter: bool = False, **environment: str) -> Server:
+    def start(*, own_interpreter: bool = False, fits: bool = True, **environment: str) -> Server:
         folder = tmp_path / f"data{len(started)}"
         started.append(Server(folder, **environment))
-        started[-1].own_interpreter = own_interpreter
+        started[-1].own_interpreter, started[-1].fits = own_interpreter, fits
         return started[-1].start()
 
     try:

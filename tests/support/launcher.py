@@ -70,9 +70,15 @@ class Launcher:
         threading.Thread(target=self._listen, daemon=True).start()
         atexit.register(self._close)
 
-    def launch(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> ForkedProcess:
-        """Fork a process that runs the program and appends what it prints to a log."""
-        request = {"arguments": arguments, "environment": dict(environment), "log": str(log), "cwd": str(Path.cwd())}
+    def launch(
+        self, arguments: Sequence[str], environment: Mapping[str, str], log: Path, *, fits: bool = True
+    ) -> ForkedProcess:
+        """Fork a process that runs the program and appends what it prints to a log.
+
+        Without `fits`, a service starts the server of its worker processes at the first fit only.
+        """
+        request: dict[str, object] = {"arguments": arguments, "environment": dict(environment), "fits": fits}
+        request |= {"log": str(log), "cwd": str(Path.cwd())}
         assert self._process.stdin is not None
         with self._lock:
             self._process.stdin.write(json.dumps(request) + "\n")
@@ -169,6 +175,8 @@ def _become(program: str, request: dict[str, Any]) -> None:
     os.chdir(request["cwd"])
     if program == "dask":
         import_module("dask.config").refresh()  # it takes settings from the environment
+    if not request["fits"]:
+        vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
     sys.argv = [program, *request["arguments"]]
     sys.exit(import_module(f"{program}.__main__").main())
 

@@ -58,5 +58,5 @@ def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
     start = time.monotonic()
     while not condition():
         assert time.monotonic() - start < seconds, "it did not happen in time"
-        time.sleep(0.005)
+        time.sleep(0.02)
     return time.monotonic() - start

@@ -27,10 +27,12 @@ class Server:
     """One service process; `stop` and `start` keep its data folder.
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
-    ``python -m service`` starts.
+    ``python -m service`` starts. Where nothing is fitted, it is spared the process from which fits are forked, whose
+    imports take longer than most tests.
     """
 
     own_interpreter = False
+    fits = True
 
     def __init__(self, data_dir: Path, **environment: str) -> None:
         self.data_dir = data_dir
@@ -68,7 +70,7 @@ class Server:
                 command = [sys.executable, "-m", "service", *arguments]
                 self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self._process = launcher("service").launch(arguments, environment, self.log)
+                self._process = launcher("service").launch(arguments, environment, self.log, fits=self.fits)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -153,7 +153,7 @@ def test_open_event_streams_do_not_delay_shutdown(own_server: Callable[..., Serv
 
 
 def test_files_without_rows_and_rows_without_files_are_removed(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
+    server = own_server(fits=False)
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     server.stop()
     stray = server.data_dir / "blobs" / "00" / f"{'0' * 64}.binary"

@@ -127,7 +127,7 @@ def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server]
 
 
 def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(shutdown_seconds="1")
+    server = own_server(fits=False, shutdown_seconds="1")
     with upload_in_progress(server, data) as connection:
         server.process.send_signal(signal.SIGTERM)
         answer = connection.makefile("rb").read()

@@ -87,7 +87,7 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(
 
 
 def test_file_is_removed_with_its_last_row(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
+    server = own_server(fits=False)
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, timeout=30)) as db, db:
         db.execute(
@@ -103,7 +103,7 @@ def test_file_is_removed_with_its_last_row(own_server: Callable[..., Server], da
 
 
 def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
+    server = own_server(fits=False)
     done = threading.Event()
     statuses: list[int] = []
 

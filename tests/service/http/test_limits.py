@@ -95,7 +95,7 @@ def test_body_below_the_minimum_rate_times_out(
 
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
     patience = 3 * PATIENCE  # for a client that is held up by a busy machine
-    server = own_server(idle_timeout=str(patience), least_upload_rate="100000")
+    server = own_server(fits=False, idle_timeout=str(patience), least_upload_rate="100000")
     step = len(data) // 8
 
     async def in_steps() -> AsyncIterator[bytes]:
@@ -175,7 +175,7 @@ def test_requests_over_the_concurrency_limit_are_refused(impatient: Server, data
 
 
 def test_connections_over_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
-    server = own_server(limit_concurrency="4")
+    server = own_server(fits=False, limit_concurrency="4")
     server.http.close()
     idle = [connect(server) for _ in range(8)]
     try:

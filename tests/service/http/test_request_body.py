@@ -127,7 +127,7 @@ def peak_memory(server: Server) -> float:
 
 
 def test_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes, plastic_file: Path) -> None:
-    server = own_server()
+    server = own_server(fits=False)
     before = peak_memory(server)
     with plastic_file.open("rb") as file:
         answer = server.http.post("/v1/measurements", content=file)

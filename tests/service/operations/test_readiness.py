@@ -24,8 +24,8 @@ from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 
-def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
+def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server]) -> None:
+    server = own_server(fits=False)
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
         wait_until(lambda: server.http.get("/health/ready").status_code == 503)
@@ -64,7 +64,7 @@ def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[
 
 
 def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Server]) -> None:
-    server = own_server()
+    server = own_server(fits=False)
     server.stop()  # what it has written is in the file, and no longer in its memory
     server.start()
     database = server.data_dir / FILE_NAME

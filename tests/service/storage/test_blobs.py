@@ -3,7 +3,6 @@
 import asyncio
 import errno
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -15,8 +14,7 @@ from service.app import create_app
 from service.http.responses import OpenFileResponse
 from service.settings import Settings
 from service.storage.blobs import Blobs, Incoming
-from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import QUICK, assert_problem
 
 
 def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> None:
@@ -85,21 +83,6 @@ def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
     assert b"".join(message.get("body", b"") for message in sent) == b"tent"
     with pytest.raises(FileNotFoundError):
         OpenFileResponse(path, {}, "text/plain")
-
-
-def test_missing_folder_is_an_internal_error(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
-    folder = server.data_dir / "tmp"
-    folder.rmdir()
-    answer = server.http.post("/v1/measurements", content=data)
-    assert "log" in assert_problem(answer, 503, "not-ready")
-    assert str(folder) not in answer.text
-    wait_until(lambda: server.http.get("/health/ready").status_code == 503)  # the answer may be a second old
-    assert_problem(server.http.get("/health/ready"), 503, "not-ready")
-    assert server.http.get("/health/live").status_code == 200
-    folder.mkdir()
-    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
-    assert server.http.post("/v1/measurements", content=data).status_code == 201
 
 
 def test_full_disk_is_507_until_there_is_room(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:

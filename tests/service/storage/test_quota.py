@@ -30,7 +30,7 @@ def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.
 
 
 def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(require_keys="true")
+    server = own_server(fits=False, require_keys="true")
     (_, header), (_, other) = new_key(server, "two files", stored_mb=70), new_key(server, "another")
 
     def upload(who: dict[str, str]) -> httpx.Response:
@@ -51,7 +51,7 @@ def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., S
 def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
     own_server: Callable[..., Server], data: bytes
 ) -> None:
-    server = own_server(require_keys="true")
+    server = own_server(fits=False, require_keys="true")
     _, header = new_key(server, "crowd", stored_mb=101)  # three files
 
     def upload(number: int) -> int:

@@ -143,7 +143,7 @@ def counted_workers(server: Server) -> Iterator[set[tuple[int, str]]]:
     over = threading.Event()
 
     def watch() -> None:
-        while not over.wait(0.004):
+        while not over.wait(0.02):
             for pid in server.workers():
                 try:
                     seen.add((pid, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]))
