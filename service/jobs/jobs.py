@@ -9,8 +9,8 @@ import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass, field
-from time import perf_counter
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
@@ -102,13 +102,12 @@ class Jobs:
         `options` are all options in their wire form. Return the fit's row, which is durable, and whether it is computed
         because of this call.
         """
-        queue_limit = self._settings.queue_limit
+        add = partial(self._store.add_fit, caller, options=options, queue_limit=self._settings.queue_limit)
         if isinstance(measurement, str):
-            row, new = await run_in_threadpool(self._store.add_fit, caller, measurement, options, queue_limit)
+            row, new = await run_in_threadpool(add, measurement)
         else:
-            begin = perf_counter()
-            row, new = await self._store.receive_fit(caller, measurement, options, queue_limit)
-            self._metrics.record_time("upload", perf_counter() - begin)
+            with self._metrics.timing("upload"):
+                row, new = await self._store.uploads.receive(caller, measurement, add)
         if new and not self._stopping.done():
             self._begin(row.key)
         return row, new
@@ -180,7 +179,7 @@ class Jobs:
         try:
             if interruptions >= _INTERRUPTIONS_ALLOWED:
                 reason = f"The service was killed {interruptions} times while it ran this fit."
-                await _write(self._store.fail_fit, key, _error(Fault("system", "ServiceInterrupted", reason)))
+                await _write(self._store.fail_fit, key, asdict(Fault("system", "ServiceInterrupted", reason)))
                 return
             if interruptions > _INTERRUPTIONS_FORGIVEN:
                 await asyncio.sleep(min(_FIRST_DELAY * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _MAX_DELAY))
@@ -199,9 +198,8 @@ class Jobs:
                 return True
             self._set_progress(key, 0.0)
             if row.started is not None and row.attempts == 1:
-                self._metrics.record_time(
-                    "waiting", max(0.0, row.started - row.created)
-                )  # a clock may have been set back
+                seconds = max(0.0, row.started - row.created)  # a clock may have been set back
+                self._metrics.record_time("waiting", seconds)
             with self._metrics.timing("fitting"):
                 outcome = await self._compute(row)
             if isinstance(outcome, Fault) and outcome.origin == "system":
@@ -242,7 +240,7 @@ class Jobs:
             logger.warning("the fit runs again: %s", outcome.message)
             self._metrics.retries.inc()
             return self._store.requeue_fit(row.key) is None
-        self._store.fail_fit(row.key, _error(outcome))
+        self._store.fail_fit(row.key, asdict(outcome))
         logger.warning("the fit has failed: %s", outcome.message)
         return True
 
@@ -276,7 +274,3 @@ async def _run_to_end(work: Coroutine[Any, Any, T]) -> T:
             with suppress(asyncio.CancelledError):
                 await asyncio.wait([task])
         raise
-
-
-def _error(fault: Fault) -> dict[str, str]:
-    return {"origin": fault.origin, "type": fault.type, "message": fault.message}

@@ -24,7 +24,7 @@ from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, 
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody
 from service.wire import examples, schemas
-from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire, to_wire
+from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
@@ -83,7 +83,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     measurement: str | UploadBody
     if media_type_of(request, BINARY, JSON) == BINARY:
         measurement = upload_body(request)
-        options = to_wire(canonical(from_query(request.query_params.multi_items())))
+        options = canonical(from_query(request.query_params.multi_items()))
     else:
         measurement, options = await _stored_submission(request)
     fit, new = await context.jobs.submit(caller, measurement, options)
@@ -227,7 +227,7 @@ async def _stored_submission(request: Request) -> tuple[str, dict[str, Any]]:
     if request.query_params:
         raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
     document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
-    return document.measurement, to_wire(canonical(from_wire(document.options)))
+    return document.measurement, canonical(from_wire(document.options))
 
 
 async def _submitted(

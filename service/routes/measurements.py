@@ -56,7 +56,8 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
     media_type_of(request, BINARY)
     with context.metrics.timing("upload"):
-        row, new = await context.store.receive_measurement(caller, upload_body(request))
+        add = partial(context.store.add_measurement, caller)
+        row, new = await context.store.uploads.receive(caller, upload_body(request), add)
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 

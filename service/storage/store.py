@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 
 import dsbrdf
 from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
-from service.storage.blobs import Blobs, Incoming
+from service.storage.blobs import Blobs
 from service.storage.database import Database
 from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
-from service.storage.uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
+from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
 
@@ -66,36 +66,12 @@ class Store:
         """Release the folder."""
         self.database.close()
 
-    async def receive_measurement(self, caller: Caller, body: UploadBody) -> tuple[MeasurementRow, bool]:
-        """Store the MERL file that is the body; the flag says whether it is new to the caller.
-
-        Raises as `Uploads.received` and `add_measurement`.
-        """
-        async with self.uploads.received(caller, body) as received:
-            return await in_thread(self.add_measurement, caller, *received)
-
-    async def receive_fit(
-        self, caller: Caller, body: UploadBody, options: Mapping[str, Any], queue_limit: int
-    ) -> tuple[FitRow, bool]:
-        """Store the MERL file that is the body, and accept a fit of it or find the same one.
-
-        Raises as `receive_measurement` and `add_fit`; if it is the latter, the measurement is stored nevertheless.
-        """
-
-        def add(received: Received) -> tuple[FitRow, bool]:
-            self.add_measurement(caller, *received)
-            return self.add_fit(caller, received.sha256, options, queue_limit)
-
-        async with self.uploads.received(caller, body) as received:
-            return await in_thread(add, received)
-
-    def add_measurement(
-        self, caller: Caller, incoming: Incoming, sha256: str, valid_nodes: int
-    ) -> tuple[MeasurementRow, bool]:
+    def add_measurement(self, caller: Caller, received: Received) -> tuple[MeasurementRow, bool]:
         """Store a received file; the flag says whether it is new to the caller.
 
         Raises ProblemError if the caller would have stored more than it may.
         """
+        incoming, sha256, valid_nodes = received
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
@@ -146,14 +122,18 @@ class Store:
         return removed
 
     def add_fit(
-        self, caller: Caller, measurement: str, options: Mapping[str, Any], queue_limit: int
+        self, caller: Caller, measurement: str | Received, options: Mapping[str, Any], queue_limit: int
     ) -> tuple[FitRow, bool]:
         """Accept a fit, or find the same one; the flag says whether it has to be computed.
 
-        `options` are in their wire form; at most `queue_limit` fits may be waiting.
+        `measurement` is the sha256 of a stored one, or a received file, which is stored first and stays stored even if
+        the fit is refused. `options` are in their wire form; at most `queue_limit` fits may be waiting.
 
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
+        if isinstance(measurement, Received):
+            self.add_measurement(caller, measurement)
+            measurement = measurement.sha256
         key = FitKey(caller.owner, fit_identity(measurement, options))
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         with self.database.transaction() as db:

@@ -5,7 +5,6 @@ A body is never held whole, and nothing of it stays if anything is wrong with it
 
 import asyncio
 import sqlite3
-import threading
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -70,20 +69,17 @@ class Uploads:
     def __init__(self, database: Database, blobs: Blobs) -> None:
         self._database = database
         self._blobs = blobs
-        self._lock = threading.Lock()
-        self._in_progress: Counter[str] = Counter()
+        self._in_progress: Counter[str] = Counter()  # changed by the event loop alone
 
-    @asynccontextmanager
-    async def received(self, caller: Caller, body: UploadBody) -> AsyncIterator[Received]:
-        """Receive and check the MERL file that is the body; the block stores it, or it is removed.
+    async def receive(self, caller: Caller, body: UploadBody, store: Callable[[Received], T]) -> T:
+        """Receive and check the MERL file that is the body; return what `store` returns, which stores it.
 
         Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, it
-        does not decode, or the caller may not store it.
+        does not decode, or the caller may not store it; and whatever `store` raises. Then nothing of it stays.
         """
         if body.length not in (None, FILE_SIZE):
             await _refuse_early(body.parts, body.length or 0)
-        incoming = await in_thread(self.begin, caller)
-        try:
+        async with self.incoming(caller) as incoming:
             await _write(body, incoming)
             # The disk and the processor have work of their own here, and neither waits for the other.
             closing = asyncio.ensure_future(in_thread(incoming.close))
@@ -91,39 +87,37 @@ class Uploads:
                 valid_nodes = await in_thread(_valid_nodes, incoming)
             finally:
                 sha256 = await closing
-            yield Received(incoming, sha256, valid_nodes)
-        finally:
-            await asyncio.shield(in_thread(self.end, caller, incoming))
+            return await in_thread(store, Received(incoming, sha256, valid_nodes))
 
-    def begin(self, caller: Caller) -> Incoming:
-        """Return a new file for an upload, which is counted from now on.
+    @asynccontextmanager
+    async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
+        """Give the block a new file, which is removed afterwards unless it was stored; count the upload meanwhile.
 
         One upload at a time is let in for a caller that has no room left: its file may be one that is stored already.
 
         Raises ProblemError if those in progress take all the room that the caller has left.
         """
-        with self._lock:
-            in_progress = self._in_progress[caller.owner]
-            if caller.stored_bytes is not None:
-                ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
-                if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
-                    uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
-                    raise ProblemError(
-                        "storage-quota", f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}"
-                    )
-            incoming = self._blobs.incoming()
-            self._in_progress[caller.owner] += 1
-        return incoming
-
-    def end(self, caller: Caller, incoming: Incoming) -> None:
-        """Remove the file of an upload, unless it was stored, and the upload from the count."""
+        others = self._in_progress[caller.owner]
+        self._in_progress[caller.owner] += 1
         try:
-            incoming.discard()
+            await in_thread(self._check_room, caller, others)
+            incoming = await in_thread(self._blobs.incoming)
+            try:
+                yield incoming
+            finally:
+                await asyncio.shield(in_thread(incoming.discard))
         finally:
-            with self._lock:
-                self._in_progress[caller.owner] -= 1
-                if not self._in_progress[caller.owner]:
-                    del self._in_progress[caller.owner]
+            self._in_progress[caller.owner] -= 1
+            self._in_progress += Counter()  # without those that have none
+
+    def _check_room(self, caller: Caller, in_progress: int) -> None:
+        if caller.stored_bytes is None:
+            return
+        ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
+        if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
+            uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
+            detail = f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}"
+            raise ProblemError("storage-quota", detail)
 
 
 async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:

@@ -66,12 +66,12 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     return from_wire(values)
 
 
-def canonical(options: FitOptions) -> FitOptions:
-    """Return the options with the method's own choices filled in; those that give the same fit become equal."""
+def canonical(options: FitOptions) -> dict[str, Any]:
+    """Return the wire form of the options, the method's own choices filled in; those that give one fit become equal."""
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
-    return replace(
+    filled = replace(
         options,
         ring_lobes=0 if paper else options.ring_lobes,
         horizon_cutoff=None if horizon else options.horizon_cutoff,
@@ -79,6 +79,7 @@ def canonical(options: FitOptions) -> FitOptions:
         weighting=options.resolved_weighting,  # type: ignore[arg-type]  # one of the words that it may be
         em_iterations=options.em_iterations if paper else FitOptions.em_iterations,
     )
+    return to_wire(filled)
 
 
 def _to_degrees(name: str, value: Any) -> Any:

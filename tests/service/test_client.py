@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from service.client import AccessError, Client, LimitError, ServiceError
-from service.wire.fit_options import canonical, from_wire
+from service.wire.fit_options import canonical, from_wire, to_wire
 from tests.support.guarded import Guarded
 from tests.support.models import assert_same_bits
 from tests.support.server import ENDLESS, Server
@@ -32,7 +32,7 @@ def test_client_fit_equals_the_library_bit_for_bit(
         for source in (plastic_file, str(plastic_file), plastic_file.read_bytes(), plastic):
             fit = client.fit(source, OPTIONS)
             assert fit.status == "succeeded"
-            assert fit.options == canonical(OPTIONS)
+            assert to_wire(fit.options) == canonical(OPTIONS)
             assert fit.measurement == plastic.sha256
             assert_same_bits(fit.model, expected.model)
             assert fit.report is not None

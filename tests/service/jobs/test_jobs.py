@@ -20,6 +20,7 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
+from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
@@ -88,7 +89,7 @@ class Race:
     def upload(self, caller: Caller) -> str:
         incoming = self.store.blobs.incoming()
         sha256 = incoming.close()
-        self.store.add_measurement(caller, incoming, sha256, 1)
+        self.store.add_measurement(caller, Received(incoming, sha256, 1))
         return sha256
 
     async def break_off(self) -> None:

@@ -8,6 +8,7 @@ import pytest
 from service.errors import DataFolderError, ProblemError
 from service.storage.schema import VERSION, Caller, FitKey
 from service.storage.store import Store, fit_identity
+from service.storage.uploads import Received
 
 
 def test_database_of_another_release_is_refused(tmp_path: Path) -> None:
@@ -23,7 +24,7 @@ def place(store: Store, owner: str, content: bytes) -> str:
     incoming = store.blobs.incoming()
     incoming.write(content)
     sha256 = incoming.close()
-    row, new = store.add_measurement(Caller(owner), incoming, sha256, 1)
+    row, new = store.add_measurement(Caller(owner), Received(incoming, sha256, 1))
     incoming.discard()
     assert new
     assert row.owner == owner

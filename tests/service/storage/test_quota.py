@@ -1,9 +1,11 @@
 """What a key may store, with uploads in progress among it."""
 
+import asyncio
 import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
 from pathlib import Path
 
 import httpx
@@ -72,32 +74,39 @@ def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
 
 def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    uploads = store.uploads
-    for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
-        caller = Caller(str(stored_bytes), stored_bytes=stored_bytes)
-        for _ in range(2):
-            begun = [uploads.begin(caller) for _ in range(most)]
+
+    async def most_at_once(caller: Caller, most: int) -> None:
+        async with AsyncExitStack() as stack:
+            for _ in range(most):
+                await stack.enter_async_context(store.uploads.incoming(caller))
             for _ in range(2):
                 with pytest.raises(ProblemError, match="in progress"):
-                    uploads.begin(caller)
-            for incoming in begun:
-                uploads.end(caller, incoming)
-    for incoming in [uploads.begin(Caller()) for _ in range(100)]:
-        uploads.end(Caller(), incoming)
+                    await stack.enter_async_context(store.uploads.incoming(caller))
+
+    for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
+        for _ in range(2):
+            asyncio.run(most_at_once(Caller(str(stored_bytes), stored_bytes=stored_bytes), most))
+    with pytest.raises(pytest.fail.Exception):
+        asyncio.run(most_at_once(Caller(), 100))
+    assert list((tmp_path / "tmp").iterdir()) == []
     store.close()
 
 
 def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
     caller = Caller("a", stored_bytes=FILE_SIZE)
+
+    async def begin() -> None:
+        async with store.uploads.incoming(caller):
+            with pytest.raises(ProblemError, match="in progress"):
+                async with store.uploads.incoming(caller):
+                    pytest.fail("there is no room for a second upload")
+
     with monkeypatch.context() as broken:
         broken.setattr(store.blobs, "incoming", lambda: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            store.uploads.begin(caller)
-    store.uploads.end(caller, store.uploads.begin(caller))
-    incoming = store.uploads.begin(caller)
-    with pytest.raises(ProblemError):
-        store.uploads.begin(caller)
-    store.uploads.end(caller, incoming)
+            asyncio.run(begin())
+    for _ in range(2):
+        asyncio.run(begin())
     assert list((tmp_path / "tmp").iterdir()) == []
     store.close()

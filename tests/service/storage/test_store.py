@@ -8,6 +8,7 @@ import dsbrdf
 from service.errors import DataFolderInUseError, MeasurementNotFoundError
 from service.storage.schema import Caller, FitKey
 from service.storage.store import Store, fit_identity
+from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
 
 LOCAL = Caller()
@@ -19,7 +20,7 @@ def test_finished_fit_cannot_change(tmp_path: Path) -> None:
     incoming = store.blobs.incoming()
     incoming.write(b"content")
     sha256 = incoming.close()
-    store.add_measurement(LOCAL, incoming, sha256, 1)
+    store.add_measurement(LOCAL, Received(incoming, sha256, 1))
     arguments = (sha256, OPTIONS, 10)
     key = FitKey("", fit_identity(sha256, OPTIONS))
     with pytest.raises(MeasurementNotFoundError):
@@ -45,7 +46,7 @@ def test_failed_fit_runs_again_unless_its_input_is_at_fault(tmp_path: Path, orig
     store = Store(tmp_path)
     incoming = store.blobs.incoming()
     sha256 = incoming.close()
-    store.add_measurement(LOCAL, incoming, sha256, 1)
+    store.add_measurement(LOCAL, Received(incoming, sha256, 1))
     arguments = (sha256, OPTIONS, 10)
     key = FitKey("", fit_identity(sha256, OPTIONS))
     store.add_fit(LOCAL, *arguments)
@@ -77,7 +78,7 @@ def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:
         incoming = store.blobs.incoming()
         incoming.write(b"content")
         sha256 = incoming.close()
-        assert store.add_measurement(LOCAL, incoming, sha256, 1)[1] is expected_new
+        assert store.add_measurement(LOCAL, Received(incoming, sha256, 1))[1] is expected_new
         assert store.blobs.path(sha256).read_bytes() == b"content"
         store.blobs.remove(sha256)
     store.close()
