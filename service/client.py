@@ -1,9 +1,9 @@
 """Python client of the service: the same objects and the same errors as the library, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
-fit = client.fit("nickel.binary")
-fit.model.evaluate(theta_half, theta_diff)
-dsbrdf.decompose(fit.model).diffuse
+    fit = client.fit("nickel.binary")
+    fit.model.evaluate(theta_half, theta_diff)
+    dsbrdf.decompose(fit.model).diffuse
 """
 
 import hashlib
@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import httpx
@@ -124,9 +124,7 @@ class Client:
     def __enter__(self) -> "Client":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -199,18 +197,15 @@ class Client:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`."""
         if isinstance(measurement, Measurement):
             measurement = encode_merl(measurement)
-        sha256 = _sha256(measurement)
+        with _opened(measurement) as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         probe = self._http.head(f"/v1/measurements/{sha256}")
         if probe.is_success:
             return sha256
         if probe.status_code != 404:
             raise _error(probe)
-        headers = {"Content-Type": _RAW}
-        if isinstance(measurement, bytes):
-            self._call("POST", "/v1/measurements", content=measurement, headers=headers)
-        else:
-            with Path(measurement).open("rb") as file:
-                self._call("POST", "/v1/measurements", content=file, headers=headers)
+        with _opened(measurement) as file:
+            self._call("POST", "/v1/measurements", content=file, headers={"Content-Type": _RAW})
         return sha256
 
     def measurement(self, sha256: str) -> Measurement:
@@ -276,8 +271,5 @@ def _error(answer: httpx.Response) -> Exception:
     return ServiceError(problem)
 
 
-def _sha256(measurement: str | os.PathLike[str] | bytes) -> str:
-    if isinstance(measurement, bytes):
-        return hashlib.sha256(measurement).hexdigest()
-    with Path(measurement).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _opened(measurement: str | os.PathLike[str] | bytes) -> BytesIO | BufferedReader:
+    return BytesIO(measurement) if isinstance(measurement, bytes) else Path(measurement).open("rb")

@@ -51,12 +51,16 @@ class AuthenticationMiddleware:
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""
-        _check_framing(scope["headers"])
+        names = {name for name, _ in scope["headers"]}
+        if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
+            detail = "The body's end is told twice, by Content-Length and by Transfer-Encoding; send one of them."
+            raise ProblemError("bad-request", detail, {"Connection": "close"})
         if scope["path"] in OPEN_PATHS:
             return
         key = self._key(scope["headers"])
         scope[CALLER] = _LOCAL if key is None else key.caller
-        _check_path(scope["path"])
+        if not scope["path"].isprintable():  # a route would take a line break for the end of the path
+            raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
 
     def _key(self, headers: _Headers) -> ActiveKey | None:
         """Return the key of a request; None is the local user, who needs none."""
@@ -87,18 +91,6 @@ class AuthenticationMiddleware:
             origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
             if not all(origin in hosts for origin in origins):
                 raise _key_needed("Without an API key the service does not answer to pages of other sites.")
-
-
-def _check_framing(headers: _Headers) -> None:
-    names = {name for name, _ in headers}
-    if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
-        detail = "The body's end is told twice, by Content-Length and by Transfer-Encoding; send one of them."
-        raise ProblemError("bad-request", detail, {"Connection": "close"})
-
-
-def _check_path(path: str) -> None:
-    if not path.isprintable():  # a route would take a line break for the end of the path
-        raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
 
 
 def invalid_key() -> ProblemError:

@@ -143,14 +143,11 @@ class BodyTimeout:
             async with asyncio.timeout(timeout):
                 message = await self._receive()
         except TimeoutError:
-            raise self._too_slow() from None
+            self._ended = True
+            rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
+            detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
+            raise ProblemError("request-timeout", detail, _CLOSE) from None
         self._waited += loop.time() - begin
         self.n_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
         return message
-
-    def _too_slow(self) -> ProblemError:
-        self._ended = True
-        rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
-        detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
-        return ProblemError("request-timeout", detail, _CLOSE)

@@ -41,9 +41,8 @@ def upload_body(request: Request) -> UploadBody:
     Raises ProblemError if its encoding is unknown.
     """
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    if encoding:
-        return UploadBody(request.stream(), None, partial(decoder, encoding))
-    return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None)
+    length = int(declared) if declared.isdecimal() and not encoding else None
+    return UploadBody(request.stream(), partial(decoder, encoding), length)
 
 
 async def receive_small(request: Request, limit: int) -> memoryview:

@@ -86,9 +86,14 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
         options = canonical(from_query(request.query_params.multi_items()))
     else:
         measurement, options = await _stored_submission(request)
-    fit, new = await context.jobs.submit(caller, measurement, options)
-    wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
-    return await _submitted(request, context, caller, fit, new, wait)
+    row, new = await context.jobs.submit(caller, measurement, options)
+    if not row.ended:
+        wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
+        row = await _wait(request, context, caller, row.key, wait)
+    document, headers = await _document(context, row), {"Location": f"/v1/fits/{row.id}"}
+    if row.ended:
+        return json_reply(document, 201 if new else 200, headers)
+    return json_reply(document, 202, {**headers, "Retry-After": "1"})
 
 
 @router.get(
@@ -228,18 +233,6 @@ async def _stored_submission(request: Request) -> tuple[str, dict[str, Any]]:
         raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
     document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
     return document.measurement, canonical(from_wire(document.options))
-
-
-async def _submitted(
-    request: Request, context: Context, caller: Caller, fit: FitRow, new: bool, wait: float
-) -> Response:
-    """Return the fit when it has ended, or after `wait` seconds."""
-    row = fit if fit.ended else await _wait(request, context, caller, fit.key, wait)
-    headers = {"Location": f"/v1/fits/{row.id}"}
-    document = await _document(context, row)
-    if row.ended:
-        return json_reply(document, 201 if new else 200, headers)
-    return json_reply(document, 202, {**headers, "Retry-After": "1"})
 
 
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:

@@ -5,8 +5,8 @@
 
 import json
 import sqlite3
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NamedTuple
 
 from service.errors import DataFolderError
 
@@ -85,11 +85,14 @@ class Caller:
     queued_fits: int | None = None
 
 
+def columns(row: type) -> str:
+    """Return the columns of a row, which has a field for each."""
+    return ", ".join(field.name for field in fields(row))
+
+
 @dataclass(frozen=True)
 class MeasurementRow:
     """A stored measurement; `seq` counts the measurements of its owner."""
-
-    COLUMNS: ClassVar[str] = "owner, seq, sha256, size, valid_nodes, created"
 
     owner: str
     seq: int
@@ -106,11 +109,6 @@ class FitRow:
     `attempts` counts the processes that were begun for it, without those that ended because the service did;
     `interruptions` those that ran when the service broke off.
     """
-
-    COLUMNS: ClassVar[str] = (
-        "owner, seq, id, measurement, status, attempts, interruptions, created, started, finished,"
-        " options, algorithm, library, metrics, error"
-    )
 
     owner: str
     seq: int
@@ -130,8 +128,8 @@ class FitRow:
 
     @classmethod
     def from_values(cls, values: tuple[Any, ...]) -> "FitRow":
-        """Make a row of the values of `COLUMNS`."""
-        named = dict(zip(cls.COLUMNS.replace(",", "").split(), values, strict=True))
+        """Make a row of the values of its `columns`."""
+        named = dict(zip((field.name for field in fields(cls)), values, strict=True))
         for name in ("options", "metrics", "error"):
             named[name] = None if named[name] is None else json.loads(named[name])
         return cls(**named)

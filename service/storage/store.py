@@ -16,23 +16,23 @@ import dsbrdf
 from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs
 from service.storage.database import Database
-from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status
+from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
 
-_SELECT_FIT = f"SELECT {FitRow.COLUMNS} FROM fits"  # noqa: S608 (constants only)
-_SELECT_MEASUREMENT = f"SELECT {MeasurementRow.COLUMNS} FROM measurements"  # noqa: S608
+_SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
+_SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 _INSERT_FIT = (
     "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created)"  # noqa: S608
-    f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {FitRow.COLUMNS}"
+    f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
 )
 _INSERT_MEASUREMENT = (
     "INSERT INTO measurements (seq, owner, sha256, size, valid_nodes, created)"  # noqa: S608
-    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?) RETURNING {MeasurementRow.COLUMNS}"
+    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?) RETURNING {columns(MeasurementRow)}"
 )
 
 
@@ -230,7 +230,7 @@ class Store:
     ) -> FitRow | None:
         """Apply `change` to a fit that is in one of `states`."""
         marks = ", ".join("?" * len(states))
-        query = f"UPDATE fits SET {change} {_WHERE_FIT} AND status IN ({marks}) RETURNING {FitRow.COLUMNS}"  # noqa: S608
+        query = f"UPDATE fits SET {change} {_WHERE_FIT} AND status IN ({marks}) RETURNING {columns(FitRow)}"  # noqa: S608
         with self.database.transaction() as db:
             rows = db.execute(query, (*values, *key, *states)).fetchall()
         return FitRow.from_values(rows[0]) if rows else None

@@ -1,9 +1,14 @@
 """Example documents for the OpenAPI document; a test checks each against its schema."""
 
+import json
 from typing import Any
 
+import numpy as np
+
 import dsbrdf
-from dsbrdf.output.serialize import FORMAT, VERSION
+from dsbrdf import DSBRDF, decompose
+from dsbrdf.output.report_text import component_document, lobes_document
+from dsbrdf.output.serialize import to_json
 from service.wire.fit_options import DEFAULTS
 
 FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
@@ -13,34 +18,9 @@ _CREATED, _STARTED, _FINISHED = (f"2026-11-21T09:30:{second}Z" for second in ("0
 MEASUREMENT: dict[str, Any] = {"sha256": SHA256, "size": 34_992_012, "valid_nodes": 1_005_210, "created": _CREATED}
 MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
-_PARAMETERS: dict[str, Any] = {
-    "amplitude": [[[0.11]], [[0.05]], [[0.03]]],
-    "kappa": [[[1.0]]],
-    "gamma": [[[0.2]]],
-    "elongation": [[0.0]],
-    "delta": [[0.0], [0.0], [0.0]],
-    "interpolation": "spline",
-    "lobe": "hemi_epd",
-}
-_LOBES: dict[str, Any] = {
-    **_PARAMETERS,
-    "theta_diff_deg": [0.0],
-    "shape_theta_diff_deg": [0.0],
-    "elongation_theta_diff_deg": [0.0],
-    "center_deg": [[[0.0]]],
-}
-STORED_MODEL: dict[str, Any] = {
-    "format": FORMAT,
-    "version": VERSION,
-    "model": {
-        **_PARAMETERS,
-        "theta_diff": [0.0],
-        "shape_theta_diff": [0.0],
-        "elongation_theta_diff": [0.0],
-        "center": [[[0.0]]],
-    },
-    "report": None,
-}
+_MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
+STORED_MODEL: dict[str, Any] = json.loads(to_json(_MODEL))
+COMPONENTS: dict[str, Any] = {"items": [component_document(component) for component in decompose(_MODEL)]}
 
 _SUMMARY: dict[str, Any] = {
     "id": FIT_ID,
@@ -65,7 +45,7 @@ _SUMMARY: dict[str, Any] = {
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
 }
-FIT: dict[str, Any] = {**_SUMMARY, "lobes": _LOBES}
+FIT: dict[str, Any] = {**_SUMMARY, "lobes": lobes_document(_MODEL)}
 FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
 CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, "metrics": None, "lobes": None}
 RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
@@ -78,19 +58,6 @@ ANGLES: dict[str, Any] = {
 }
 DIRECTIONS: dict[str, Any] = {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}
 VALUES: dict[str, Any] = {"values": [[0.42, 0.21, 0.11]]}
-
-_DIFFUSE = {"lobes": [0], "parameters": _LOBES, "albedo": [0.31, 0.13, 0.07], "half_width_deg": 62.5, "margin": 1.3}
-_NO_LOBES = {
-    **_LOBES,
-    "amplitude": [[[]]] * 3,
-    "kappa": [[[]]],
-    "gamma": [[[]]],
-    "center_deg": [[[]]],
-    "elongation": [[]],
-}
-_EMPTY = {"lobes": [], "parameters": _NO_LOBES, "albedo": [0.0, 0.0, 0.0], "half_width_deg": None, "margin": None}
-_CONTENTS: dict[str, dict[str, Any]] = {"specular_spike": _EMPTY, "specular_lobe": _EMPTY, "diffuse": _DIFFUSE}
-COMPONENTS: dict[str, Any] = {"items": [{"label": label, **content} for label, content in _CONTENTS.items()]}
 
 EVENTS = (
     f'event: running\ndata: {{"id":"{FIT_ID}","status":"running","progress":0.42,"error":null}}\n\n'
