@@ -5,6 +5,7 @@ import logging
 import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from operator import attrgetter
 from typing import Any
 
 from fastapi import FastAPI
@@ -98,7 +99,7 @@ async def _follow_changes(database: Database, keys: Keys, models: ModelCache) ->
             changed = await asyncio.to_thread(database.changed_by_others) or changed
             if changed:
                 await asyncio.to_thread(keys.load, database)
-                models.forget_all()
+                models.forget()
                 changed = False
         except sqlite3.Error:
             logger.exception("what other processes have written could not be read; trying again")
@@ -128,7 +129,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # every resource has one path
-        generate_unique_id_function=openapi.operation_id,
+        generate_unique_id_function=attrgetter("name"),  # as links and generated clients call an operation
     )
     app.state.settings, app.state.store = settings, store
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)

@@ -13,9 +13,8 @@ from dsbrdf.process_settings import core_count
 from service import DEFAULT_DATA_DIR
 
 _PREFIX = "DSBRDF_"
-_OTHER_VARIABLES = frozenset(
-    ("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_EXAMPLES")
-)  # of the client and the tests
+# Of the client and the tests.
+_OTHER_VARIABLES = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_SEED", "DSBRDF_SOAK"))
 
 
 class Settings(BaseSettings):

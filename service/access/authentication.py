@@ -17,9 +17,8 @@ from service.settings import Settings
 from service.storage.schema import Caller
 
 _PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
-OPEN_PATHS = frozenset(
-    ("/health/live", "/health/ready", "/openapi.json", *_PAGE)
-)  # they show nothing that belongs to a key
+# They show nothing that belongs to a key.
+OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *_PAGE))
 
 CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()
@@ -39,14 +38,12 @@ class AuthenticationMiddleware:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        try:
-            self._check(scope)
-        except ProblemError as error:
-            await problem_response(error, scope["path"])(scope, receive, send)
-            return
+        if scope["type"] == "http":
+            try:
+                self._check(scope)
+            except ProblemError as error:
+                await problem_response(error, scope["path"])(scope, receive, send)
+                return
         await self._app(scope, receive, send)
 
     def _check(self, scope: Scope) -> None:

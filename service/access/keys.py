@@ -9,6 +9,7 @@ import hmac
 import re
 import secrets
 import time
+from contextlib import closing
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from time import monotonic
@@ -78,11 +79,8 @@ def has_active_key(folder: Path) -> bool:
     """Return whether a data folder, which need not exist, has a key that is not revoked."""
     if not (folder / FILE_NAME).exists():
         return False
-    database = Database(folder, exclusive=False)
-    try:
+    with closing(Database(folder, exclusive=False)) as database:
         return any(row.revoked is None for row in all_keys(database))
-    finally:
-        database.close()
 
 
 class RateLimit:

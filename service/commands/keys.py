@@ -58,14 +58,9 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 
 
 def _document(row: KeyRow) -> dict[str, object]:
+    created = _time(row.created).isoformat()
     revoked = None if row.revoked is None else _time(row.revoked).isoformat()
-    return {
-        "id": row.id,
-        "name": row.name,
-        "created": _time(row.created).isoformat(),
-        "revoked": revoked,
-        **asdict(row.limits),
-    }
+    return {"id": row.id, "name": row.name, "created": created, "revoked": revoked, **asdict(row.limits)}
 
 
 def _time(seconds: float) -> datetime:

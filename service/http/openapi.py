@@ -9,7 +9,6 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
 from service.http import problems as table
@@ -121,11 +120,6 @@ def file(media_type: str, **schema: Any) -> dict[str, Any]:
 def kept(example: Any) -> str:
     """Return an example as text, because FastAPI removes what is null from the document."""
     return _EXAMPLE_MARK + json.dumps(example)
-
-
-def operation_id(route: APIRoute) -> str:
-    """Return the name of a route's operation, which links lead to and generated clients have: its function's."""
-    return route.name
 
 
 def document_of(app: FastAPI) -> dict[str, Any]:

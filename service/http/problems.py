@@ -97,13 +97,6 @@ def install(app: FastAPI) -> None:
         app.add_exception_handler(expected, _on_exception)
 
 
-def is_disk_full(error: BaseException) -> bool:
-    """Return whether `error` says that the disk is full."""
-    if isinstance(error, OSError):
-        return error.errno in _FULL_DISK
-    return isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode == sqlite3.SQLITE_FULL
-
-
 async def _on_exception(request: Request, error: Exception) -> Response:
     path = request.url.path
     if isinstance(error, ProblemError):
@@ -119,9 +112,9 @@ async def _on_exception(request: Request, error: Exception) -> Response:
     for expected, kind in _KIND_OF_ERROR.items():
         if isinstance(error, expected):
             return _response(kind, str(error), path)
-    if is_disk_full(error):
-        return _response("disk-full", _FULL, path)
     if isinstance(error, (OSError, sqlite3.DatabaseError)):
+        if getattr(error, "errno", 0) in _FULL_DISK or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
+            return _response("disk-full", _FULL, path)
         logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
         detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
         return _response("not-ready", detail, path)

@@ -148,19 +148,16 @@ class _MemberDecoder:
             if self._member.eof:
                 data = self._member.unused_data
                 self._inside = bool(data)
-                self._begin_member()
+                self._n_members += 1
+                if self._n_members > _MAX_MEMBERS:
+                    raise self._damaged(f"it has more than {_MAX_MEMBERS} members")
+                self._member = self._new_member()
                 if not data:
                     return
             elif len(decoded) < PIECE:
                 return
             else:  # there may be more output; zstd keeps the rest of the input itself
                 data = getattr(self._member, "unconsumed_tail", b"")
-
-    def _begin_member(self) -> None:
-        self._n_members += 1
-        if self._n_members > _MAX_MEMBERS:
-            raise self._damaged(f"it has more than {_MAX_MEMBERS} members")
-        self._member = self._new_member()
 
     def _damaged(self, reason: str) -> ProblemError:
         return ProblemError("bad-encoding", f"The body is not valid {self._name}: {reason[:200]}.")

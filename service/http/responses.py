@@ -4,7 +4,8 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlencode
@@ -16,6 +17,7 @@ from starlette.responses import FileResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from service.errors import ProblemError
+from service.storage.schema import FitRow, MeasurementRow
 
 JSON = "application/json"
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
@@ -113,11 +115,11 @@ def check_range(request: Request, size: int) -> None:
         raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
 
 
-def next_page(request: Request, limit: int, rows: int, last: int | None) -> dict[str, str]:
-    """Return the ``Link`` header to the page after one of `rows` rows that ends with the row number `last`."""
-    if last is None or rows < limit:
+def next_page(request: Request, limit: int, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
+    """Return the ``Link`` header to the page after the one with these rows, unless it is the last one."""
+    if len(rows) < limit:
         return {}
-    query = urlencode({"limit": limit, "cursor": last})
+    query = urlencode({"limit": limit, "cursor": rows[-1].seq})
     return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
 
 
@@ -131,13 +133,8 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
     for preference in _PREFERENCE.findall(",".join(request.headers.getlist("prefer"))):
         name, _, value = preference.partition(";")[0].partition("=")
         preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
-    otherwise = 0.0 if "respond-async" in preferences else default
-    return min(_seconds(preferences.get("wait", ""), otherwise), longest)
-
-
-def _seconds(text: str, otherwise: float) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        return otherwise
-    return seconds if math.isfinite(seconds) and seconds >= 0 else otherwise
+    with suppress(ValueError):
+        seconds = float(preferences.get("wait", ""))
+        if math.isfinite(seconds) and seconds >= 0:
+            return min(seconds, longest)
+    return 0.0 if "respond-async" in preferences else min(default, longest)

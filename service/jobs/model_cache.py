@@ -71,27 +71,19 @@ class ModelCache:
         loaded = await self.get(key)
         return await run_in_threadpool(lambda: loaded.decomposition)
 
-    def forget(self, key: FitKey) -> None:
-        """Drop a model whose fit is deleted."""
+    def forget(self, *keys: FitKey) -> None:
+        """Drop models whose fits are deleted; without keys all, as any may have been deleted by another process."""
         self._deletions += 1
-        self._models.pop(key, None)
-
-    def forget_all(self) -> None:
-        """Drop every model, since fits may have been deleted by another process."""
-        self._deletions += 1
-        self._models.clear()
+        for key in keys or tuple(self._models):
+            self._models.pop(key, None)
 
     def _load(self, key: FitKey) -> LoadedFit:
         document = self._store.result(key)
-        if document is None:
-            raise self._reason(key)
-        return LoadedFit(*from_json(document))
-
-    def _reason(self, key: FitKey) -> ProblemError:
-        """Return the error for a fit without model."""
+        if document is not None:
+            return LoadedFit(*from_json(document))
         row = self._store.fit(key)
         if row is None:
-            return FitNotFoundError(key.id)
+            raise FitNotFoundError(key.id)
         if not row.ended:
-            return ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")
-        return ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")
+            raise ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")
+        raise ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")

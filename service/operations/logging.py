@@ -25,7 +25,6 @@ _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
-_OF_UVICORN = "color_message"  # a copy of the message with colours
 
 
 def configure(settings: Settings) -> None:
@@ -76,7 +75,7 @@ class _Repetitions:
 
 def _with_traceback_of_child(_: Any, __: str, event: EventDict) -> EventDict:
     """Add the traceback of a record that came from another process as text."""
-    event.pop(_OF_UVICORN, None)
+    event.pop("color_message", None)  # uvicorn's copy of the message with colours
     text = event["_record"].exc_text
     if text and "exception" not in event:
         event["exception"] = text

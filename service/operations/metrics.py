@@ -99,7 +99,3 @@ class _Stored(Collector):
             states.add_metric((state,), numbers.get(state, 0))
         yield states
         yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=stored_bytes)
-
-    def describe(self) -> Iterator[Metric]:
-        """Yield nothing: names are known without asking the database."""
-        yield from ()

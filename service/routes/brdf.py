@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.model.decomposition import LABELS
+from dsbrdf.output.report_text import component_document
 from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import media_type_of, receive_small
@@ -19,7 +20,7 @@ from service.http.responses import IfNoneMatch, tagged_reply
 from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
 from service.storage.schema import FitKey
 from service.wire import examples, values
-from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, component_list, parse_document
+from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
 from service.wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points
 
 
@@ -136,7 +137,8 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
 )
 async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
     """Return the three components with their lobes, albedo, half width and how clear the label is."""
-    document = component_list(await context.models.decomposition(fit))
+    items = [component_document(component) for component in await context.models.decomposition(fit)]
+    document = ComponentList.model_validate({"items": items})
     return tagged_reply(document.model_dump_json().encode(), if_none_match)
 
 

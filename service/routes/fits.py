@@ -14,6 +14,7 @@ from starlette.responses import Response
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
@@ -85,15 +86,18 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
         measurement = upload_body(request)
         options = canonical(from_query(request.query_params.multi_items()))
     else:
-        measurement, options = await _stored_submission(request)
+        if request.query_params:
+            raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
+        document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
+        measurement, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.jobs.submit(caller, measurement, options)
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    document, headers = await _document(context, row), {"Location": f"/v1/fits/{row.id}"}
+    fit, headers = await _document(context, row), {"Location": f"/v1/fits/{row.id}"}
     if row.ended:
-        return json_reply(document, 201 if new else 200, headers)
-    return json_reply(document, 202, {**headers, "Retry-After": "1"})
+        return json_reply(fit, 201 if new else 200, headers)
+    return json_reply(fit, 202, {**headers, "Retry-After": "1"})
 
 
 @router.get(
@@ -110,8 +114,7 @@ async def list_fits(
     before = None if page.cursor is None else int(page.cursor)
     rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit, before)
     items = [schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows]
-    headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
-    return json_reply(schemas.FitList(items=items), headers=headers)
+    return json_reply(schemas.FitList(items=items), headers=next_page(request, page.limit, rows))
 
 
 @router.get(
@@ -227,14 +230,6 @@ async def follow_fit(
                 yield ServerSentEvent(data=event, event=row.status)
 
 
-async def _stored_submission(request: Request) -> tuple[str, dict[str, Any]]:
-    """Return measurement and options of a JSON body."""
-    if request.query_params:
-        raise InvalidArgumentError("With a JSON body the options belong into its member 'options', not into the query.")
-    document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
-    return document.measurement, canonical(from_wire(document.options))
-
-
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
     """Return the fit's row when it has ended or after `seconds`.
 
@@ -274,4 +269,5 @@ async def _departure(request: Request) -> None:
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
     model = (await context.models.get(row.key)).model if row.status == "succeeded" else None
-    return schemas.fit_document(row, context.jobs.progress(row), model)
+    lobes = None if model is None else lobes_document(model)
+    return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), lobes=lobes)

@@ -25,15 +25,8 @@ _LINKS = openapi.links(
     "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
 )
 _uploaded_as = partial(openapi.response, model=MeasurementDocument, headers=["Location", "ETag"], links=_LINKS)
-_FIT_LINK = {
-    "submit_fit": {
-        "operationId": "submit_fit",
-        "requestBody": {
-            "measurement": "$response.body#/items/0/sha256",
-            "options": {"method": "paper", "n_lobes": 1},
-        },
-    }
-}
+_FIRST_WITH_OPTIONS = {"measurement": "$response.body#/items/0/sha256", "options": {"method": "paper", "n_lobes": 1}}
+_FIT_LINK = {"submit_fit": {"operationId": "submit_fit", "requestBody": _FIRST_WITH_OPTIONS}}
 _RANGE = openapi.header_parameter(
     "Range", "One range of bytes; what is no such range is ignored (RFC 9110).", "bytes=0-11"
 )
@@ -77,8 +70,8 @@ async def list_measurements(
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit, before)
-    headers = next_page(request, page.limit, len(rows), rows[-1].seq if rows else None)
-    return json_reply(MeasurementList(items=[from_row(MeasurementDocument, row) for row in rows]), headers=headers)
+    items = [from_row(MeasurementDocument, row) for row in rows]
+    return json_reply(MeasurementList(items=items), headers=next_page(request, page.limit, rows))
 
 
 @router.get(
@@ -103,8 +96,7 @@ async def download_measurement(
     request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it."""
-    row = await _row(context, caller, sha256)
-    headers = _headers(row)
+    row, headers = await _found(context, caller, sha256)
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     check_range(request, row.size)
@@ -126,8 +118,7 @@ async def probe_measurement(
     context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Tell whether the measurement is stored, so that an upload can be spared."""
-    row = await _row(context, caller, sha256)
-    headers = _headers(row)
+    row, headers = await _found(context, caller, sha256)
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
@@ -148,12 +139,9 @@ async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha
     return Response(status_code=204)
 
 
-async def _row(context: Context, caller: Caller, sha256: str) -> MeasurementRow:
+async def _found(context: Context, caller: Caller, sha256: str) -> tuple[MeasurementRow, dict[str, str]]:
+    """Return a measurement's row and headers."""
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     if row is None:
         raise MeasurementNotFoundError(sha256)
-    return row
-
-
-def _headers(row: MeasurementRow) -> dict[str, str]:
-    return {"ETag": f'"{row.sha256}"', "Cache-Control": "private, max-age=31536000, immutable"}
+    return row, {"ETag": f'"{sha256}"', "Cache-Control": "private, max-age=31536000, immutable"}

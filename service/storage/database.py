@@ -40,7 +40,13 @@ class Database:
             if exclusive:
                 self._resources.enter_context(_lock(folder))
             self._writer, self._reader = self._connection(), self._connection()
-            self._prepare(folder, locked=exclusive)
+            for pragma in ("journal_mode = WAL", "synchronous = FULL"):
+                self._writer.execute(f"PRAGMA {pragma}")
+            if exclusive:
+                create_tables(self._writer)
+            elif version_of(self._writer) != VERSION:
+                with _lock(folder):  # one process at a time creates them
+                    create_tables(self._writer)
             self._reader.execute("PRAGMA query_only = ON")
             self._version = self._data_version()
             self._identity = _identity(self._path)
@@ -111,16 +117,6 @@ class Database:
                 "its file has been removed or replaced while the service had it open; put it back, or start the "
                 "service again"
             )
-
-    def _prepare(self, folder: Path, *, locked: bool) -> None:
-        """Set the connection up and create the tables; the latter only under the lock, as one process at a time."""
-        for pragma in ("journal_mode = WAL", "synchronous = FULL"):
-            self._writer.execute(f"PRAGMA {pragma}")
-        if locked:
-            create_tables(self._writer)
-        elif version_of(self._writer) != VERSION:
-            with _lock(folder):
-                create_tables(self._writer)
 
 
 def _lock(folder: Path) -> IO[str]:

@@ -3,7 +3,6 @@
 Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order.
 """
 
-from collections.abc import Iterable
 from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
@@ -12,9 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.decomposition import Component
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.report_text import component_document, lobes_document
 from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
@@ -242,13 +238,3 @@ class Export(_Input):
 def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
     """Return a row's document; `more` is what the row does not have."""
     return kind.model_validate({**asdict(row), **more})
-
-
-def fit_document(row: FitRow, progress: float, model: DSBRDF | None) -> FitDocument:
-    """Return a fit's document; `model` is that of a fit that succeeded."""
-    return from_row(FitDocument, row, progress=progress, lobes=None if model is None else lobes_document(model))
-
-
-def component_list(decomposition: Iterable[Component]) -> ComponentList:
-    """Return the components' document."""
-    return ComponentList.model_validate({"items": [component_document(component) for component in decomposition]})
