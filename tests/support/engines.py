@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
 
-MIDDLE = FitOptions(method="paper", n_lobes=8, em_iterations=100)
+MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
 
 SLOW = FitOptions(n_lobes=8, ring_lobes=2)
 

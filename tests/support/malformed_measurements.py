@@ -80,7 +80,7 @@ LENGTHS: dict[str, Make] = {
 }
 DIMENSIONS: dict[str, Make] = {
     **{
-        f"dimensions {dimensions}": (lambda data, dimensions=dimensions: header(*dimensions) + data[12:])  # type: ignore[misc]
+        f"dimensions {dimensions}": (lambda data, dimensions=dimensions: header(*dimensions) + data[12:100_000])  # type: ignore[misc]
         for dimensions in [
             (89, 90, 180), (91, 90, 180), (90, 89, 180), (90, 91, 180), (90, 90, 179), (90, 90, 181), (90, 90, 360),
             (180, 90, 90), (90, 180, 90), (180, 45, 180), (90, 45, 360), (1, 1, NODES), (NODES, 1, 1), (30, 270, 180),

@@ -13,7 +13,7 @@ from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 from tests.support.soak import SOAK
 
 PATIENCE = 120.0
-MIDDLE: dict[str, Any] = {"n_lobes": 8, "em_iterations": 100}
+MIDDLE: dict[str, Any] = {"n_lobes": 4, "em_iterations": 100}
 
 
 @pytest.fixture

@@ -213,13 +213,27 @@ def test_second_run_keeps_existing_results(
     assert first == second
 
 
+@pytest.fixture(scope="module")
+def stored_fit(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command stores for the plastic; tests must not change it."""
+    folder = tmp_path_factory.mktemp("stored")
+    assert cli.main(["fit", str(plastic_file), "-o", str(folder), *QUICK]) == 0
+    return folder / "plastic.json"
+
+
 @pytest.mark.parametrize("reason", ["options", "force", "measurement", "damaged", "algorithm", "no report"])
 def test_stored_fit_with_other_options_is_replaced(
-    two_files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, reason: str
+    two_files: list[str],
+    stored_fit: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+    reason: str,
 ) -> None:
     output = tmp_path / "out" / "one.json"
+    output.parent.mkdir()
+    shutil.copyfile(stored_fit, output)
     command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
-    assert cli.main(command) == 0
     capsys.readouterr()
     if reason == "options":
         command += ["--weighting", "cosine"]

@@ -138,7 +138,7 @@ class _Pair:
 
     def __init__(self, harness: Harness) -> None:
         self._harness = harness
-        self._options = [{**LONG, "n_lobes": 8, "mask": mask} for mask in (0.5, 0.6)]
+        self._options = [{**LONG, "n_lobes": 4, "mask": mask} for mask in (0.5, 0.6)]
         self._models = harness.models(*self._options)
         self._fits: list[str] = []
 
