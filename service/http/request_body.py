@@ -41,8 +41,9 @@ def upload_body(request: Request) -> UploadBody:
     Raises ProblemError if its encoding is unknown.
     """
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() and not encoding else None
-    return UploadBody(request.stream(), partial(decoder, encoding), length)
+    if encoding:
+        return UploadBody(request.stream(), None, partial(decoder, encoding))
+    return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None, None)
 
 
 async def receive_small(request: Request, limit: int) -> memoryview:

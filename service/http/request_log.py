@@ -44,9 +44,8 @@ class RequestLogMiddleware:
         exchange = _Exchange(scope, send)
         bind_contextvars(request_id=exchange.request_id)
         if exchange.has_body:
-            receive = exchange.body = BodyTimeout(
-                receive, self._settings.idle_timeout, self._settings.least_upload_rate
-            )
+            idle_timeout, least_rate = self._settings.idle_timeout, self._settings.least_upload_rate
+            receive = exchange.body = BodyTimeout(receive, idle_timeout, least_rate)
         self._in_progress += 1
         self._metrics.requests_in_progress.inc()
         try:

@@ -87,9 +87,8 @@ class Store:
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
-        return self._one(
-            lambda row: MeasurementRow(*row), f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?", owner, sha256
-        )
+        query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
+        return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
 
     def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`."""

@@ -48,11 +48,11 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class UploadBody:
-    """What a client sends: `parts` as they arrive, their decoder, and the decoded length, where it was declared."""
+    """What a client sends: `parts` as they arrive, the `length` it has declared, and the decoder it needs, if any."""
 
     parts: AsyncIterator[bytes]
-    decoder: Callable[[Sink], Decoder]
     length: int | None
+    decoder: Callable[[Sink], Decoder] | None
 
 
 class Received(NamedTuple):
@@ -138,7 +138,8 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
 
-    decoder = body.decoder(write)
+    decoder = None if body.decoder is None else body.decoder(write)
+    feed = write if decoder is None else decoder.feed
     writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     writing.set_result(None)
     try:
@@ -148,11 +149,12 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
             if n_received > _MAX_ENCODED:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
                 raise ProblemError("too-large", most)
-            writing = asyncio.ensure_future(in_thread(decoder.feed, piece))
+            writing = asyncio.ensure_future(in_thread(feed, piece))
             if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
                 await writing
         await writing
-        await in_thread(decoder.finish)
+        if decoder is not None:
+            await in_thread(decoder.finish)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 

@@ -235,6 +235,8 @@ def test_stored_fit_with_other_options_is_replaced(
     shutil.copyfile(stored_fit, output)
     command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
     capsys.readouterr()
+    assert cli.main(command) == 0
+    assert document(capsys)["resumed"] is True
     if reason == "options":
         command += ["--weighting", "cosine"]
     elif reason == "force":
