@@ -11,6 +11,7 @@ across it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,8 +47,6 @@ class Component:
         Their indices in the model that was decomposed.
     half_width : float or None
         Largest theta_half at which the component has half of its height, at theta_diff = 0 [rad]; None without lobes.
-    albedo : ndarray, shape (3,)
-        Directional albedo at normal incidence, RGB.
     margin : float or None
         How clear the split is: |log2| of the ratio of the nearest border and the nearest reach of a lobe.  At 1 the
         lobe is twice as wide or as narrow, at 0 it lies on the border.  None without lobes.
@@ -57,8 +56,12 @@ class Component:
     model: DSBRDF
     lobes: tuple[int, ...]
     half_width: float | None
-    albedo: Array
     margin: float | None
+
+    @cached_property
+    def albedo(self) -> Array:
+        """Directional albedo at normal incidence, RGB, shape (3,)."""
+        return self.model.albedo(0.0)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Values of the component, see `DSBRDF.evaluate`."""
@@ -127,7 +130,7 @@ def decompose(
         lobes = tuple(int(k) for k in np.flatnonzero(groups == group))
         part = model.select(lobes, with_delta=group == 0)
         margin = float(np.abs(np.log2(widths[list(lobes)][:, None] / borders)).min()) if lobes else None
-        components.append(Component(label, part, lobes, _half_width(part), part.albedo(0.0), margin))
+        components.append(Component(label, part, lobes, _half_width(part), margin))
     return Decomposition(*components)
 
 
