@@ -84,12 +84,12 @@ def batch_curve(data: Profiles, channel: int, row: int, n_lobes: int, iterations
 def fitted_slices(result: FitResult) -> dict[tuple[int, int], int]:
     """Return the EM iterations that the batch used on each (channel, row) that has data."""
     slices = result.report.slices
-    rows = np.round(np.degrees(slices["theta_diff"])).astype(int).tolist()
+    rows = np.round(np.degrees(slices.theta_diff)).astype(int).tolist()
     return {
-        (channel, row): slices["iterations"][channel][index]
+        (channel, row): slices.iterations[channel][index]
         for channel in range(len(CHANNELS))
         for index, row in enumerate(rows)
-        if slices["fitted"][channel][index]
+        if slices.fitted[channel][index]
     }
 
 

@@ -70,7 +70,7 @@ def sources(arguments: argparse.Namespace) -> Iterator[Source]:
 def here(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
     """Fit in this process."""
     result = fit(material, options)
-    return result.report.metrics, result.model
+    return asdict(result.report.metrics), result.model
 
 
 def through(url: str, stack: ExitStack) -> Runner:

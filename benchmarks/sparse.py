@@ -117,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for measurement in chosen_measurements(parser.parse_args(argv)):
             metrics = fit(measurement, FitOptions()).report.metrics
             found.append([figures(measurement, factor) for factor in FACTORS])
-            cells = [f"{metrics['floor']:.4f}", f"{metrics['relative_rms']:.4f}", *map(str, found[-1])]
+            cells = [f"{metrics.floor:.4f}", f"{metrics.relative_rms:.4f}", *map(str, found[-1])]
             print(f"| {measurement.name:32} | {' | '.join(cells)} |", flush=True)
     print()
     for index, factor in enumerate(FACTORS):

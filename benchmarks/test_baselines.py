@@ -72,7 +72,7 @@ def test_scores_are_those_of_the_library(plastic: Measurement) -> None:
     expected = result.report.metrics
     score = found.score()
     assert (score.relative_rms, score.floor, score.excess, score.male) == pytest.approx(
-        tuple(expected[key] for key in ("relative_rms", "floor", "excess", "male")), rel=1e-9
+        (expected.relative_rms, expected.floor, expected.excess, expected.male), rel=1e-9
     )
     assert found.score(PAPER_RANGE).relative_rms < score.relative_rms
     assert result.model.n_numbers == 3 * 18 * (3 * 2 + 1)

@@ -1,6 +1,7 @@
 """Versions of the library, of its algorithm and of the software that it uses."""
 
 import platform
+from dataclasses import dataclass
 from importlib.metadata import version
 
 __version__ = version("dsbrdf")
@@ -9,12 +10,23 @@ ALGORITHM_VERSION = "2"
 """Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
 
 
-def versions() -> dict[str, str]:
-    """Return all versions that can affect the result of a fit."""
-    return {
-        "algorithm": ALGORITHM_VERSION,
-        "dsbrdf": __version__,
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
-        "python": platform.python_version(),
-    }
+@dataclass(frozen=True)
+class Versions:
+    """All versions that can affect the result of a fit."""
+
+    algorithm: str
+    dsbrdf: str
+    numpy: str
+    scipy: str
+    python: str
+
+
+def versions() -> Versions:
+    """Return the versions of this process."""
+    return Versions(
+        algorithm=ALGORITHM_VERSION,
+        dsbrdf=__version__,
+        numpy=version("numpy"),
+        scipy=version("scipy"),
+        python=platform.python_version(),
+    )

@@ -82,7 +82,7 @@ def run_demo(folder: Path) -> None:
             fit = _fit_twice(client, measurement)
             model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_lobes(_get(client, fit, "lobes").json()["items"], model)
-            _show_metrics(fit["metrics"], report)
+            _show_metrics(report)
             _show_values(client, fit, measurement)
             _show_components(client, fit)
     folder.mkdir(parents=True, exist_ok=True)
@@ -190,14 +190,14 @@ def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
     _print(*components_table(components), "", *parameters_table(model))
 
 
-def _show_metrics(metrics: dict[str, float | None], report: FitReport | None) -> None:
+def _show_metrics(report: FitReport | None) -> None:
     """Print which lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
     _title("Lobes tried one after the other")
     _print(*growth_table(report))
     _title("Metrics")
-    _print(metrics_line(metrics), "", *bands_table(report))
+    _print(metrics_line(report.metrics), "", *bands_table(report))
 
 
 def _show_values(client: "httpx.Client", fit: dict[str, Any], measurement: Measurement) -> None:

@@ -1,14 +1,13 @@
 """Fits of many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
 
 import asyncio
-import json
 import os
 import queue
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsbrdf.engines.dask import DaskEngine
@@ -286,7 +285,6 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions) -> FileFit | Non
         result = result_from_json(output.read_text(encoding="utf-8"))
     except (FileNotFoundError, UnicodeDecodeError, ModelFormatError):
         return None
-    wanted = json.loads(json.dumps(asdict(options)))
-    if result.report.options != wanted or result.report.versions.get("algorithm") != ALGORITHM_VERSION:
+    if result.report.options != options or result.report.versions.algorithm != ALGORITHM_VERSION:
         return None
     return FileFit(file, output, result, resumed=True)

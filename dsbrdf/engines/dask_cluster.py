@@ -12,7 +12,7 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from typing import Any
 
@@ -286,7 +286,7 @@ async def _unusable_because(client: Any, worker: str) -> str | None:
         return f"has not answered within {_DESCRIBE_TIMEOUT:g} s with its versions"
     except Exception as error:  # whatever is wrong with the worker
         return f"cannot run dsbrdf ({type(error).__name__}: {_first_line(error)})"
-    mine = versions()
+    mine = asdict(versions())
     other = [f"{name} {found}, not {mine[name]}" for name, found in about["versions"].items() if found != mine[name]]
     return f"has {' and '.join(other)}" if other else about.get("unusable_because")
 
@@ -302,4 +302,7 @@ async def describe() -> dict[str, Any]:
     daemon = multiprocessing.current_process().daemon
     if not daemon:
         await asyncio.to_thread(start_fork_server)
-    return {"versions": versions(), "unusable_because": f"may not start child processes: {_REMEDY}" if daemon else None}
+    return {
+        "versions": asdict(versions()),
+        "unusable_because": f"may not start child processes: {_REMEDY}" if daemon else None,
+    }

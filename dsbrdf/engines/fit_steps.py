@@ -17,7 +17,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from dsbrdf.data.merl import read_merl
@@ -119,4 +119,4 @@ def _convergence_messages() -> Iterator[list[str]]:
 
 
 def _fitted(result: FitResult, messages: "list[str] | tuple[str, ...]") -> Fitted:
-    return Fitted(to_json(result.model, result.report), dict(result.report.metrics), tuple(messages))
+    return Fitted(to_json(result.model, result.report), asdict(result.report.metrics), tuple(messages))

@@ -8,7 +8,6 @@ on most of them.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from dsbrdf.fitting.least_squares import (
 )
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import Slices
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import half_width
@@ -60,7 +60,7 @@ class GlobalFit:
     """Model and what the report says of it, see `dsbrdf.FitReport`."""
 
     model: DSBRDF
-    slices: dict[str, list[Any]]
+    slices: Slices
     growth: list[GrowthStep]
 
 
@@ -108,13 +108,7 @@ def fit_global(
     knots = model.theta_diff
     seen = weight.sum(axis=(2, 3)) > 0
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
-    slices = {
-        "theta_diff": knots.tolist(),
-        "fitted": seen[:, nearest].tolist(),
-        "converged": np.full((3, knots.size), solution.converged).tolist(),
-        "iterations": np.full((3, knots.size), solution.iterations).tolist(),
-        "bounds_hit": np.full((3, knots.size), _bounds_hit(model)).tolist(),
-    }
+    slices = Slices.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, _bounds_hit(model))
     return GlobalFit(model, slices, growth)
 
 

@@ -10,8 +10,7 @@ The smallest K that Williams' step-down test does not find worse than the larges
 """
 
 from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +26,41 @@ BACKGROUND = 0.01
 """Share of a uniform density in the probability."""
 
 
+@dataclass(frozen=True)
+class SelectionStep:
+    """One number of lobes compared.
+
+    Attributes
+    ----------
+    n_lobes : int
+    e_p : float
+        Expected negative log probability, mean over the slices.
+    squared_error : float
+        Over all samples used [1/sr^2].
+    bic : float or None
+        Bayesian information criterion; None for an exact fit.
+    t, critical_value : float or None
+        Williams' statistic and what it is compared with, see `WilliamsRow`.
+    significant : bool
+        Whether so few lobes are worse than the most.
+    """
+
+    n_lobes: int
+    e_p: float
+    squared_error: float
+    bic: float | None
+    t: float | None
+    critical_value: float | None
+    significant: bool
+
+
 def choose_n_lobes(
     theta_half: Array,
     mean: Array,
     weight: Array,
     within: Array,
     fit_slices: Callable[[int], em.SliceFits],
-) -> tuple[int, list[dict[str, Any]]]:
+) -> tuple[int, tuple[SelectionStep, ...]]:
     """Fit every number of lobes and choose one.
 
     Parameters
@@ -48,29 +75,25 @@ def choose_n_lobes(
     Returns
     -------
     n_lobes : int
-    table : list of dict
-        For each K: ``n_lobes``, ``e_p`` (mean over the slices), ``squared_error``, ``bic`` (None for an exact fit),
-        and Williams' ``t``, ``critical_value`` and ``significant``.
+    table : tuple of SelectionStep
+        For 1, 2, ... lobes.
     """
     # More lobes than half of the nodes of a slice would fit anything.
     largest = int(np.clip(np.count_nonzero(weight, axis=1).min() // 2, 1, LARGEST_AUTOMATIC))
-    log_cos, rows, statistic = np.log(np.cos(theta_half)), [], []
+    log_cos, errors, statistic = np.log(np.cos(theta_half)), [], []
     for n_lobes in range(1, largest + 1):
         found = fit_slices(n_lobes)
         curves = em.lobe_curves(log_cos, np.log(np.stack([found.kappa, found.gamma], axis=-1))).sum(axis=1)
         statistic.append(expected_negative_log_probability(theta_half, mean, weight > 0.0, curves))
         error = float(np.sum(weight * (curves - mean) ** 2 + within))
         criterion = float(bic(error, float(weight.sum()), 2 * n_lobes * len(mean)))
-        rows.append({
-            "n_lobes": n_lobes,
-            "e_p": float(np.mean(statistic[-1])),
-            "squared_error": error,
-            "bic": criterion if np.isfinite(criterion) else None,
-        })  # fmt: skip
+        errors.append((error, criterion if np.isfinite(criterion) else None))
     result = williams_test(statistic)
-    tests = [asdict(row) for row in result.table]
-    names = ("t", "critical_value", "significant")
-    return result.n_lobes, [row | {name: test[name] for name in names} for row, test in zip(rows, tests, strict=True)]
+    table = tuple(
+        SelectionStep(row.n_lobes, row.mean, *found, row.t, row.critical_value, row.significant)
+        for row, found in zip(result.table, errors, strict=True)
+    )
+    return result.n_lobes, table
 
 
 def expected_negative_log_probability(theta_half: Array, mean: Array, used: NDArray[np.bool_], curves: Array) -> Array:

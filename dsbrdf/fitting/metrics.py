@@ -15,9 +15,8 @@ What people see, over all directions:
     psnr, ssim   = of a lit sphere, see `dsbrdf.model.render`
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +39,81 @@ OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 """Nodes of the theta_half axis that the first five metrics, and the paper's procedure, use; shape (90,)."""
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """Directions that the albedo is compared at [rad]."""
-METRICS = (
-    "relative_rms", "floor", "symmetric_floor", "excess", "male", "albedo_error", "psnr", "ssim",
-)  # fmt: skip
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
 _BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
 _SPHERE_SIZE = 64
 _QUARTER = PHI_DIFF.size // 2 + 1
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
+
+
+@dataclass(frozen=True)
+class RelativeErrors:
+    """Errors over some of the samples, see the top of this file; they have no unit.
+
+    Attributes
+    ----------
+    relative_rms, floor, symmetric_floor, male : float
+    excess : float or None
+        None where the floor is zero.
+    """
+
+    relative_rms: float
+    floor: float
+    symmetric_floor: float
+    excess: float | None
+    male: float
+
+
+@dataclass(frozen=True)
+class ChannelErrors(RelativeErrors):
+    """Errors of one channel: "red", "green" or "blue"."""
+
+    channel: str
+
+
+@dataclass(frozen=True)
+class BandErrors(RelativeErrors):
+    """Errors of one band of theta_diff: its first and last angle [rad], the last one excluded."""
+
+    theta_diff: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Errors of a whole fit, see the top of this file; ``metrics["excess"]`` looks one up by its name.
+
+    All are None where only profiles were fitted.
+
+    Attributes
+    ----------
+    relative_rms, floor, symmetric_floor, male : float or None
+        Over the samples used, without a unit.
+    excess : float or None
+        ``relative_rms / floor``; None where the floor is zero.
+    albedo_error : float or None
+        Mean relative error of the directional albedo.
+    psnr, ssim : float or None
+        Likeness of a lit sphere: peak signal-to-noise ratio [dB], structural similarity (at most 1).
+    """
+
+    relative_rms: float | None = None
+    floor: float | None = None
+    symmetric_floor: float | None = None
+    excess: float | None = None
+    male: float | None = None
+    albedo_error: float | None = None
+    psnr: float | None = None
+    ssim: float | None = None
+
+    def __getitem__(self, name: str) -> float | None:
+        if name not in METRICS:
+            raise KeyError(name)
+        value: float | None = getattr(self, name)
+        return value
+
+
+METRICS = tuple(field.name for field in fields(Metrics))
+"""Names of the metrics."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,57 +189,59 @@ def _add_row(
     sums.count[:, rows] += count
 
 
+def sample_metrics(model: DSBRDF, measurement: Measurement, sums: SampleErrors, albedo: Array) -> Metrics:
+    """All metrics of a model.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    measurement : Measurement
+    sums : SampleErrors
+        Of the model and the measurement, see `sample_errors`.
+    albedo : ndarray, shape (4, 3)
+        The model's directional albedo at `ALBEDO_ANGLES`.
+    """
+    errors = relative_errors(sums)
+    albedo_error, psnr, ssim = seen_errors(model, measurement, albedo)
+    return Metrics(**({} if errors is None else asdict(errors)), albedo_error=albedo_error, psnr=psnr, ssim=ssim)
+
+
 def relative_errors(
     sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
-) -> dict[str, Any] | None:
-    """Errors of some channels and rows of theta_diff; None where there is nothing but zeros.
-
-    Returns
-    -------
-    dict or None
-        ``relative_rms``, ``floor``, ``symmetric_floor``, ``excess`` (None where the floor is zero), ``male``.
-    """
+) -> RelativeErrors | None:
+    """Errors of some channels and rows of theta_diff; None where there is nothing but zeros."""
     power, error, scatter, asymmetry, log_error, count = (
         float(part[channels, rows].sum()) for part in vars(sums).values()
     )
     if power == 0.0:
         return None
     relative_rms, floor = float(np.sqrt(error / power)), float(np.sqrt(scatter / power))
-    return {
-        "relative_rms": relative_rms,
-        "floor": floor,
-        "symmetric_floor": float(np.sqrt(asymmetry / power)),
-        "excess": relative_rms / floor if floor > _NO_FLOOR else None,
-        "male": log_error / count,
-    }
+    return RelativeErrors(
+        relative_rms=relative_rms,
+        floor=floor,
+        symmetric_floor=float(np.sqrt(asymmetry / power)),
+        excess=relative_rms / floor if floor > _NO_FLOOR else None,
+        male=log_error / count,
+    )
 
 
-def error_tables(sums: SampleErrors) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Errors of each channel and of bands of theta_diff.
-
-    Returns
-    -------
-    by_channel : list of dict
-        ``channel`` and the errors, for channels that are not black.
-    by_theta_diff : list of dict
-        ``theta_diff``: first and last angle of the band [rad], the last one excluded, and the errors, for bands with
-        data.
-    """
+def error_tables(sums: SampleErrors) -> tuple[tuple[ChannelErrors, ...], tuple[BandErrors, ...]]:
+    """Errors of each channel that is not black, and of each band of theta_diff that has data."""
     by_channel = []
     for index, channel in enumerate(CHANNELS):
         errors = relative_errors(sums, slice(index, index + 1))
         if errors is not None:
-            by_channel.append({"channel": channel} | errors)
+            by_channel.append(ChannelErrors(**asdict(errors), channel=channel))
     by_theta_diff = []
     for first, last in pairwise(BANDS):
         start, stop = np.searchsorted(THETA_DIFF, [first - 1e-9, last - 1e-9]).tolist()
         errors = relative_errors(sums, rows=slice(start, stop))
         if errors is not None:
-            by_theta_diff.append({"theta_diff": [float(first), float(last)]} | errors)
-    return by_channel, by_theta_diff
+            by_theta_diff.append(BandErrors(**asdict(errors), theta_diff=(float(first), float(last))))
+    return tuple(by_channel), tuple(by_theta_diff)
 
 
-def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[str, float]:
+def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> tuple[float, float, float]:
     """Errors of what people see.
 
     Parameters
@@ -185,8 +253,11 @@ def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[
 
     Returns
     -------
-    dict
-        ``albedo_error``, ``psnr`` [dB] and ``ssim``, under three lights.
+    albedo_error : float
+    psnr : float
+        Of a sphere under three lights, at most 200 [dB].
+    ssim : float
+        Of the same sphere.
     """
     data = interpolate(measurement)
     # A table has no lobes narrower than its rows: a coarse rule is enough.
@@ -194,4 +265,4 @@ def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> dict[
     error = np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)
     lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
     psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
-    return {"albedo_error": float(error.mean()), "psnr": min(psnr, 200.0), "ssim": ssim}
+    return float(error.mean()), min(psnr, 200.0), ssim

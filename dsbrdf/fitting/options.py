@@ -96,6 +96,8 @@ class FitOptions:
         if self.weighting is not None and self.weighting not in WEIGHTINGS:
             raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {self.weighting!r}")
         _check_knots(self.knots)
+        if self.knots is not None:  # a list of knots means the same
+            object.__setattr__(self, "knots", tuple(float(knot) for knot in self.knots))
         check_horizon_cutoff(self.horizon_cutoff)
         if self.mask is not None and not 0.0 <= self.mask <= MAX_MASK:
             raise InvalidArgumentError(f"mask must be a number from 0 to {MAX_MASK:g}, not {self.mask!r}")

@@ -15,9 +15,10 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting import em
-from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, choose_n_lobes
+from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, SelectionStep, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import Slices
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import lobe
 
@@ -34,8 +35,8 @@ class PaperFit:
     """Model and what the report says of it, see `dsbrdf.FitReport`."""
 
     model: DSBRDF
-    slices: dict[str, list[Any]]
-    selection: list[dict[str, Any]]
+    slices: Slices
+    selection: tuple[SelectionStep, ...]
 
 
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> PaperFit:
@@ -59,7 +60,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
     data_slices = _slices(data, rows, options)
-    selection: list[dict[str, Any]] = []
+    selection: tuple[SelectionStep, ...] = ()
     if options.n_lobes == "auto":
         n_lobes, selection = _choose(data_slices, options, lambda share: progress(_SEARCH_SHARE * share))
         progress_last = lambda share: progress(_SEARCH_SHARE + (1.0 - _SEARCH_SHARE) * share)  # noqa: E731
@@ -77,14 +78,9 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
     delta = _delta(data, rows, kappa, gamma)
     model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
-    report = {
-        "theta_diff": PAPER_SLICES.tolist(),
-        "fitted": fitted.tolist(),
-        "converged": _spread(slices.converged, fitted, nearest).tolist(),
-        "iterations": _spread(slices.iterations, fitted, nearest).tolist(),
-        "bounds_hit": _spread(_bounds_hit(slices, data_slices.largest_kappa[fitted]), fitted, nearest).tolist(),
-    }
-    return PaperFit(model, report, selection)
+    bounds_hit = _bounds_hit(slices, data_slices.largest_kappa[fitted])
+    found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
+    return PaperFit(model, Slices.from_arrays(PAPER_SLICES, fitted, *found), selection)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +121,13 @@ def _slices(data: Profiles, rows: NDArray[np.intp], options: FitOptions) -> _Sli
 
 def _choose(
     slices: _Slices, options: FitOptions, progress: Callable[[float], None]
-) -> tuple[int, list[dict[str, Any]]]:
+) -> tuple[int, tuple[SelectionStep, ...]]:
     """Choose the number of lobes on the slices that have enough nodes for any; else on all that have nodes."""
     compared = slices.with_nodes(2 * LARGEST_AUTOMATIC)
     if not compared.any(axis=1).all():
         compared = slices.with_nodes(2)
     if not compared.any():
-        return 1, []
+        return 1, ()
     mean, weight, within = (part[compared] for part in (slices.mean, slices.weight, slices.within))
 
     def fit_slices(n_lobes: int) -> em.SliceFits:

@@ -3,7 +3,7 @@
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
 
@@ -14,19 +14,13 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
-from dsbrdf.fitting.global_method import MAX_ITERATIONS, fit_global
+from dsbrdf.fitting.global_method import fit_global
+from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
-from dsbrdf.fitting.metrics import (
-    ALBEDO_ANGLES,
-    METRICS,
-    error_tables,
-    relative_errors,
-    sample_errors,
-    seen_errors,
-)
+from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import fit_slicewise
-from dsbrdf.fitting.report import FitReport, FitResult
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
 from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
@@ -81,44 +75,47 @@ def fit(
     data = profiles_for(measurement, options)
     clock.lap("profiles")
     report_progress(0.1)
-    progress_fit = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
-    if options.method == "paper":
-        papers = fit_slicewise(data, options, progress_fit)
-        model, slices, selection = papers.model, papers.slices, papers.selection
-        growth, bound = list[GrowthStep](), options.em_iterations
-        clock.lap("em")
-    else:
-        outcome = fit_global(data, options, progress_fit, clock.lap)
-        model, slices, growth = outcome.model, outcome.slices, outcome.growth
-        selection, bound = list[dict[str, Any]](), MAX_ITERATIONS
-    albedo = model.albedo(ALBEDO_ANGLES)
-    clock.lap("albedo")
-    chosen = asdict(options) | {"knots": None if options.knots is None else list(options.knots)}
-    report = FitReport(
-        metrics=dict.fromkeys(METRICS),
-        by_channel=[],
-        by_theta_diff=[],
-        slices=slices,
-        growth=[asdict(step) for step in growth],
-        selection=selection,
-        albedo={"theta_out": ALBEDO_ANGLES.tolist(), "albedo": albedo.tolist()},
-        n_numbers=model.n_numbers,
-        timings=clock.laps,
-        options=chosen,
-        versions=versions(),
-    )
-    result = FitResult(model, report)
+    result = _fit_profiles(data, options, lambda share: report_progress(0.1 + 0.8 * share), clock)
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
-    open_slices = int(np.sum(np.logical_not(slices["converged"])))
-    if open_slices:
+    stopped = np.logical_not(result.report.slices.converged)
+    if stopped.any():
+        bound = np.array(result.report.slices.iterations)[stopped].max()
         warnings.warn(
-            f"{open_slices} slices stopped at the bound of {bound} iterations before they converged",
+            f"{np.count_nonzero(stopped)} slices stopped at the bound of {bound} iterations before they converged",
             ConvergenceWarning,
             stacklevel=2,
         )
     return result
+
+
+def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: "_Clock") -> FitResult:
+    """Fit a model and report what the profiles can tell."""
+    growth, selection = tuple[GrowthStep, ...](), tuple[SelectionStep, ...]()
+    if options.method == "paper":
+        papers = fit_slicewise(data, options, progress)
+        model, slices, selection = papers.model, papers.slices, papers.selection
+        clock.lap("em")
+    else:
+        found = fit_global(data, options, progress, clock.lap)
+        model, slices, growth = found.model, found.slices, tuple(found.growth)
+    albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
+    clock.lap("albedo")
+    report = FitReport(
+        metrics=Metrics(),
+        by_channel=(),
+        by_theta_diff=(),
+        slices=slices,
+        growth=growth,
+        selection=selection,
+        albedo=albedo,
+        n_numbers=model.n_numbers,
+        timings=clock.laps,
+        options=options,
+        versions=versions(),
+    )
+    return FitResult(model, report)
 
 
 def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
@@ -186,13 +183,13 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
         The same as a fit of `measurement` itself, apart from the timings.
     """
     clock, model, report = _Clock(), result.model, result.report
-    sums = sample_errors(model, measurement, report.options["horizon_cutoff"])
+    sums = sample_errors(model, measurement, report.options.horizon_cutoff)
     by_channel, by_theta_diff = error_tables(sums)
-    seen = seen_errors(model, measurement, np.array(report.albedo["albedo"]))
+    metrics = sample_metrics(model, measurement, sums, np.array(report.albedo.albedo))
     clock.lap("metrics")
     complete = replace(
         report,
-        metrics=(relative_errors(sums) or {}) | seen,
+        metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,
         timings=report.timings | clock.laps,

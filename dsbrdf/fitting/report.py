@@ -1,55 +1,130 @@
-"""What a fit gives: the model and a report of how it was found and how good it is."""
+"""What a fit gives: the model and a report of how it was found and how good it is.
 
-from dataclasses import dataclass
-from typing import Any
+A report consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
+"""
 
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.fitting.lobe_selection import SelectionStep
+from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
+from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.version import Versions
 
 
 @dataclass(frozen=True)
-class FitReport:
-    """What a fit did and how good it is; plain numbers, lists and dicts throughout.
+class Slices:
+    """How a fit went at each of D knots of theta_diff.
 
     Attributes
     ----------
-    metrics : dict
-        Those of `dsbrdf.fitting.metrics.METRICS`; ``excess`` is None without a floor, and all are None where only
-        profiles were given.
-    by_channel, by_theta_diff : list of dict
-        The first five of them for each channel, and for bands of theta_diff [rad]; empty where they are None.
-    slices : dict
-        ``theta_diff`` [rad] of the knots and, for each channel and knot (3, knots), ``fitted`` (False: no data there),
-        ``converged``, ``iterations`` and ``bounds_hit``.
-    growth : list of dict
-        For each lobe tried: ``n_lobes``, ``ring_lobes``, ``error`` on the samples held out, as a share of their squared
-        signal, and ``pays``.  Empty for the method "paper".
-    selection : list of dict
-        Of the method "paper", where it chose the number of lobes, for each number: ``n_lobes``, ``e_p`` (expected
-        negative log probability), ``squared_error``, ``bic``, and Williams' ``t``, ``critical_value`` and
-        ``significant``.  Else empty.
-    albedo : dict
-        ``theta_out`` [rad], ``albedo``: directional albedo there, (n, 3).
+    theta_diff : tuple of float
+        The knots [rad].
+    fitted, converged, bounds_hit : tuple of tuple of bool, shape (3, D)
+        For each channel and knot: whether there were data, whether the fit converged within the iterations allowed,
+        and whether a parameter ended at a bound.
+    iterations : tuple of tuple of int, shape (3, D)
+        Iterations used.
+    """
+
+    theta_diff: tuple[float, ...]
+    fitted: tuple[tuple[bool, ...], ...]
+    converged: tuple[tuple[bool, ...], ...]
+    iterations: tuple[tuple[int, ...], ...]
+    bounds_hit: tuple[tuple[bool, ...], ...]
+
+    @classmethod
+    def from_arrays(
+        cls,
+        theta_diff: ArrayLike,
+        fitted: ArrayLike,
+        converged: ArrayLike,
+        iterations: ArrayLike,
+        bounds_hit: ArrayLike,
+    ) -> Self:
+        """Make them of the knots (D,) and of arrays that broadcast to (3, D)."""
+        knots = np.asarray(theta_diff)
+        tables = (np.broadcast_to(part, (3, knots.size)) for part in (fitted, converged, iterations, bounds_hit))
+        return cls(tuple(knots.tolist()), *(tuple(map(tuple, table.tolist())) for table in tables))
+
+
+@dataclass(frozen=True)
+class DirectionalAlbedo:
+    """Share of the light from some directions that a model reflects.
+
+    Attributes
+    ----------
+    theta_out : tuple of float
+        Angles to the normal [rad].
+    albedo : tuple of tuple of float
+        Red, green and blue at each angle.
+    """
+
+    theta_out: tuple[float, ...]
+    albedo: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, model: DSBRDF, theta_out: NDArray[np.float64]) -> Self:
+        """Compute it at angles (n,)."""
+        return cls(tuple(theta_out.tolist()), tuple(map(tuple, model.albedo(theta_out).tolist())))
+
+
+@dataclass(frozen=True, repr=False)
+class FitReport:
+    """What a fit did and how good it is.
+
+    Attributes
+    ----------
+    metrics : Metrics
+        All None where only profiles were given.
+    by_channel : tuple of ChannelErrors
+        Errors of each channel that is not black; empty where the metrics are None.
+    by_theta_diff : tuple of BandErrors
+        Errors of each band of theta_diff with data; empty where the metrics are None.
+    slices : Slices
+        How the fit went at each knot of theta_diff.
+    growth : tuple of GrowthStep
+        The lobes that were tried; empty for the method "paper".
+    selection : tuple of SelectionStep
+        The numbers of lobes that the method "paper" compared; empty where it was given the number.
+    albedo : DirectionalAlbedo
+        Of the model.
     n_numbers : int
         How many numbers the model stores.
-    timings : dict
-        Seconds for each step.
-    options : dict
-        The `FitOptions` used.
-    versions : dict
+    timings : dict of str to float
+        Time of each step, by its name [s].
+    options : FitOptions
+        The options of the fit.
+    versions : Versions
         Of the algorithm, this library and what it computes with.
     """
 
-    metrics: dict[str, float | None]
-    by_channel: list[dict[str, Any]]
-    by_theta_diff: list[dict[str, Any]]
-    slices: dict[str, list[Any]]
-    growth: list[dict[str, Any]]
-    selection: list[dict[str, Any]]
-    albedo: dict[str, list[Any]]
+    metrics: Metrics
+    by_channel: tuple[ChannelErrors, ...]
+    by_theta_diff: tuple[BandErrors, ...]
+    slices: Slices
+    growth: tuple[GrowthStep, ...]
+    selection: tuple[SelectionStep, ...]
+    albedo: DirectionalAlbedo
     n_numbers: int
-    timings: dict[str, float]
-    options: dict[str, Any]
-    versions: dict[str, str]
+    timings: dict[str, float] = field(hash=False)
+    options: FitOptions
+    versions: Versions
+
+    def __repr__(self) -> str:
+        error = self.metrics.relative_rms
+        accuracy = "no metrics" if error is None else f"relative_rms {error:.4g}"
+        return f"<FitReport: {accuracy}, {self.n_numbers} numbers>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain dicts, lists, texts and numbers, keyed by the names of its attributes."""
+        content: dict[str, Any] = _plain(asdict(self))
+        return content
 
 
 @dataclass(frozen=True)
@@ -58,3 +133,10 @@ class FitResult:
 
     model: DSBRDF
     report: FitReport
+
+
+def _plain(value: Any) -> Any:
+    """Return dicts and tuples as JSON has them."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -6,6 +6,7 @@ rest of the library uses radians.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.decomposition import Component, decompose, lobe_widths
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -22,9 +24,9 @@ SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 75.0)
 """theta_diff of the parameters that are printed [degrees]."""
 
 
-def metrics_line(metrics: Mapping[str, float | None]) -> str:
+def metrics_line(metrics: Metrics) -> str:
     """Return one line with the metrics that have a value."""
-    return ", ".join(f"{name} {value:.4g}" for name, value in metrics.items() if value is not None)
+    return ", ".join(f"{name} {value:.4g}" for name, value in asdict(metrics).items() if value is not None)
 
 
 def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -77,33 +79,33 @@ def growth_table(report: FitReport) -> list[str]:
     The error is the weighted squared error on samples that no lobe was fitted to, as a share of their squared signal.
     """
     lines = [f"{'lobes tried':<14}{'ring lobes':>10}{'error held out':>18}"] if report.growth else []
-    for row in report.growth:
-        verdict = "kept" if row["pays"] else "does not pay"
-        lines.append(f"{row['n_lobes']:<14}{row['ring_lobes']:>10}{row['error']:>18.3g}   {verdict}")
+    for step in report.growth:
+        verdict = "kept" if step.pays else "does not pay"
+        lines.append(f"{step.n_lobes:<14}{step.ring_lobes:>10}{step.error:>18.3g}   {verdict}")
     return lines
 
 
 def selection_table(report: FitReport) -> list[str]:
     """Return a table of the numbers of lobes that Williams' test compared; empty if the number was not chosen so."""
     lines = [f"{'lobes':<14}{'E_p':>10}{'squared error':>16}{'t':>10}{'critical':>10}"] if report.selection else []
-    for row in report.selection:
-        t, critical = ("" if row[name] is None else f"{row[name]:.3f}" for name in ("t", "critical_value"))
-        verdict = "   worse" if row["significant"] else ""
-        cells = f"{row['n_lobes']:<14}{row['e_p']:>10.4f}{row['squared_error']:>16.4g}{t:>10}{critical:>10}"
+    for step in report.selection:
+        t, critical = ("" if value is None else f"{value:.3f}" for value in (step.t, step.critical_value))
+        verdict = "   worse" if step.significant else ""
+        cells = f"{step.n_lobes:<14}{step.e_p:>10.4f}{step.squared_error:>16.4g}{t:>10}{critical:>10}"
         lines.append(f"{cells}{verdict}".rstrip())
     return lines
 
 
 def bands_table(report: FitReport) -> list[str]:
     """Return a table of the errors of each channel and of each band of theta_diff with data."""
-    rows = [(f"{row['channel']} channel", row) for row in report.by_channel]
-    for row in report.by_theta_diff:
-        low, high = np.degrees(row["theta_diff"])
-        rows.append((f"theta_diff {low:.0f}° to {high:.0f}°", row))
+    rows: list[tuple[str, RelativeErrors]] = [(f"{row.channel} channel", row) for row in report.by_channel]
+    for band in report.by_theta_diff:
+        low, high = np.degrees(band.theta_diff)
+        rows.append((f"theta_diff {low:.0f}° to {high:.0f}°", band))
     lines = [f"{'error':<24}{'relative_rms':>14}{'floor':>10}{'excess':>10}"] if rows else []
-    for name, row in rows:
-        excess = "" if row["excess"] is None else f"{row['excess']:.3f}"
-        lines.append(f"{name:<24}{row['relative_rms']:>14.4f}{row['floor']:>10.4f}{excess:>10}".rstrip())
+    for name, errors in rows:
+        excess = "" if errors.excess is None else f"{errors.excess:.3f}"
+        lines.append(f"{name:<24}{errors.relative_rms:>14.4f}{errors.floor:>10.4f}{excess:>10}".rstrip())
     return lines
 
 
@@ -129,7 +131,7 @@ def headline(file: Path, result: FitResult) -> str:
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
     """Return the stored form of a model and its report, with metrics, lobes and components beside it."""
     about = {
-        "metrics": None if report is None else report.metrics,
+        "metrics": None if report is None else asdict(report.metrics),
         "lobes": lobes_document(model),
         "components": component_documents(model),
     }

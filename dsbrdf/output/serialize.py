@@ -9,10 +9,8 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Mapping
-from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,7 @@ from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.plain_content import ARRAYS, TEXTS, model_from_dict, model_to_dict, report_from_dict
 
 __all__ = [
     "FORMAT",
@@ -29,11 +28,7 @@ __all__ = [
     "from_npz",
     "load",
     "load_result",
-    "model_from_dict",
-    "model_to_dict",
     "read_model_file",
-    "report_from_dict",
-    "report_to_dict",
     "result_from_json",
     "save",
     "to_json",
@@ -43,8 +38,6 @@ __all__ = [
 FORMAT = "dsbrdf"
 VERSION = 2
 
-_TEXTS = ("interpolation", "lobe")
-_ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in _TEXTS)
 _MAX_FILE_SIZE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
 
 
@@ -156,7 +149,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
         "format": FORMAT,
         "version": VERSION,
         "model": model_to_dict(model),
-        "report": None if report is None else report_to_dict(report),
+        "report": None if report is None else report.to_dict(),
     }
     return _dump(document)
 
@@ -201,9 +194,9 @@ def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
         allow_pickle=False,
         format=np.array(FORMAT),
         version=np.array(VERSION),
-        **{name: np.array(getattr(model, name)) for name in _TEXTS},
-        report=np.array(_dump(None if report is None else report_to_dict(report))),
-        **{name: getattr(model, name) for name in _ARRAYS},
+        **{name: np.array(getattr(model, name)) for name in TEXTS},
+        report=np.array(_dump(None if report is None else report.to_dict())),
+        **{name: getattr(model, name) for name in ARRAYS},
     )
     return buffer.getvalue()
 
@@ -221,63 +214,13 @@ def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
     if "report" not in stored:
         raise ModelFormatError("The stored model lacks the key 'report'.")
     content = {name: value for name, value in stored.items() if name not in ("format", "version", "report")}
-    content |= {name: _scalar(content[name]) for name in _TEXTS if name in content}
+    content |= {name: _scalar(content[name]) for name in TEXTS if name in content}
     model = model_from_dict(content)
     text = _scalar(stored["report"])
     if not isinstance(text, str):
         raise ModelFormatError("The report in the stored model is not a text.")
     report = _parse(text)
     return model, None if report is None else report_from_dict(report)
-
-
-def model_to_dict(model: DSBRDF) -> dict[str, Any]:
-    """Return a model as nested lists of numbers, keyed by the names of its attributes; angles in radians."""
-    arrays = {name: getattr(model, name).tolist() for name in _ARRAYS}
-    return arrays | {name: getattr(model, name) for name in _TEXTS}
-
-
-def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
-    """Return the model of nested lists or arrays; the inverse of `model_to_dict`.
-
-    Raises
-    ------
-    ModelFormatError
-        If a key is missing or unknown, or a value has the wrong shape, is not finite or out of range.
-    """
-    _check_keys("model", content, (*_ARRAYS, *_TEXTS))
-    parameters: dict[str, Any] = {name: _numbers(name, content[name]) for name in _ARRAYS}
-    for name in _TEXTS:
-        if not isinstance(content[name], str):
-            raise ModelFormatError(f"The {name} in the stored model is not a text.")
-        parameters[name] = content[name]
-    try:
-        return DSBRDF(**parameters)
-    except InvalidArgumentError as error:
-        raise ModelFormatError(f"The stored model is not valid: {error}") from None
-
-
-def report_to_dict(report: FitReport) -> dict[str, Any]:
-    """Return a report as plain dicts and lists, keyed by the names of its attributes."""
-    return asdict(report)
-
-
-def report_from_dict(content: Mapping[str, Any]) -> FitReport:
-    """Return the report of plain dicts and lists; the inverse of `report_to_dict`.
-
-    Raises
-    ------
-    ModelFormatError
-        If a key is missing or unknown or a value is of the wrong kind.
-    """
-    hints = get_type_hints(FitReport)
-    _check_keys("report", content, tuple(hints))
-    for name, value in content.items():
-        kind = get_origin(hints[name]) or hints[name]
-        if isinstance(kind, type) and not isinstance(value, kind):
-            raise ModelFormatError(
-                f"The stored report's {name!r} must be of the kind {kind.__name__}, not {type(value).__name__}."
-            )
-    return FitReport(**content)
 
 
 def _suffix(path: str | os.PathLike[str]) -> str:
@@ -326,16 +269,6 @@ def _scalar(value: NDArray[Any] | None) -> Any:
     return value.item() if value is not None and value.shape == () else None
 
 
-def _numbers(name: str, value: Any) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise ModelFormatError(f"The stored model's {name} is not a regular array.") from None
-    if array.dtype.kind not in "fi":
-        raise ModelFormatError(f"The stored model's {name} is not an array of real numbers.")
-    return array.astype(np.float64)
-
-
 def _result(model: DSBRDF, report: FitReport | None) -> FitResult:
     if report is None:
         raise ModelFormatError("The stored model has no report of a fit: it was saved alone; read it with dsbrdf.load.")
@@ -349,14 +282,3 @@ def _check_version(name: object, version: object) -> None:
         raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
     if version != VERSION:
         raise ModelFormatError(f"The stored model has version {version}; this release reads version {VERSION}.")
-
-
-def _check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
-    if not isinstance(content, Mapping):
-        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
-    missing = [key for key in wanted if key not in content]
-    if missing:
-        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
-    unknown = [key for key in content if key not in wanted]
-    if unknown:
-        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,8 @@ def test_client_fit_equals_the_library_bit_for_bit(
             assert fit.measurement == plastic.sha256
             assert_same_bits(fit.model, expected.model)
             assert fit.report is not None
-            assert fit.report.metrics == fit.metrics == expected.report.metrics
+            assert fit.report.metrics == expected.report.metrics
+            assert fit.metrics == asdict(expected.report.metrics)
         back = client.measurement(fit.measurement)
         np.testing.assert_array_equal(back.stored, plastic.stored)
 

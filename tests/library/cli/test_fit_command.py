@@ -66,13 +66,13 @@ def test_fit_prints_the_lobes_tried_and_the_largest_errors(
     assert len(result.report.growth) > 1
     for line, row in zip(lines[start + 1 :], result.report.growth, strict=False):
         lobes, rings, error, *verdict = line.split()
-        assert (int(lobes), int(rings)) == (row["n_lobes"], row["ring_lobes"])
-        assert float(error) == pytest.approx(row["error"], rel=1e-2)
-        assert verdict == (["kept"] if row["pays"] else ["does", "not", "pay"])
+        assert (int(lobes), int(rings)) == (row.n_lobes, row.ring_lobes)
+        assert float(error) == pytest.approx(row.error, rel=1e-2)
+        assert verdict == (["kept"] if row.pays else ["does", "not", "pay"])
     for band in result.report.by_theta_diff:
-        low, high = np.degrees(band["theta_diff"])
+        low, high = np.degrees(band.theta_diff)
         (line,) = [line for line in lines if line.startswith(f"theta_diff {low:.0f}° to {high:.0f}°")]
-        assert line.split()[-3:] == [f"{band['relative_rms']:.4f}", f"{band['floor']:.4f}", f"{band['excess']:.3f}"]
+        assert line.split()[-3:] == [f"{band.relative_rms:.4f}", f"{band.floor:.4f}", f"{band.excess:.3f}"]
 
 
 def test_ring_lobe_is_printed_with_its_center(plastic_file: Path, capsys: Capture) -> None:

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +148,7 @@ def test_show_prints_the_report_of_the_fit(
     assert cli.main(["show", str(model_file), "--json"]) == 0
     answer = document(capsys)
     result = dsbrdf.load_result(model_file)
-    assert answer["metrics"] == result.report.metrics
+    assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["lobes"]["amplitude"] == result.model.amplitude.tolist()
     assert [component["label"] for component in answer["components"]] == list(LABELS)
     dsbrdf.save(result.model, tmp_path / "plain.npz")

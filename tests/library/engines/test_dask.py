@@ -1,16 +1,17 @@
 """The engine that fits on a Dask cluster: workers and schedulers come, go, hang and are lost."""
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitTask, Fitted
 from dsbrdf.engines.fit_steps import reduce_measurement
+from dsbrdf.version import versions
 from tests.support.dask_cluster import DaskCluster
 from tests.support.engines import (
     ENDLESS,
@@ -166,8 +167,8 @@ def test_worker_without_permission_for_child_processes_is_not_used(
 
 
 def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = dsbrdf.fit.__globals__["versions"]()
-    monkeypatch.setattr(cluster_room, "versions", lambda: found | {"numpy": "0.1"})
+    found = versions()
+    monkeypatch.setattr(cluster_room, "versions", lambda: replace(found, numpy="0.1"))
 
     async def body() -> str:
         engine = DaskEngine(cluster.address, 1)
@@ -178,7 +179,7 @@ def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatc
             await engine.close()
         return fault
 
-    assert f"has numpy {found['numpy']}, not 0.1" in asyncio.run(body())
+    assert f"has numpy {found.numpy}, not 0.1" in asyncio.run(body())
 
 
 def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:

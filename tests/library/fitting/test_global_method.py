@@ -14,13 +14,14 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting import global_method, pipeline
+from dsbrdf.fitting import global_method
 from dsbrdf.fitting.least_squares import GAMMA_BOUNDS, KAPPA_BOUNDS
-from dsbrdf.fitting.metrics import METRICS
+from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.version import versions
 from tests.support.mixtures import NOISE, mixture
 from tests.support.models import curve_error
 
@@ -93,9 +94,9 @@ def test_student_lobes_come_back_too() -> None:
 
 def test_elongation_goes_below_the_bivariate_floor() -> None:
     result = fit(model_measurement(mixture(2, 1), noise=NOISE), TWO)
-    assert result.report.metrics["excess"] < 0.9  # type: ignore[operator]
-    symmetric = result.report.metrics["symmetric_floor"]
-    assert symmetric < result.report.metrics["relative_rms"] < 1.5 * symmetric  # type: ignore[operator]
+    assert result.report.metrics.excess < 0.9  # type: ignore[operator]
+    symmetric = result.report.metrics.symmetric_floor
+    assert symmetric < result.report.metrics.relative_rms < 1.5 * symmetric  # type: ignore[operator]
 
 
 def test_default_beats_the_paper_and_looks_right(measurements: tuple[Measurement, ...]) -> None:
@@ -128,14 +129,14 @@ def test_knots_are_used(plastic_profiles: Profiles) -> None:
     knots = tuple(np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 79.0, 89.0]).tolist())
     result = fit(plastic_profiles, dataclasses.replace(TWO, knots=knots))
     np.testing.assert_allclose(result.model.theta_diff, knots)
-    assert result.report.options["knots"] == list(knots)
+    assert result.report.options.knots == knots
 
 
 @pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
 def test_weighting_decides_what_is_met_best(plastic: Measurement, weighting: str) -> None:
     balanced, other = (fit(plastic, dataclasses.replace(TWO, weighting=name)) for name in (None, weighting))  # type: ignore[arg-type]
     assert other.model != balanced.model
-    assert other.report.options["weighting"] == weighting
+    assert other.report.options.weighting == weighting
 
 
 def test_plain_is_best_where_plain_is_measured_and_log_where_log_is() -> None:
@@ -190,42 +191,41 @@ def test_warning_only_where_the_bound_on_iterations_was_met(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         result = fit(plastic_profiles, TWO)
-    assert np.all(result.report.slices["converged"])
-    for module in (global_method, pipeline):
-        monkeypatch.setattr(module, "MAX_ITERATIONS", 1)
+    assert np.all(result.report.slices.converged)
+    monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
     with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 1 iterations"):
         result = fit(plastic_profiles, TWO)
-    assert not np.any(result.report.slices["converged"])
-    assert np.all(np.array(result.report.slices["iterations"]) == 1)
+    assert not np.any(result.report.slices.converged)
+    assert np.all(np.array(result.report.slices.iterations) == 1)
 
 
 def test_report_is_complete_and_plain(fitted: FitResult) -> None:
     report, model = fitted.report, fitted.model
     shape = (3, model.theta_diff.size)
-    assert json.loads(json.dumps(dataclasses.asdict(report), allow_nan=False)) == dataclasses.asdict(report)
-    np.testing.assert_allclose(report.slices["theta_diff"], model.theta_diff)
-    for name in ("fitted", "converged", "iterations", "bounds_hit"):
-        assert np.shape(report.slices[name]) == shape, name
-    assert tuple(report.metrics) == METRICS
-    assert all(isinstance(value, float) for value in report.metrics.values())
+    assert json.loads(json.dumps(report.to_dict(), allow_nan=False)) == report.to_dict()
+    slices = report.slices
+    np.testing.assert_allclose(slices.theta_diff, model.theta_diff)
+    for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
+        assert np.shape(table) == shape
+    assert all(isinstance(report.metrics[name], float) for name in METRICS)
     rings = int(np.count_nonzero(model.is_ring))
-    last = [step for step in report.growth if step["pays"]][-1]
-    assert (last["n_lobes"], last["ring_lobes"]) == (model.n_lobes - rings, rings)
-    assert [row["channel"] for row in report.by_channel] == list(CHANNELS)
-    edges = [row["theta_diff"] for row in report.by_theta_diff]
+    last = [step for step in report.growth if step.pays][-1]
+    assert (last.n_lobes, last.ring_lobes) == (model.n_lobes - rings, rings)
+    assert [row.channel for row in report.by_channel] == list(CHANNELS)
+    edges = [row.theta_diff for row in report.by_theta_diff]
     assert edges[0][0] == 0.0
     assert all(a[1] == b[0] for a, b in itertools.pairwise(edges))
-    np.testing.assert_allclose(report.albedo["albedo"], model.albedo(report.albedo["theta_out"]))
+    np.testing.assert_allclose(report.albedo.albedo, model.albedo(report.albedo.theta_out))
     assert report.n_numbers == model.n_numbers
     assert {"profiles", "search", "refine", "metrics", "albedo"} <= set(report.timings)
-    assert FitOptions(**report.options) == FitOptions()
-    assert {"algorithm", "dsbrdf", "numpy", "scipy", "python"} <= set(report.versions)
+    assert report.options == FitOptions()
+    assert report.versions == versions()
 
 
 def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, fitted: FitResult) -> None:
     result = fit(plastic_profiles)
     assert result.model == fitted.model
-    assert set(result.report.metrics.values()) == {None}
+    assert result.report.metrics == Metrics()
     assert dataclasses.replace(fitted.report, timings={}).growth == result.report.growth
 
 

@@ -33,7 +33,7 @@ def calm_ratio(model: DSBRDF, data: Profiles) -> float:
 def relative_rms(model: DSBRDF, measurement: Measurement) -> float:
     found = relative_errors(sample_errors(model, measurement, FitOptions().horizon_cutoff))
     assert found is not None
-    return float(found["relative_rms"])
+    return found.relative_rms
 
 
 def edited(measurement: Measurement, change: Any) -> Measurement:
@@ -66,7 +66,7 @@ def test_calm_with_another_cutoff(plastic: Measurement, cutoff: float | None) ->
     options = FitOptions(horizon_cutoff=None if cutoff is None else float(np.radians(cutoff)))
     result = fit(plastic, options)
     assert calm_ratio(result.model, profiles(plastic)) < 3.0
-    assert result.report.metrics["excess"] < 1.2  # type: ignore[operator]
+    assert result.report.metrics.excess < 1.2  # type: ignore[operator]
 
 
 def test_calm_in_missing_regions(plastic: Measurement) -> None:
@@ -147,8 +147,8 @@ def test_red_only_material(plastic: Measurement) -> None:
     result = fit(edited(plastic, redden))
     values = np.moveaxis(result.model.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
     assert values[1:].max() < 1e-4 * values[0].max()
-    assert result.report.metrics["excess"] < 1.1  # type: ignore[operator]
-    assert [row["channel"] for row in result.report.by_channel] == ["red"]
+    assert result.report.metrics.excess < 1.1  # type: ignore[operator]
+    assert [row.channel for row in result.report.by_channel] == ["red"]
 
 
 def test_black_material_is_an_error_that_says_so(plastic: Measurement, plastic_profiles: Profiles) -> None:
@@ -177,4 +177,4 @@ def test_tiny_data(plastic_profiles: Profiles, rows: Any, columns: Any) -> None:
     mean = np.sum(thin.folded.weight * folded.mean, axis=3) / np.where(weight > 0, weight, 1.0)
     error = np.sqrt(np.sum(weight * (values - mean) ** 2) / np.sum(weight * mean**2))
     assert error < 0.3
-    json.dumps(result.report.__dict__, allow_nan=False)
+    json.dumps(result.report.to_dict(), allow_nan=False)

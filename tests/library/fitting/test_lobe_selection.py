@@ -2,7 +2,6 @@
 
 import json
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import em
-from dsbrdf.fitting.lobe_selection import BACKGROUND, choose_n_lobes, expected_negative_log_probability
+from dsbrdf.fitting.lobe_selection import BACKGROUND, SelectionStep, choose_n_lobes, expected_negative_log_probability
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
@@ -34,7 +33,7 @@ def slices_of(n_lobes: int, noise: float = 0.02, count: int = 24) -> Array:
     return np.asarray(curves * (1.0 + noise * random.standard_normal(curves.shape)))
 
 
-def choose(mean: Array) -> tuple[int, list[dict[str, Any]]]:
+def choose(mean: Array) -> tuple[int, tuple[SelectionStep, ...]]:
     weight = np.full(mean.shape, 180.0)
     return choose_n_lobes(
         ANGLES, mean, weight, np.zeros_like(mean), lambda k: em.fit_slices(ANGLES, mean, weight, k, iterations=60)
@@ -45,8 +44,8 @@ def choose(mean: Array) -> tuple[int, list[dict[str, Any]]]:
 def test_separated_lobes_are_counted(n_lobes: int) -> None:
     chosen, table = choose(slices_of(n_lobes))
     assert chosen == n_lobes
-    assert [row["n_lobes"] for row in table] == [1, 2, 3, 4, 5]
-    assert [row["significant"] for row in table] == [k < n_lobes for k in range(1, 6)]
+    assert [row.n_lobes for row in table] == [1, 2, 3, 4, 5]
+    assert [row.significant for row in table] == [k < n_lobes for k in range(1, 6)]
 
 
 def test_table_holds_the_test_the_error_and_the_criterion() -> None:
@@ -60,14 +59,14 @@ def test_table_holds_the_test_the_error_and_the_criterion() -> None:
         parameters = np.log(np.stack([fits[k].kappa, fits[k].gamma], axis=-1))
         curves = em.lobe_curves(np.log(np.cos(ANGLES)), parameters).sum(axis=1)
         error = np.sum(weight * (curves - mean) ** 2) + within.sum()
-        assert row["squared_error"] == pytest.approx(error, rel=1e-12)
-        assert row["bic"] == pytest.approx(float(bic(error, weight.sum(), 2 * k * 9)), rel=1e-12)
+        assert row.squared_error == pytest.approx(error, rel=1e-12)
+        assert row.bic == pytest.approx(float(bic(error, weight.sum(), 2 * k * 9)), rel=1e-12)
         statistic.append(expected_negative_log_probability(ANGLES, mean, weight > 0, curves))
-        assert row["e_p"] == pytest.approx(np.mean(statistic[-1]), rel=1e-12)
+        assert row.e_p == pytest.approx(np.mean(statistic[-1]), rel=1e-12)
     expected = williams_test(statistic)
     assert chosen == expected.n_lobes
     for row, test in zip(table, expected.table, strict=True):
-        assert (row["t"], row["critical_value"], row["significant"]) == (test.t, test.critical_value, test.significant)
+        assert (row.t, row.critical_value, row.significant) == (test.t, test.critical_value, test.significant)
 
 
 def test_expected_negative_log_probability_is_that_of_a_loop() -> None:
@@ -105,16 +104,16 @@ def report(plastic: Measurement) -> FitReport:
 
 
 def test_papers_method_chooses_and_says_so(plastic: Measurement, report: FitReport) -> None:
-    assert [row["n_lobes"] for row in report.selection] == [1, 2, 3, 4, 5]
-    assert report.options["n_lobes"] == "auto"
-    worse = [row["significant"] for row in report.selection]
+    assert [row.n_lobes for row in report.selection] == [1, 2, 3, 4, 5]
+    assert report.options.n_lobes == "auto"
+    worse = [row.significant for row in report.selection]
     n_lobes = worse.index(False) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         result = fit(profiles(plastic), method="paper", n_lobes=n_lobes)
     assert report.n_numbers == result.model.n_numbers
-    assert result.report.selection == []
-    json.dumps(report.selection, allow_nan=False)
+    assert result.report.selection == ()
+    json.dumps(report.to_dict(), allow_nan=False)
 
 
 def test_progress_of_the_choice_rises_from_0_to_1(matte: Measurement) -> None:
@@ -134,8 +133,8 @@ def test_few_nodes_bound_the_number_of_lobes(plastic: Measurement) -> None:
         warnings.simplefilter("ignore", ConvergenceWarning)
         thin = type(data)(**(vars(data) | {"weight": data.weight * few}))
         result = fit(thin, FitOptions(method="paper", em_iterations=5))
-    assert [row["n_lobes"] for row in result.report.selection] == [1, 2, 3]
+    assert [row.n_lobes for row in result.report.selection] == [1, 2, 3]
 
 
 def test_global_method_has_no_such_table(plastic: Measurement) -> None:
-    assert fit(profiles(plastic), FitOptions(n_lobes=1, ring_lobes=0)).report.selection == []
+    assert fit(profiles(plastic), FitOptions(n_lobes=1, ring_lobes=0)).report.selection == ()

@@ -1,5 +1,7 @@
 """The metrics against their definitions, evaluated on the samples and not on profiles."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,10 +14,13 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import (
     ALBEDO_ANGLES,
     BANDS,
+    METRICS,
     OUTSIDE_CENTER,
+    Metrics,
     error_tables,
     relative_errors,
     sample_errors,
+    sample_metrics,
     seen_errors,
 )
 from dsbrdf.model.albedo import directional_albedo
@@ -90,14 +95,13 @@ def test_errors_against_sums_over_the_samples(speckled: Measurement, cutoff: flo
     rms = direct_rms(speckled, fit, counted)
     floor = direct_rms(speckled, phi_means(speckled, counted), counted)
     symmetric = direct_rms(speckled, folded_means(speckled, counted), counted)
-    assert found["relative_rms"] == pytest.approx(rms, rel=1e-10)
-    assert found["floor"] == pytest.approx(floor, rel=1e-10)
-    assert found["symmetric_floor"] == pytest.approx(symmetric, rel=1e-10)
-    assert found["excess"] == pytest.approx(rms / floor, rel=1e-10)
+    assert found.relative_rms == pytest.approx(rms, rel=1e-10)
+    assert found.floor == pytest.approx(floor, rel=1e-10)
+    assert found.symmetric_floor == pytest.approx(symmetric, rel=1e-10)
+    assert found.excess == pytest.approx(rms / floor, rel=1e-10)
     cosine = COS_IN[counted]
     logs = [np.log(1.0 + values[:, counted] * cosine) for values in (speckled.values, fit)]
-    assert found["male"] == pytest.approx(float(np.mean(np.abs(logs[0] - logs[1]))), rel=1e-9)
-    assert set(found) == {"relative_rms", "floor", "symmetric_floor", "excess", "male"}
+    assert found.male == pytest.approx(float(np.mean(np.abs(logs[0] - logs[1]))), rel=1e-9)
 
 
 def test_every_channel_and_band_against_sums_over_the_samples(speckled: Measurement) -> None:
@@ -111,16 +115,16 @@ def test_every_channel_and_band_against_sums_over_the_samples(speckled: Measurem
         errors = [np.sum((values - other)[channels][:, nodes] ** 2) for other in (fit, middle)]
         return float(np.sqrt(errors[0] / power)), float(np.sqrt(errors[1] / power))
 
-    assert [row["channel"] for row in by_channel] == ["red", "green", "blue"]
-    for index, row in enumerate(by_channel):
-        assert (row["relative_rms"], row["floor"]) == pytest.approx(expected([index], counted), rel=1e-9)
-    assert by_theta_diff[0]["theta_diff"] == [0.0, pytest.approx(np.radians(15.0))]
+    assert [row.channel for row in by_channel] == ["red", "green", "blue"]
+    for index, errors in enumerate(by_channel):
+        assert (errors.relative_rms, errors.floor) == pytest.approx(expected([index], counted), rel=1e-9)
+    assert by_theta_diff[0].theta_diff == pytest.approx((0.0, np.radians(15.0)))
     assert len(by_theta_diff) == 7  # at theta_diff = 80 degrees the cutoff leaves the centre only
-    for row in by_theta_diff:
-        first, last = np.degrees(row["theta_diff"])
+    for band in by_theta_diff:
+        first, last = np.degrees(band.theta_diff)
         inside = counted & (np.degrees(DIFF) >= first - 1e-6) & (np.degrees(DIFF) < last - 1e-6)
-        assert (row["relative_rms"], row["floor"]) == pytest.approx(expected([0, 1, 2], inside), rel=1e-9)
-        assert row["excess"] == pytest.approx(row["relative_rms"] / row["floor"])
+        assert (band.relative_rms, band.floor) == pytest.approx(expected([0, 1, 2], inside), rel=1e-9)
+        assert band.excess == pytest.approx(band.relative_rms / band.floor)
     assert BANDS[0] == 0.0
     assert np.degrees(BANDS[-1]) == pytest.approx(90.0)
 
@@ -130,7 +134,7 @@ def test_black_channels_have_no_row() -> None:
     values = model_measurement(model).values
     values[1] = np.where(values[1] > 0, 0.0, values[1])
     by_channel, _ = error_tables(sample_errors(model, Measurement.from_values(values), DEFAULT_HORIZON_CUTOFF))
-    assert [row["channel"] for row in by_channel] == ["red", "blue"]
+    assert [row.channel for row in by_channel] == ["red", "blue"]
 
 
 def test_symmetric_floor_is_below_every_reciprocal_model_and_the_bivariate_floor_is_not(matte: Measurement) -> None:
@@ -138,11 +142,11 @@ def test_symmetric_floor_is_below_every_reciprocal_model_and_the_bivariate_floor
     measurement = model_measurement(truth, noise=0.02)
     perfect = relative_errors(sample_errors(truth, measurement, None))
     assert perfect is not None
-    assert perfect["symmetric_floor"] <= perfect["relative_rms"] < perfect["floor"]
-    assert perfect["excess"] < 1.0
+    assert perfect.symmetric_floor <= perfect.relative_rms < perfect.floor
+    assert perfect.excess == perfect.relative_rms / perfect.floor
     other = relative_errors(sample_errors(truth, matte, None))
     assert other is not None
-    assert other["symmetric_floor"] < other["relative_rms"]
+    assert other.symmetric_floor < other.relative_rms
 
 
 def test_perfect_model_has_no_error_and_without_a_floor_no_excess() -> None:
@@ -151,10 +155,10 @@ def test_perfect_model_has_no_error_and_without_a_floor_no_excess() -> None:
     measurement = model_measurement(model)
     found = relative_errors(sample_errors(model, measurement, None))
     assert found is not None
-    assert found["relative_rms"] == pytest.approx(0.0, abs=1e-14)
-    assert found["floor"] == pytest.approx(0.0, abs=1e-13)
-    assert found["excess"] is None  # a ratio of rounding errors says nothing
-    assert found["male"] == pytest.approx(0.0, abs=1e-14)
+    assert found.relative_rms == pytest.approx(0.0, abs=1e-14)
+    assert found.floor == pytest.approx(0.0, abs=1e-13)
+    assert found.excess is None  # a ratio of rounding errors says nothing
+    assert found.male == pytest.approx(0.0, abs=1e-14)
 
 
 def test_centre_does_not_count(plastic: Measurement) -> None:
@@ -163,7 +167,9 @@ def test_centre_does_not_count(plastic: Measurement) -> None:
     values[:, ~OUTSIDE_CENTER] = np.where(values[:, ~OUTSIDE_CENTER] >= 0, 1e4, values[:, ~OUTSIDE_CENTER])
     other, model = Measurement.from_values(values), some_model()
     found, expected = (relative_errors(sample_errors(model, m, None)) for m in (other, plastic))
-    assert found == pytest.approx(expected)
+    assert found is not None
+    assert expected is not None
+    assert asdict(found) == pytest.approx(asdict(expected))
 
 
 def test_nothing_to_compare_with_is_said(plastic: Measurement) -> None:
@@ -177,19 +183,21 @@ def test_nothing_to_compare_with_is_said(plastic: Measurement) -> None:
 def test_albedo_error_is_the_mean_relative_distance(matte: Measurement) -> None:
     data = directional_albedo(interpolate(matte).evaluate, ALBEDO_ANGLES)
     factor = np.array([1.1, 0.8, 1.0])
-    found = seen_errors(some_model(), matte, data * factor)
-    assert found["albedo_error"] == pytest.approx(0.1, rel=1e-9)  # mean of 0.1, 0.2 and 0
+    albedo_error, _, _ = seen_errors(some_model(), matte, data * factor)
+    assert albedo_error == pytest.approx(0.1, rel=1e-9)  # mean of 0.1, 0.2 and 0
     np.testing.assert_allclose(np.degrees(ALBEDO_ANGLES), [0.0, 30.0, 60.0, 75.0])
 
 
 def test_model_of_the_measurement_looks_like_it() -> None:
     truth = some_model().select((0, 1), with_delta=False)
-    found = seen_errors(truth, model_measurement(truth), truth.albedo(ALBEDO_ANGLES))
-    assert found["albedo_error"] < 0.01
-    assert found["psnr"] > 40.0
-    assert found["ssim"] > 0.99
-    worse = seen_errors(truth.select((1,), with_delta=False), model_measurement(truth), truth.albedo(ALBEDO_ANGLES))
-    assert worse["psnr"] < found["psnr"] - 10.0
+    albedo_error, psnr, ssim = seen_errors(truth, model_measurement(truth), truth.albedo(ALBEDO_ANGLES))
+    assert albedo_error < 0.01
+    assert psnr > 40.0
+    assert ssim > 0.99
+    _, worse, _ = seen_errors(
+        truth.select((1,), with_delta=False), model_measurement(truth), truth.albedo(ALBEDO_ANGLES)
+    )
+    assert worse < psnr - 10.0
 
 
 def test_black_channels_have_no_albedo_error() -> None:
@@ -197,6 +205,18 @@ def test_black_channels_have_no_albedo_error() -> None:
     values = model_measurement(truth).values
     values[1] = np.where(values[1] > 0, 0.0, values[1])
     red_and_blue = truth.albedo(ALBEDO_ANGLES) * [1.0, 0.0, 1.0]
-    found = seen_errors(truth, Measurement.from_values(values), red_and_blue)
-    assert np.isfinite(found["albedo_error"])
-    assert found["albedo_error"] < 0.01
+    albedo_error, _, _ = seen_errors(truth, Measurement.from_values(values), red_and_blue)
+    assert np.isfinite(albedo_error)
+    assert albedo_error < 0.01
+
+
+def test_metrics_are_found_by_name(matte: Measurement) -> None:
+    truth = some_model()
+    sums = sample_errors(truth, matte, None)
+    metrics = sample_metrics(truth, matte, sums, truth.albedo(ALBEDO_ANGLES))
+    assert [metrics[name] for name in METRICS] == list(asdict(metrics).values())
+    assert (metrics.albedo_error, metrics.psnr, metrics.ssim) == seen_errors(truth, matte, truth.albedo(ALBEDO_ANGLES))
+    assert set(asdict(Metrics()).values()) == {None}
+    for unknown in ("kappa", "__class__"):
+        with pytest.raises(KeyError, match=unknown):
+            metrics[unknown]

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from dsbrdf import DSBRDF
-from dsbrdf.fitting.report import FitReport
+from dsbrdf.fitting.lobe_selection import SelectionStep
+from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, Slices
+from dsbrdf.version import Versions
 from tests.support.models import make_model
 
 
@@ -17,15 +22,15 @@ def model() -> DSBRDF:
 def report() -> FitReport:
     numbers = np.random.default_rng(0).standard_normal((3, 4)).tolist()
     return FitReport(
-        metrics={"relative_rms": 0.1 + 0.2, "floor": 1e-323, "excess": 1.7976931348623157e308, "male": None},
-        by_channel=[{"channel": "red", "excess": 1.5}],
-        by_theta_diff=[],
-        slices={"theta_diff": numbers[0], "converged": [[True, False]], "iterations": [[3, 100]]},
-        growth=[{"n_lobes": 1, "ring_lobes": 0, "error": 1e-5, "pays": True}],
-        selection=[{"n_lobes": 1, "t": None, "significant": False}],
-        albedo={"theta_out": [0.0], "albedo": numbers},
+        metrics=Metrics(relative_rms=0.1 + 0.2, floor=1e-323, excess=1.7976931348623157e308),
+        by_channel=(ChannelErrors(0.5, 0.25, 0.1, 2.0, 1e-3, "red"),),
+        by_theta_diff=(BandErrors(0.0, 0.0, 0.0, None, 0.0, (0.0, 0.1)),),
+        slices=Slices.from_arrays(numbers[0], True, [False, True, True, False], [[3], [100], [7]], False),
+        growth=(GrowthStep(n_lobes=1, ring_lobes=0, error=1e-5, pays=True),),
+        selection=(SelectionStep(1, -0.3, 1.5, None, None, None, False),),
+        albedo=DirectionalAlbedo((0.0, 0.5, 1.0), tuple(map(tuple, numbers))),
         n_numbers=378,
         timings={"em": 0.1},
-        options={"n_lobes": 3, "method": "paper", "mask": None, "robust": False},
-        versions={"dsbrdf": "0.1.0", "name": "Grün µ"},
+        options=FitOptions(n_lobes=3, method="paper", robust=True),
+        versions=Versions(algorithm="2", dsbrdf="0.1.0", numpy="Grün µ", scipy="1.17", python="3.13.0"),
     )

@@ -1,6 +1,7 @@
 """Exports hold the fitted model without loss."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     again, report = from_npz(server.http.get(url, params={"format": "npz"}).content)
     assert_same_bits(again, model)
     assert report is not None
-    assert report.metrics == server.http.get(f"/v1/fits/{fitted}").json()["metrics"]
+    assert asdict(report.metrics) == server.http.get(f"/v1/fits/{fitted}").json()["metrics"]
 
     table = parse_merl(server.http.get(url, params={"format": "merl"}).content)
     np.testing.assert_allclose(table.values[:, 10, 20, 30], model.evaluate(*np.radians([10 / 9, 20, 30])))

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert fit["created"] <= fit["started"] <= fit["finished"]
 
     expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=7))
-    assert fit["metrics"] == expected.report.metrics
+    assert fit["metrics"] == asdict(expected.report.metrics)
     lobes = fit["lobes"]
     for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
         np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
