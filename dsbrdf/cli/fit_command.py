@@ -53,9 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         for item in items:
             done.append(item)
-            for message in (item.error, *item.warnings):
-                if message is not None:
-                    progress.write(f"dsbrdf: {item.file}: {message}", error=True)
+            for message in _messages(item, as_json=arguments.json):
+                progress.write(f"dsbrdf: {item.file}: {message}", error=True)
             if not arguments.json:
                 for line in _text(item):
                     progress.write(line)
@@ -75,6 +74,14 @@ def _scheduler_address(text: str) -> str:
     return text
 
 
+def _messages(item: FileFit, *, as_json: bool) -> tuple[str, ...]:
+    """Return what stderr shows of a file: its error, or the warnings of a new fit where nothing on stdout has them."""
+    if item.result is None:
+        return () if item.error is None else (item.error,)
+    printed = as_json or item.output is None or item.resumed
+    return () if printed else item.result.report.warnings
+
+
 def _text(item: FileFit) -> list[str]:
     """Return the lines to print: a whole report, or one line if the model was written to a file."""
     if item.result is None:
@@ -89,5 +96,5 @@ def _document(item: FileFit) -> dict[str, Any]:
     about: dict[str, Any] = {"file": str(item.file), "output": None if item.output is None else str(item.output)}
     if item.result is None:
         return about | {"status": "failed", "error": item.error}
-    about |= {"status": "succeeded", "error": None, "resumed": item.resumed, "warnings": list(item.warnings)}
+    about |= {"status": "succeeded", "error": None, "resumed": item.resumed}
     return about | result_document(item.result.model, item.result.report)

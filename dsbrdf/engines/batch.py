@@ -42,8 +42,6 @@ class FileFit:
         One sentence that says why it failed.
     lost : bool
         Whether it failed for a reason other than the measurement: its process died, or the disk could not be read.
-    warnings : tuple of str
-        Messages about the convergence of the fit.
     resumed : bool
         Whether the result was taken from an earlier run.
     """
@@ -53,7 +51,6 @@ class FileFit:
     result: FitResult | None = None
     error: str | None = None
     lost: bool = False
-    warnings: tuple[str, ...] = ()
     resumed: bool = False
 
 
@@ -242,7 +239,7 @@ def _file_fit(file: Path, outcome: Outcome) -> FileFit:
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    return FileFit(file, result=result_from_json(outcome.document), warnings=outcome.warnings)
+    return FileFit(file, result=result_from_json(outcome.document))
 
 
 def _unreadable(file: Path) -> FileFit | None:

@@ -69,13 +69,10 @@ class Fitted:
         Model and report as JSON, see `dsbrdf.output.serialize`.
     metrics : dict
         Those of the report.
-    warnings : tuple of str
-        Messages about its convergence.
     """
 
     document: str
     metrics: dict[str, float | None]
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

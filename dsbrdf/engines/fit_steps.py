@@ -15,8 +15,7 @@ import pickle  # nosec B403
 import time
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -76,9 +75,8 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
 def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit the measurement of a task in one step."""
     measurement = read_merl(task.path)
-    with _convergence_messages() as messages:
-        result = fit(measurement, task.options, progress=on_progress)
-    return _fitted(result, messages)
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
+        return _fitted(fit(measurement, task.options, progress=on_progress))
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
@@ -94,10 +92,10 @@ def fit_payload(payload: bytes, options: FitOptions, on_progress: OnProgress) ->
     """Fit a payload; the report lacks the metrics that need the samples."""
     # Unpickling is safe here: whoever sends the payload also sends the code that reads it.
     content: _Payload = pickle.loads(zlib.decompress(payload))  # noqa: S301  # nosec B301
-    with _convergence_messages() as messages:
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
         result = fit(content.profiles, options, progress=on_progress)
     timings = result.report.timings | {"profiles": content.seconds}
-    return _fitted(FitResult(result.model, replace(result.report, timings=timings)), messages)
+    return _fitted(FitResult(result.model, replace(result.report, timings=timings)))
 
 
 def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -> Outcome:
@@ -105,18 +103,8 @@ def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -
     measurement = read_merl(task.path)
     if measurement.sha256 != sha256:
         return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
-    return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement), fitted.warnings)
+    return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement))
 
 
-@contextmanager
-def _convergence_messages() -> Iterator[list[str]]:
-    """Collect the messages of the convergence warnings that are raised in the block."""
-    messages: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ConvergenceWarning)
-        yield messages
-    messages += [str(warning.message) for warning in caught if issubclass(warning.category, ConvergenceWarning)]
-
-
-def _fitted(result: FitResult, messages: "list[str] | tuple[str, ...]") -> Fitted:
-    return Fitted(to_json(result.model, result.report), asdict(result.report.metrics), tuple(messages))
+def _fitted(result: FitResult) -> Fitted:
+    return Fitted(to_json(result.model, result.report), asdict(result.report.metrics))

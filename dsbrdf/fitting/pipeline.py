@@ -21,6 +21,7 @@ from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import fit_slicewise
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
+from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
@@ -65,7 +66,7 @@ def fit(
     Warns
     -----
     ConvergenceWarning
-        If slices stopped at the bound on the iterations; the report says which.
+        If slices stopped at the bound on the iterations; the report says which.  Its `warnings` have this one too.
     """
     options = _options(options, choices)
     measurement = _measurement(measurement)
@@ -79,14 +80,8 @@ def fit(
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
-    stopped = np.logical_not(result.report.slices.converged)
-    if stopped.any():
-        bound = np.array(result.report.slices.iterations)[stopped].max()
-        warnings.warn(
-            f"{np.count_nonzero(stopped)} slices stopped at the bound of {bound} iterations before they converged",
-            ConvergenceWarning,
-            stacklevel=2,
-        )
+    if not np.all(result.report.slices.converged):
+        warnings.warn(convergence_sentence(result.report.slices), ConvergenceWarning, stacklevel=2)
     return result
 
 
@@ -103,6 +98,7 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
     clock.lap("albedo")
     report = FitReport(
+        warnings=fit_warnings(model, data, slices, albedo),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -189,6 +185,7 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     clock.lap("metrics")
     complete = replace(
         report,
+        warnings=report.warnings + accuracy_warnings(metrics),
         metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,

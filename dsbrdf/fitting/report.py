@@ -80,6 +80,8 @@ class FitReport:
 
     Attributes
     ----------
+    warnings : tuple of str
+        What a user should know before using the model, one sentence each, see `dsbrdf.fitting.report_warnings`.
     metrics : Metrics
         All None where only profiles were given.
     by_channel : tuple of ChannelErrors
@@ -104,6 +106,7 @@ class FitReport:
         Of the algorithm, this library and what it computes with.
     """
 
+    warnings: tuple[str, ...]
     metrics: Metrics
     by_channel: tuple[ChannelErrors, ...]
     by_theta_diff: tuple[BandErrors, ...]
@@ -119,7 +122,8 @@ class FitReport:
     def __repr__(self) -> str:
         error = self.metrics.relative_rms
         accuracy = "no metrics" if error is None else f"relative_rms {error:.4g}"
-        return f"<FitReport: {accuracy}, {self.n_numbers} numbers>"
+        count = len(self.warnings)
+        return f"<FitReport: {accuracy}, {self.n_numbers} numbers, {count} {'warning' if count == 1 else 'warnings'}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain dicts, lists, texts and numbers, keyed by the names of its attributes."""

@@ -115,8 +115,9 @@ def model_text(model: DSBRDF, *, channel: str = "red") -> list[str]:
 
 
 def result_text(file: Path, result: FitResult) -> list[str]:
-    """Return the report of one fit: metrics, components, parameters, lobes tried, errors."""
-    lines = [headline(file, result), "", *model_text(result.model)]
+    """Return the report of one fit: metrics, warnings, components, parameters, lobes tried, errors."""
+    warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
+    lines = [headline(file, result), *warnings, "", *model_text(result.model)]
     for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
@@ -129,9 +130,10 @@ def headline(file: Path, result: FitResult) -> str:
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return the stored form of a model and its report, with metrics, lobes and components beside it."""
+    """Return the stored form of a model and its report, with metrics, warnings, lobes and components beside it."""
     about = {
         "metrics": None if report is None else asdict(report.metrics),
+        "warnings": [] if report is None else list(report.warnings),
         "lobes": lobes_document(model),
         "components": component_documents(model),
     }

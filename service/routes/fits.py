@@ -268,6 +268,11 @@ async def _departure(request: Request) -> None:
 
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
-    model = (await context.models.get(row.key)).model if row.status == "succeeded" else None
-    lobes = None if model is None else lobes_document(model)
-    return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), lobes=lobes)
+    progress = context.jobs.progress(row)
+    if row.status != "succeeded":
+        return schemas.from_row(schemas.FitDocument, row, progress=progress, lobes=None, warnings=[])
+    fit = await context.models.get(row.key)
+    warnings = list(fit.report.warnings)
+    return schemas.from_row(
+        schemas.FitDocument, row, progress=progress, lobes=lobes_document(fit.model), warnings=warnings
+    )

@@ -45,7 +45,7 @@ _SUMMARY: dict[str, Any] = {
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
 }
-FIT: dict[str, Any] = {**_SUMMARY, "lobes": lobes_document(_MODEL)}
+FIT: dict[str, Any] = {**_SUMMARY, "warnings": [], "lobes": lobes_document(_MODEL)}
 FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
 CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, "metrics": None, "lobes": None}
 RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}

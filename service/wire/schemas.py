@@ -160,8 +160,11 @@ class FitSummary(BaseModel):
 
 
 class FitDocument(FitSummary):
-    """A fit: its state, and once it has succeeded its metrics and lobes."""
+    """A fit: its state, and once it has succeeded its metrics, warnings and lobes."""
 
+    warnings: Annotated[
+        list[str], Field(description="What to know before the fit is used, one sentence each; empty for a normal fit.")
+    ]
     lobes: Lobes | None
 
 

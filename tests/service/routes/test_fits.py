@@ -40,6 +40,8 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
 
     expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=7))
     assert fit["metrics"] == asdict(expected.report.metrics)
+    assert fit["warnings"] == list(expected.report.warnings)
+    assert any("before they converged" in sentence for sentence in fit["warnings"])
     lobes = fit["lobes"]
     for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
         np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
@@ -104,6 +106,7 @@ def test_request_without_wait_gets_202_and_a_location(server: Server, stored: st
     assert fit["status"] in ("accepted", "running")
     assert fit["lobes"] is None
     assert fit["metrics"] is None
+    assert fit["warnings"] == []
 
     same = server.submit(stored, prefer="wait=0", mask=0.11, **ENDLESS)
     assert same.status_code == 202

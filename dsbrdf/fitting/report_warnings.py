@@ -1,0 +1,115 @@
+"""What a user should know before using a fitted model, in one sentence each.
+
+The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins of MERL's, so that one alone,
+the one that is fitted worst, goes beyond any: the comment of each limit says how far they go.
+"""
+
+import numpy as np
+
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.report import DirectionalAlbedo, Slices
+from dsbrdf.model.decomposition import decompose, lobe_reaches
+from dsbrdf.model.dsbrdf import DSBRDF
+
+_RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
+_LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
+_SMALL_MARGIN = 0.25  # octaves: a lobe a fifth wider or narrower; the materials have 0.30 or more
+_SHARE_THAT_MATTERS = 0.05  # of the light; hardly anybody sees where a fainter component belongs
+_NO_SHARE = 1e-4  # of the light; the faintest lobes of the materials have 2e-4
+_LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
+_LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
+_LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
+
+
+def fit_warnings(model: DSBRDF, data: Profiles, slices: Slices, albedo: DirectionalAlbedo) -> tuple[str, ...]:
+    """Sentences about the course of a fit, the extent of its data and its model."""
+    convergence = () if np.all(slices.converged) else (convergence_sentence(slices),)
+    return (*convergence, *_extrapolation(data), *_energy(albedo), *_components(model))
+
+
+def convergence_sentence(slices: Slices) -> str:
+    """How many slices, of all channels, stopped before they converged."""
+    stopped = np.logical_not(slices.converged)
+    bound = np.array(slices.iterations)[stopped].max()
+    return (
+        f"{np.count_nonzero(stopped)} slices stopped at the bound of {bound} iterations before they converged: "
+        "the model may be less accurate than it could be."
+    )
+
+
+def accuracy_warnings(metrics: Metrics) -> tuple[str, ...]:
+    """Sentences about the errors of a fit; none where they are not known."""
+    error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
+    if error is None or floor is None or albedo_error is None:
+        return ()
+    sentences = []
+    if floor > _LARGEST_ASYMMETRY:
+        sentences.append(
+            f"The samples deviate by {floor:.1%} from their mean over phi_diff, -phi_diff and 180 degrees - phi_diff, "
+            "where a reciprocal isotropic material has one value: the measurement is noisy, or the material sparkles "
+            "or is anisotropic, and no model of this kind can be more accurate."
+        )
+    # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
+    misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
+    if misfit > _LARGEST_MISFIT:
+        sentences.append(
+            f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}: "
+            "the lobes do not follow the measurement, so compare images of both before you use the model."
+        )
+    if albedo_error > _LARGEST_ALBEDO_ERROR:
+        sentences.append(
+            f"The directional albedo of the model differs from the measurement's by {albedo_error:.1%}, the mean over "
+            "some angles and channels: rendered images will be too bright or too dark."
+        )
+    return tuple(sentences)
+
+
+def _extrapolation(data: Profiles) -> list[str]:
+    valid = np.any(data.folded.weight > 0.0, axis=(0, 3))
+    ends = {"theta_diff": THETA_DIFF[valid.any(axis=1)].max(), "theta_half": THETA_HALF[valid.any(axis=0)].max()}
+    return [
+        f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
+        "extrapolated there."
+        for name, last in ends.items()
+        if last < _RIM
+    ]
+
+
+def _energy(albedo: DirectionalAlbedo) -> list[str]:
+    values = np.array(albedo.albedo)
+    row, channel = np.unravel_index(values.argmax(), values.shape)
+    if values[row, channel] <= _LARGEST_ALBEDO:
+        return []
+    return [
+        f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
+        f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered images "
+        "can become too bright."
+    ]
+
+
+def _components(model: DSBRDF) -> list[str]:
+    _, power = lobe_reaches(model)
+    total = power.sum(axis=1, keepdims=True)
+    shares = power / np.where(total > 0.0, total, 1.0)
+    sentences, uncertain = [], []
+    for component in decompose(model):
+        if component.margin is None:
+            continue
+        share, name = shares[:, list(component.lobes)].sum(axis=1), component.label.replace("_", " ")
+        if share.max() < _NO_SHARE:
+            sentences.append(
+                f"The {name} has lobes but less than {_NO_SHARE:.2%} of the light at every angle: its half width and "
+                "its colour mean nothing."
+            )
+        elif component.margin < _SMALL_MARGIN and share.mean() > _SHARE_THAT_MATTERS:
+            uncertain.append((component.margin, share.mean(), name))
+    if uncertain:  # components at the two sides of one border say the same
+        margin, light, name = min(uncertain)
+        sentences.append(
+            f"The split into components is uncertain: the {name}, with {light:.0%} of the light, has a lobe whose "
+            f"width differs by only {2.0**margin - 1.0:.0%} from the border to another component, and a small change "
+            "of the measurement can move that lobe across it."
+        )
+    return sentences

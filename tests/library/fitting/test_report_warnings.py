@@ -1,0 +1,127 @@
+"""Each warning of the report, from a measurement or a model made for it, and none for ordinary materials."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.fitting.report import DirectionalAlbedo, Slices
+from dsbrdf.fitting.report_warnings import accuracy_warnings, fit_warnings
+from dsbrdf.model.decomposition import decompose
+from dsbrdf.model.dsbrdf import DSBRDF
+
+CONVERGED = Slices.from_arrays(np.zeros(1), True, True, 5, False)
+MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
+
+
+@pytest.fixture(scope="module")
+def data(matte: Measurement) -> Profiles:
+    return profiles(matte)
+
+
+def lobes(*half_widths: float, heights: tuple[float, ...]) -> DSBRDF:
+    """Model of lobes with these half widths [degrees] and heights [1/sr]."""
+    kappa = 2.0
+    gamma = np.log(np.log1p(np.expm1(kappa) / 2.0) / kappa) / np.log(np.cos(np.radians(half_widths)))
+    ones = np.ones((1, 1, len(half_widths)))
+    return DSBRDF(
+        np.zeros(1), np.array(heights) * np.ones((3, 1, 1)), kappa * ones, gamma * ones, interpolation="linear"
+    )
+
+
+def test_ordinary_materials_have_none(measurements: tuple[Measurement, ...]) -> None:
+    for measurement in measurements:
+        assert fit(measurement).report.warnings == ()
+
+
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_nickel", "merl_red-specular-plastic"])
+def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
+    assert fit(reference_files[name]).report.warnings == ()
+
+
+def test_fit_that_stopped_early_says_so_in_the_report_too(matte: Measurement) -> None:
+    with pytest.warns(ConvergenceWarning) as said:
+        report = fit(matte, method="paper", n_lobes=2, em_iterations=1).report
+    assert str(said[0].message) == report.warnings[0]
+    stopped = int(np.sum(np.logical_not(report.slices.converged)))
+    assert report.warnings[0].startswith(f"{stopped} slices stopped at the bound of 1 iterations before")
+
+
+@pytest.mark.parametrize(
+    ("kept", "end"),
+    [
+        (THETA_DIFF[None] <= np.radians(60.1), "theta_diff = 60"),
+        (THETA_HALF[:, None] <= np.radians(50.0), "theta_half = 50"),
+    ],
+)
+def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
+    valid = nodes_above_horizon() & kept[..., None]
+    report = fit(Measurement.from_values(matte.values, valid), n_lobes=1, ring_lobes=0).report
+    (found,) = [sentence for sentence in report.warnings if "valid samples" in sentence]
+    assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found
+
+
+def test_model_that_reflects_more_than_it_receives(matte: Measurement, data: Profiles) -> None:
+    values = matte.values
+    bright = Measurement.from_values(np.where(values > 0.0, values * [[[[1.0]]], [[[9.0]]], [[[1.0]]]], values))
+    report = fit(bright, n_lobes=2, ring_lobes=0).report
+    albedo = np.array(report.albedo.albedo)
+    row = int(np.argmax(albedo[:, 1]))
+    (found,) = [text for text in report.warnings if "more light than it receives" in text]
+    assert f"is {albedo.max():.3f} at {np.degrees(report.albedo.theta_out[row]):.0f} degrees in the green" in found
+    assert fit_warnings(lobes(50.0, heights=(0.1,)), data, CONVERGED, MODERATE) == ()
+
+
+def test_border_between_lobes_of_similar_width(data: Profiles) -> None:
+    model = lobes(2.0, 2.6, 3.4, 4.4, 60.0, heights=(50.0, 50.0, 50.0, 50.0, 0.1))
+    margin = decompose(model).specular_lobe.margin
+    assert margin == pytest.approx(0.2, abs=0.01)
+    (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
+    assert found.startswith("The split into components is uncertain: the specular ")
+    assert "by only 15% from the border" in found  # 2**0.2
+    faint = lobes(2.0, 2.6, 3.4, 4.4, 60.0, heights=(0.1, 0.1, 0.1, 0.1, 0.1))  # where nobody sees it
+    assert fit_warnings(faint, data, CONVERGED, MODERATE) == ()
+    assert fit_warnings(lobes(1.0, 8.0, 60.0, heights=(99.0, 9.0, 0.1)), data, CONVERGED, MODERATE) == ()
+
+
+def test_component_without_energy(data: Profiles) -> None:
+    (found,) = fit_warnings(lobes(1.0, 60.0, heights=(0.001, 0.1)), data, CONVERGED, MODERATE)
+    assert found.startswith("The specular spike has lobes but less than 0.01% of the light at every angle:")
+    assert fit_warnings(lobes(1.0, 60.0, heights=(10.0, 0.1)), data, CONVERGED, MODERATE) == ()
+
+
+def test_noisy_measurement() -> None:
+    report = fit(synthetic_measurement(roughness=0.3, noise=0.3), n_lobes=2, ring_lobes=0).report
+    (found,) = report.warnings
+    assert found.startswith(f"The samples deviate by {report.metrics.symmetric_floor:.1%} from their mean")
+    assert fit(synthetic_measurement(roughness=0.3, noise=0.1), n_lobes=2, ring_lobes=0).report.warnings == ()
+
+
+def test_lobes_that_do_not_follow_the_measurement(plastic: Measurement) -> None:
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
+        report = fit(plastic, method="paper", n_lobes=1).report
+    error, floor = report.metrics.relative_rms, report.metrics.symmetric_floor
+    sentence = f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}:"
+    assert any(found.startswith(sentence) for found in report.warnings)
+
+
+def test_diffuse_part_that_is_missing() -> None:
+    report = fit(synthetic_measurement(roughness=0.05), n_lobes=1, ring_lobes=0).report
+    found = report.warnings[-1]
+    assert found.startswith("The directional albedo of the model differs from the measurement's by ")
+    assert f" {report.metrics.albedo_error:.1%}, " in found
+
+
+def test_errors_near_the_floor_are_no_misfit() -> None:
+    assert accuracy_warnings(Metrics()) == ()
+    for error, floor, count in ((0.09, 0.0, 0), (0.11, 0.0, 1), (0.14, 0.1, 0), (0.2, 0.1, 1), (0.32, 0.2, 2)):
+        assert len(accuracy_warnings(Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=0.1))) == count
