@@ -74,8 +74,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[f
         If matplotlib is not installed.
     """
     rows = _nearest_rows(theta_diff)
-    figure = empty_figure(len(rows), height=ROW_HEIGHT)
-    figure.suptitle(profiles.name)
+    figure = empty_figure(profiles.name, len(rows), height=ROW_HEIGHT)
     _profiles_row(figure, profiles, model, rows)
     return figure
 
@@ -108,8 +107,7 @@ def lobes_figure(
         If matplotlib is not installed.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = empty_figure(len(rows), height=ROW_HEIGHT)
-    figure.suptitle(f"{profiles.name}, {channel} channel")
+    figure = empty_figure(f"{profiles.name}, {channel} channel", len(rows), height=ROW_HEIGHT)
     _lobes_row(figure, profiles, model, rows, index)
     return figure
 
@@ -126,8 +124,7 @@ def overview_figure(
     Parameters, return value and errors are those of `lobes_figure`.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = empty_figure(len(rows), height=2 * ROW_HEIGHT + 0.3)
-    figure.suptitle(profiles.name, fontsize=12)
+    figure = empty_figure(profiles.name, len(rows), height=2 * ROW_HEIGHT + 0.3)
     (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) lobes of the {channel} channel", fontsize=10)
@@ -279,13 +276,15 @@ def draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
 
-def empty_figure(pairs: int, *, height: float) -> Figure:
-    """Return an empty figure with the width of some pairs of panels."""
+def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
+    """Return a figure with a title only, of the width of some pairs of panels."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
+    figure = Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
+    figure.suptitle(title)
+    return figure
 
 
 def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:

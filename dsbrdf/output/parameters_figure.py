@@ -36,8 +36,7 @@ def parameters_figure(model: DSBRDF, *, title: str = "") -> Figure:
     MissingExtraError
         If matplotlib is not installed.
     """
-    figure = empty_figure(2, height=ROW_HEIGHT + 0.4)
-    figure.suptitle(title)
+    figure = empty_figure(title, 2, height=ROW_HEIGHT + 0.4)
     amplitudes, widths, elongations = figure.subplots(1, 3)
     parameters = model.parameters_at(_ANGLES)
     reaches = np.degrees(lobe_reaches(model, _ANGLES)[0])
