@@ -24,13 +24,10 @@ from dsbrdf.data.grid import CENTER_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator, ParameterCurves
-from dsbrdf.model.lobes import FAMILIES
-from dsbrdf.model.splines import n_control_values
+from dsbrdf.model.parameter_checks import check_parameters
 
 Array = NDArray[np.float64]
 
-INTERPOLATIONS = ("linear", "spline")
-"""How parameters run between knots, see `DSBRDF`."""
 _ARRAYS = (
     "theta_diff",
     "amplitude",
@@ -42,8 +39,6 @@ _ARRAYS = (
     "elongation_theta_diff",
     "delta",
 )
-_LARGEST = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
-_LARGEST_ELONGATION = 10.0
 _HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
 
 
@@ -106,7 +101,7 @@ class DSBRDF:
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        _check_model(self)
+        check_parameters({name: getattr(self, name) for name in _ARRAYS}, self.interpolation, self.lobe)
 
     @property
     def n_lobes(self) -> int:
@@ -314,58 +309,3 @@ def _check_angle(name: str, angle: ArrayLike) -> Array:
     if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)
-
-
-def _check_model(model: DSBRDF) -> None:
-    if model.interpolation not in INTERPOLATIONS:
-        raise InvalidArgumentError(
-            f"interpolation must be one of {', '.join(INTERPOLATIONS)}, not {model.interpolation!r}"
-        )
-    if model.lobe not in FAMILIES:
-        raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {model.lobe!r}")
-    for name in ("theta_diff", "shape_theta_diff", "elongation_theta_diff"):
-        _check_knots(name, getattr(model, name))
-    if model.amplitude.ndim != 3 or model.kappa.ndim != 3:
-        raise InvalidArgumentError("amplitude and kappa must have three axes: channel, control value and lobe")
-    count = n_control_values if model.interpolation == "spline" else int
-    values = {name: count(getattr(model, name).size) for name in ("theta_diff", "shape_theta_diff")}
-    lobes, n_shapes = model.amplitude.shape[2], 1 if model.kappa.shape[0] == 1 else 3
-    shapes = {
-        "amplitude": (3, values["theta_diff"], lobes),
-        **dict.fromkeys(("kappa", "gamma", "center"), (n_shapes, values["shape_theta_diff"], lobes)),
-        "elongation": (count(model.elongation_theta_diff.size), lobes),
-        "delta": (3, model.theta_diff.size),
-    }
-    for name, shape in shapes.items():
-        array = getattr(model, name)
-        if array.shape != shape:
-            raise InvalidArgumentError(f"{name} must have shape {shape}, not {array.shape}")
-        if not np.isfinite(array).all():
-            raise InvalidArgumentError(f"every {name} must be finite")
-    _check_ranges(model)
-
-
-def _check_knots(name: str, knots: Array) -> None:
-    if knots.ndim != 1 or knots.size == 0:
-        raise InvalidArgumentError(f"{name} must be a sequence of at least one knot")
-    if not (knots[0] >= 0 and knots[-1] <= np.pi / 2 + 1e-9 and np.all(np.diff(knots) > 0)):
-        raise InvalidArgumentError(f"the knots {name} must increase from 0 or more to at most pi/2")
-
-
-def _check_ranges(model: DSBRDF) -> None:
-    spline = model.interpolation == "spline"
-    if not np.all(model.kappa > 0):
-        raise InvalidArgumentError("every kappa must be positive")
-    for name in ("amplitude", "gamma", "delta"):
-        array = getattr(model, name)
-        if spline and name != "delta" and not np.all(array > 0):
-            raise InvalidArgumentError(f"every {name} must be positive for a spline, which is one of its logarithm")
-        if not np.all(array >= 0):
-            raise InvalidArgumentError(f"every {name} must be zero or positive")
-    for name, largest in _LARGEST.items():
-        if getattr(model, name).max(initial=0.0) > largest:
-            raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
-    if np.abs(model.center).max(initial=0.0) > np.pi / 2:
-        raise InvalidArgumentError("every center must lie between -pi/2 and pi/2")
-    if np.abs(model.elongation).max(initial=0.0) > _LARGEST_ELONGATION:
-        raise InvalidArgumentError(f"every elongation must lie between -{_LARGEST_ELONGATION:g} and its opposite")
