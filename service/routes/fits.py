@@ -268,11 +268,6 @@ async def _departure(request: Request) -> None:
 
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
-    progress = context.jobs.progress(row)
-    if row.status != "succeeded":
-        return schemas.from_row(schemas.FitDocument, row, progress=progress, lobes=None, warnings=[])
-    fit = await context.models.get(row.key)
-    warnings = list(fit.report.warnings)
-    return schemas.from_row(
-        schemas.FitDocument, row, progress=progress, lobes=lobes_document(fit.model), warnings=warnings
-    )
+    fit = await context.models.get(row.key) if row.status == "succeeded" else None
+    more = {"lobes": fit and lobes_document(fit.model), "warnings": fit.report.warnings if fit and fit.report else []}
+    return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

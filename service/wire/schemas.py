@@ -162,9 +162,7 @@ class FitSummary(BaseModel):
 class FitDocument(FitSummary):
     """A fit: its state, and once it has succeeded its metrics, warnings and lobes."""
 
-    warnings: Annotated[
-        list[str], Field(description="What to know before the fit is used, one sentence each; empty for a normal fit.")
-    ]
+    warnings: Annotated[list[str], Field(description="What to know before the fit is used, one sentence each.")]
     lobes: Lobes | None
 
 
