@@ -35,7 +35,8 @@ WEIGHTINGS = ("plain", "cosine", "log")
 
 
 _BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS // 90, N_BINS - 1)
-_IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)  # (180, 9)
+IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
+"""1 where a sample of phi_diff lies in a bin, else 0, shape (180, 9)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 
 
@@ -169,11 +170,11 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: NDArray[np.bool
         weights = np.zeros(samples.shape)
         for members in _MEMBERS:
             weights[..., members] = _outlier_weights(samples[..., members], valid[:, members]) * valid[:, members]
-    total = weights @ _IN_BIN
+    total = weights @ IN_BIN
     folded.weight[:, :, i] = total
-    folded.mean[:, :, i] = (weights * samples) @ _IN_BIN / np.where(total > 0.0, total, 1.0)
-    count = valid.astype(float) @ _IN_BIN
-    folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ _IN_BIN / np.where(count > 0.0, count, 1.0)
+    folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
+    count = valid.astype(float) @ IN_BIN
+    folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.geometry import above_horizon
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import IN_BIN, Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.em import huber_weights
 from dsbrdf.fitting.least_squares import (
@@ -31,7 +32,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import Slices
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import half_width
+from dsbrdf.model.lobes import half_width
 
 Array = NDArray[np.float64]
 
@@ -41,8 +42,8 @@ ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
 _SEARCH_KNOTS = (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
 TOLERANCE = 1e-3
-MAX_ITERATIONS = 200
-_ROBUST_ROUNDS = 3
+MAX_ITERATIONS = 300
+_ROUNDS, _ROBUST_ROUNDS = 2, 3
 _EXPECTED_TRIES = 16
 _SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [84, 86, 88, 89]]))
@@ -50,6 +51,8 @@ _SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 _HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 _FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(30, 90, 3), [89]]))
+_QUARTER = PHI_DIFF.size // 2 + 1
+_SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
@@ -146,25 +149,43 @@ def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDAr
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
-    """Least squares; with outliers weighted down, for some rounds."""
-    rounds = _ROBUST_ROUNDS if options.robust else 1
-    unknowns, weight = mixture.unknowns, data.weight
+    """Least squares, then again with exact bins of phi_diff and, if that is asked for, outliers weighted down."""
+    rounds = _ROBUST_ROUNDS if options.robust else _ROUNDS
+    unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
         problem = MixtureProblem(data, mixture.structure)
         if number > 0:
-            residual = (problem.values(unknowns) - data.mean).reshape(3 * len(data.rows), -1)
-            trust = huber_weights(residual, weight.reshape(residual.shape)).reshape(weight.shape)
-            problem = MixtureProblem(replace(data, weight=weight * trust), mixture.structure)
+            exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
+            if options.robust:
+                residual = (problem.values(unknowns) - exact.mean).reshape(3 * len(data.rows), -1)
+                trust = huber_weights(residual, weight.reshape(residual.shape)).reshape(weight.shape)
+                exact = replace(exact, weight=weight * trust)
+            problem = MixtureProblem(exact, mixture.structure)
         done = number / rounds
         solution = minimize(
             problem,
             unknowns,
             tolerance=TOLERANCE,
-            iterations=MAX_ITERATIONS,
+            iterations=MAX_ITERATIONS - iterations,
             on_iteration=lambda i, done=done: progress(done + i / MAX_ITERATIONS / rounds),  # type: ignore[misc]
         )
-        unknowns = solution.unknowns
-    return solution
+        unknowns, iterations = solution.unknowns, iterations + solution.iterations
+    return replace(solution, iterations=iterations)
+
+
+def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
+    """Mean of the mixture over the samples of each bin, less its value at their mean of cos(phi_diff)**2.
+
+    Elongated lobes change so fast within a bin that the two differ.
+    """
+    data = problem.data
+    theta_half, theta_diff = THETA_HALF[data.columns][:, None], THETA_DIFF[data.rows][:, None, None]
+    count = above_horizon(theta_half, theta_diff, PHI_DIFF[:_QUARTER]) * _SAMPLES_IN_BIN.sum(axis=1)
+    nodes = np.broadcast_to(np.cos(PHI_DIFF[:_QUARTER]) ** 2, count.shape)
+    values = MixtureProblem(replace(data, cos2_phi=nodes), problem.structure).values(unknowns)
+    total = count @ (_SAMPLES_IN_BIN > 0)
+    mean = (values * count) @ (_SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)
+    return np.where(total > 0, mean - problem.values(unknowns), 0.0)
 
 
 def _model(structure: Structure, unknowns: Array) -> DSBRDF:
@@ -174,7 +195,7 @@ def _model(structure: Structure, unknowns: Array) -> DSBRDF:
     kappa, gamma = np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k])
     center = np.zeros_like(kappa)
     center[:, list(structure.rings)] = shape[:, 2 * k :]
-    order = np.lexsort((np.median(half_width(kappa, gamma), axis=0), np.array(structure.rings)))
+    order = np.lexsort((np.median(half_width(kappa, gamma, structure.family), axis=0), np.array(structure.rings)))
     heights = np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
     return DSBRDF(
         theta_diff=structure.amplitude_knots,

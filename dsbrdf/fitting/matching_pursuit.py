@@ -32,9 +32,9 @@ PAYS = 0.04
 """Share of the error on the rows held out by which a lobe has to lower it."""
 NEGLIGIBLE = 1e-5
 """... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
-NOISE_CORRELATION = 0.22
-"""Correlation of neighbouring residuals below which they count as noise: between samples of a smooth material that a
-mixture misses it is above 0.3 as a rule, and 0 for noise of single samples."""
+NOISE_CORRELATION = 0.25
+"""Correlation of neighbouring residuals below which they count as noise: 0 for noise of single samples, above 0.3 as a
+rule where a mixture misses the shape of a material."""
 _DEGREE = np.pi / 180.0
 _WIDTHS = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
 _RING_WIDTHS = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
@@ -249,7 +249,7 @@ def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
     """
     structure = mixture.structure
     if 0 < structure.n_rings and structure.n_lobes <= _MOST_PLAIN_LOBES:
-        plain = _fit(data, _restart_kappa(_about_normal(mixture)))
+        plain = _minimize(data, _fit(data, _restart_kappa(_about_normal(mixture))), _ITERATIONS)
         if _correlation(data, plain) < NOISE_CORRELATION:
             return plain, True
     return mixture, _correlation(data, mixture) < NOISE_CORRELATION

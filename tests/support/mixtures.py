@@ -8,6 +8,7 @@ from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.hemi_epd import half_width
 
 Array = NDArray[np.float64]
 
@@ -18,6 +19,8 @@ HALF_WIDTHS = np.radians([1.5, 8.0, 50.0])
 HEIGHTS = np.array([30.0, 3.0, 0.3])
 """At normal incidence [1/sr]; a seed changes each by up to a factor of 2, and gives it a colour."""
 KNOTS = np.radians([0.0, 45.0, 89.0])
+CHECKED_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
+"""theta_diff at which parameters are compared [rad]."""
 
 
 def mixture(n_lobes: int, seed: int) -> DSBRDF:
@@ -41,9 +44,30 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
     )
 
 
-def choose(n_lobes: int, seed: int) -> tuple[int, int]:
-    """Return the numbers of lobes and of ring lobes that the default fit chooses for a mixture."""
+def found_by_fit(n_lobes: int, seed: int) -> DSBRDF:
+    """Return the model that the default fit finds for a mixture with noise."""
     data = profiles(model_measurement(mixture(n_lobes, seed), noise=NOISE, seed=seed))
-    model = fit(data, FitOptions(n_lobes="auto", ring_lobes="auto")).model
+    return fit(data, FitOptions()).model
+
+
+def numbers_of_lobes(model: DSBRDF) -> tuple[int, int]:
+    """Return the numbers of lobes about the normal and of ring lobes."""
     rings = int(np.count_nonzero(model.is_ring))
     return model.n_lobes - rings, rings
+
+
+def deviations(model: DSBRDF, truth: DSBRDF) -> dict[str, float]:
+    """Largest relative deviations of a model's parameters, for as many lobes, at `CHECKED_ANGLES`.
+
+    An elongation does nothing at theta_diff = 0 and is left out there.
+    """
+    parts = []
+    for one in (model, truth):
+        found = one.parameters_at(CHECKED_ANGLES)
+        width = half_width(found["kappa"], found["gamma"])
+        order = np.argsort(width[0, 0])
+        parts.append(
+            {name: found[name][..., order] for name in ("amplitude", "kappa", "gamma")}
+            | {"half width": width[..., order], "elongation": found["elongation"][1:, order]}
+        )
+    return {name: float(np.max(np.abs(parts[0][name] / parts[1][name] - 1.0))) for name in parts[0]}

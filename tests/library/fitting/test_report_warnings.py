@@ -43,7 +43,7 @@ def test_ordinary_materials_have_none(measurements: tuple[Measurement, ...]) -> 
         assert fit(measurement).report.warnings == ()
 
 
-@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_nickel", "merl_red-specular-plastic"])
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "rgl_acrylic_felt_pink", "merl_red-specular-plastic"])
 def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
     assert fit(reference_files[name]).report.warnings == ()
 
