@@ -108,8 +108,10 @@ class Evaluator:
     def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
 
-        The parameters and the stretch are found once for all of them.
+        The parameters and the stretch are found once for all of them.  Round lobes are the same for every phi_diff.
         """
+        shape = (3, theta_diff.size, phi_diff.size)
+        phi_diff = phi_diff[:1] if self._round else phi_diff
         amplitude, kappa, gamma, center, elongation = self.parameters(theta_diff)
         log_cos = log_cosine(theta_diff)[:, None]
         cos2 = np.square(np.cos(phi_diff))
@@ -127,7 +129,7 @@ class Evaluator:
                     )
                     into = slice(None) if self._n_shapes == 1 else slice(channel, channel + 1)
                     total[into] += amplitude[:, into, lobe].T[..., None] * value
-            yield total
+            yield np.broadcast_to(total, shape)
 
     def _fill(self, result: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> None:
         """Write the values of one block, piece by piece."""
