@@ -91,8 +91,7 @@ def fit_global(
         If the options leave no data to fit.
     """
     weight = _weights(data, options)
-    measured_rows = np.flatnonzero(weight.sum(axis=(0, 2, 3)) > 0)
-    coarse = _structure(measured_rows, _SEARCH_KNOTS, options)
+    coarse = _structure(weight, _SEARCH_KNOTS, options)
     fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
     held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
@@ -100,7 +99,7 @@ def fit_global(
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
     mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
     fine = AMPLITUDE_KNOTS if options.knots is None else np.asarray(options.knots), SHAPE_KNOTS, ELONGATION_KNOTS
-    structure = replace(_structure(measured_rows, fine, options), rings=mixture.structure.rings)
+    structure = replace(_structure(weight, fine, options), rings=mixture.structure.rings)
     mixture = Mixture(structure, change_knots(mixture.structure, mixture.unknowns, structure))
     on_stage("search")
     solution = _refine(
@@ -126,15 +125,17 @@ def _weights(data: Profiles, options: FitOptions) -> Array:
     return weight
 
 
-def _structure(rows: NDArray[np.intp], knots: tuple[Array, Array, Array], options: FitOptions) -> Structure:
+def _structure(weight: Array, knots: tuple[Array, Array, Array], options: FitOptions) -> Structure:
     """No lobes yet, on knots within the rows that have data."""
-    first, last = THETA_DIFF[rows[0]], THETA_DIFF[rows[-1]]
+    measured = weight.sum(axis=(0, 3)) > 0
+    first, last = THETA_DIFF[np.flatnonzero(measured.any(axis=1))[[0, -1]]]
+    theta_half = THETA_HALF[measured.any(axis=0)]
 
     def within(angles: Array) -> Array:
         inner = angles[(angles > first) & (angles < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
-    return Structure((), within(knots[0]), within(knots[1]), within(knots[2]), options.lobe)
+    return Structure((), within(knots[0]), within(knots[1]), within(knots[2]), options.lobe, theta_half)
 
 
 def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:

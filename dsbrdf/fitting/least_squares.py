@@ -18,7 +18,7 @@ control values.  Shapes get the strongest: where a lobe is faint they would run 
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,15 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
-from dsbrdf.model.lobes import Stretch, half_width, lobe_derivatives, lobe_values, log_cosine, stretch
+from dsbrdf.model.lobes import (
+    Stretch,
+    gamma_of_half_width,
+    half_width,
+    lobe_derivatives,
+    lobe_values,
+    log_cosine,
+    stretch,
+)
 from dsbrdf.model.splines import n_control_values, roughness, spline_basis
 
 Array = NDArray[np.float64]
@@ -40,6 +48,8 @@ GAMMA_BOUNDS = (1e-2, 5e4)
 """From flat to a sixth of a degree, about the narrowest peak that the grid resolves."""
 CENTER_BOUNDS = (-0.25, float(np.pi / 2))
 ELONGATION_BOUNDS = (-2.0, 2.0)
+RESOLVED = 1.0
+"""A half width is at least this many times the spacing of the data at the center of the lobe."""
 CUSP_WIDTHS = 1.0
 """A negative center is at most this many half widths: a cusp stays about as steep as the lobe itself."""
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
@@ -59,6 +69,8 @@ class Structure:
         Angles theta_diff [rad].
     family : str
         One of `dsbrdf.model.lobes.FAMILIES`.
+    theta_half : ndarray
+        Angles with data [rad]: what is narrower than their spacing would only fit the gaps between them.
     """
 
     rings: tuple[bool, ...]
@@ -66,6 +78,7 @@ class Structure:
     shape_knots: Array
     elongation_knots: Array
     family: str
+    theta_half: Array = field(default_factory=lambda: THETA_HALF)
 
     @property
     def n_lobes(self) -> int:
@@ -124,12 +137,22 @@ class Structure:
             sides.append(bound)
         return sides[0], sides[1]
 
-    def limit_cusps(self, unknowns: Array) -> Array:
-        """Hold negative centers above a multiple of the half width: a cusp is no steeper than its lobe can be."""
-        limited = unknowns.copy()
+    def limit(self, unknowns: Array) -> Array:
+        """Unknowns within the bounds, no lobe narrower than the data can tell and no cusp steeper than its lobe.
+
+        A half width is at least `RESOLVED` times the spacing of the data at the lobe's center, and a negative center at
+        most `CUSP_WIDTHS` half widths.
+        """
+        limited = np.clip(unknowns, *self.bounds())
         shape, k = self.split(limited)[1], self.n_lobes
-        rings = slice(k - self.n_rings, k)
-        width = half_width(np.exp(shape[:, :k][:, rings]), np.exp(shape[:, k : 2 * k][:, rings]), self.family)
+        center = np.zeros((len(shape), k))
+        center[:, list(self.rings)] = np.maximum(shape[:, 2 * k :], 0.0)
+        if self.theta_half.size > 1:
+            middle = 0.5 * (self.theta_half[1:] + self.theta_half[:-1])
+            narrowest = RESOLVED * np.interp(center, middle, np.diff(self.theta_half))
+            steepest = gamma_of_half_width(np.minimum(narrowest, 1.0), np.exp(shape[:, :k]), self.family)
+            np.minimum(shape[:, k : 2 * k], np.log(steepest), out=shape[:, k : 2 * k])
+        width = half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]), self.family)[:, list(self.rings)]
         np.maximum(shape[:, 2 * k :], -CUSP_WIDTHS * width, out=shape[:, 2 * k :])
         return limited
 
@@ -362,7 +385,7 @@ def minimize(
     Solution
     """
     low, high = problem.structure.bounds()
-    unknowns = problem.structure.limit_cusps(np.clip(start, low, high))
+    unknowns = problem.structure.limit(start)
     cost, matrix, gradient = problem.linearize(unknowns)
     damping, growth, stalled = 1e-3, 2.0, 0
     for number in range(1, iterations + 1):
@@ -372,7 +395,7 @@ def minimize(
         if fixed is not None:
             held |= fixed
         step = _step(matrix, gradient, damping, held)
-        proposed = problem.structure.limit_cusps(np.clip(unknowns + step, low, high))
+        proposed = problem.structure.limit(unknowns + step)
         step = proposed - unknowns
         predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
         new_cost = problem.cost(proposed) if predicted > 0.0 else np.inf

@@ -16,6 +16,7 @@ from dsbrdf.fitting.least_squares import (
     ELONGATION_BOUNDS,
     GAMMA_BOUNDS,
     KAPPA_BOUNDS,
+    RESOLVED,
     FitData,
     MixtureProblem,
     Solution,
@@ -261,12 +262,17 @@ def test_fixed_unknowns_keep_their_values() -> None:
     assert np.all(solution.unknowns[~kappa] != start[~kappa])
 
 
-def test_a_cusp_is_at_most_as_far_from_its_flank_as_its_half_width() -> None:
-    structure = structure_of((False, True))
+def test_a_cusp_is_no_steeper_than_its_lobe_and_no_lobe_narrower_than_the_data_can_tell() -> None:
+    spacing = 4.0
+    structure = replace(structure_of((False, True)), theta_half=np.radians(np.arange(0.0, 90.0, spacing)))
     unknowns = truth_of(structure)
     shape = structure.split(unknowns)[1]
+    shape[:, 2] = np.log(GAMMA_BOUNDS[1])
     shape[:, 4] = -0.25
-    limited = structure.split(structure.limit_cusps(unknowns))[1]
-    width = half_width(np.exp(shape[:, 1]), np.exp(shape[:, 3]), "hemi_epd")
-    np.testing.assert_allclose(limited[:, 4], np.maximum(-0.25, -CUSP_WIDTHS * width))
-    np.testing.assert_array_equal(limited[:, :4], shape[:, :4])
+    limited = structure.split(structure.limit(unknowns))[1]
+    width = half_width(np.exp(limited[:, :2]), np.exp(limited[:, 2:4]), "hemi_epd")
+    np.testing.assert_allclose(width[:, 0], np.radians(RESOLVED * spacing))
+    np.testing.assert_allclose(limited[:, 4], np.maximum(-0.25, -CUSP_WIDTHS * width[:, 1]))
+    np.testing.assert_array_equal(limited[:, [0, 1, 3]], shape[:, [0, 1, 3]])
+    inside = structure.limit(unknowns)
+    np.testing.assert_allclose(structure.limit(inside), inside, rtol=1e-12)
