@@ -15,7 +15,7 @@ from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import global_method
-from dsbrdf.fitting.least_squares import GAMMA_BOUNDS, KAPPA_BOUNDS
+from dsbrdf.fitting.least_squares import GAMMA_BOUNDS, KAPPA_BOUNDS, FitData, MixtureProblem, Structure
 from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
@@ -63,6 +63,24 @@ def test_number_and_parameters_of_known_mixtures_come_back(n_lobes: int, seed: i
     assert numbers_of_lobes(model) == (n_lobes, 0)
     found = deviations(model, truth)
     assert max(found[name] for name in ("amplitude", "half width", "elongation")) < 0.02, found
+
+
+def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> None:
+    """Without noise, the mean of a bin is the model at its mean of cos(phi_diff)**2 plus what the bin hides."""
+    truth = DSBRDF(
+        np.zeros(1), np.full((3, 1, 1), 30.0), np.ones((1, 1, 1)), np.full((1, 1, 1), 40.0), elongation=np.ones((1, 1))
+    )
+    folded = profiles(model_measurement(truth)).folded
+    rows, columns = np.array([0, 30, 60, 75]), np.arange(5, 60, 6)
+    data = FitData.select(folded, folded.weight, rows, columns)
+    knot = np.zeros(1)
+    structure = Structure((False,), knot, knot, knot, "hemi_epd")
+    unknowns = np.concatenate([np.full(3, np.log(30.0)), [0.0, np.log(40.0)], [1.0]])
+    problem = MixtureProblem(data, structure)
+    hidden = global_method._lost_in_bins(problem, unknowns)
+    seen = data.weight > 0
+    assert np.max(np.abs(hidden[seen]) / data.mean[seen]) > 0.05
+    np.testing.assert_allclose((problem.values(unknowns) + hidden)[seen], data.mean[seen], rtol=1e-6, atol=1e-12)
 
 
 def flat(theta_half: Array | float, theta_diff: Array, phi_diff: Array) -> list[Array]:

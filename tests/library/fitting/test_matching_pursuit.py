@@ -141,6 +141,15 @@ def test_search_says_what_it_tried_and_stops() -> None:
     assert error == pytest.approx(steps[last].error, rel=1e-9)
 
 
+def test_lobes_that_do_not_pay_are_left_out() -> None:
+    model = lobes_of((40.0, 1.5, 0.0), (0.3, 50.0, 0.0))
+    structure = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], "hemi_epd")
+    fitted, held_out = data_of(model, noise=0.02), data_of(model, HELD_OUT_ROWS, noise=0.02)
+    mixture, steps = grow(fitted, held_out, structure, "auto", 0, lambda: None)
+    assert [step.pays for step in steps] == [True, True, False, False, False]
+    assert mixture.structure.rings == (False, False)
+
+
 def test_search_can_be_stopped() -> None:
     def stop() -> None:
         raise KeyboardInterrupt
