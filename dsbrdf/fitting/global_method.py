@@ -17,19 +17,11 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import IN_BIN, Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.em import huber_weights
-from dsbrdf.fitting.least_squares import (
-    GAMMA_BOUNDS,
-    KAPPA_BOUNDS,
-    FitData,
-    MixtureProblem,
-    Solution,
-    Structure,
-    change_knots,
-    minimize,
-)
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import Slices
+from dsbrdf.fitting.structure import GAMMA_BOUNDS, KAPPA_BOUNDS, Structure, change_knots
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Structure, minimize
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
+from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.lobes import gamma_factor, gamma_of_half_width, half_width, lobe_values, log_cosine, stretch
 from dsbrdf.model.splines import roughness
 

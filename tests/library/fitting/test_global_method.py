@@ -15,11 +15,12 @@ from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import global_method
-from dsbrdf.fitting.least_squares import GAMMA_BOUNDS, KAPPA_BOUNDS, FitData, MixtureProblem, Structure
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem
 from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.fitting.structure import GAMMA_BOUNDS, KAPPA_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes

@@ -10,18 +10,15 @@ from scipy.optimize import least_squares
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.fitting.least_squares import (
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.structure import (
     CENTER_BOUNDS,
     CUSP_WIDTHS,
     ELONGATION_BOUNDS,
     GAMMA_BOUNDS,
     KAPPA_BOUNDS,
     RESOLVED,
-    FitData,
-    MixtureProblem,
-    Solution,
     Structure,
-    minimize,
 )
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import FAMILIES, half_width

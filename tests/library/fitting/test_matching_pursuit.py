@@ -5,8 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Structure
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem
 from dsbrdf.fitting.matching_pursuit import MAX_LOBES, Mixture, grow
+from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import half_width
 from dsbrdf.model.lobes import FAMILIES
