@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.decomposition import Component, Decomposition, decompose
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.model.furnace import FurnaceReport, white_furnace
     from dsbrdf.model.render import render_sphere
     from dsbrdf.output.serialize import load, load_result, save
     from dsbrdf.version import ALGORITHM_VERSION, __version__
@@ -46,6 +47,7 @@ __all__ = [
     "FitOptions",
     "FitReport",
     "FitResult",
+    "FurnaceReport",
     "InvalidArgumentError",
     "Measurement",
     "MeasurementFormatError",
@@ -61,6 +63,7 @@ __all__ = [
     "read_merl",
     "render_sphere",
     "save",
+    "white_furnace",
     "write_merl",
 ]
 
@@ -83,6 +86,7 @@ _DEFINED_IN = {
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
+    "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
     "dsbrdf.model.render": ("render_sphere",),
     "dsbrdf.output.serialize": ("load", "load_result", "save"),
     "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),

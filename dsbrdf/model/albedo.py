@@ -13,6 +13,7 @@ smooth enough without.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,20 +62,63 @@ def directional_albedo(
 
 
 def _albedo_at(evaluate: Evaluate, theta_out: float, knots: Array, width: float) -> Array:
+    rule = half_vector_rule(theta_out, knots, width)
+    return np.asarray(rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff))
+
+
+class HalfVectorRule(NamedTuple):
+    """Nodes for integrals over omega_in, each of shape (n,).
+
+    Attributes
+    ----------
+    theta_half, theta_diff, phi_diff : ndarray
+        Angles of the nodes [rad].
+    azimuth : ndarray
+        Of the half vector, from omega_out [rad]: half the circle stands for all of it.
+    cos_in : ndarray
+        Zero or positive.
+    weight : ndarray
+        Of the integral of ``f cos(theta_in) d omega_in`` [sr].
+    """
+
+    theta_half: Array
+    theta_diff: Array
+    phi_diff: Array
+    azimuth: Array
+    cos_in: Array
+    weight: Array
+
+
+def half_vector_rule(theta_out: float, knots: Array = _SMOOTH, width: float = float(_WIDTHS[-1])) -> HalfVectorRule:
+    """Nodes in half vectors for integrals over the hemisphere of omega_in, see the module.
+
+    Parameters
+    ----------
+    theta_out : float
+        Angle to the normal [rad].
+    knots : ndarray, shape (D,), optional
+        Values of theta_diff at which the integrand need not be smooth [rad].
+    width : float, optional
+        Distance of the nodes' panels in theta_half, away from 0 [rad].
+
+    Returns
+    -------
+    HalfVectorRule
+    """
     theta_half, weight = _half_angle_rule(theta_out, knots, width)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
     theta_half, weight = theta_half[row, None], weight[row, None]
     cos_diff = np.cos(theta_out) * np.cos(theta_half) + np.sin(theta_out) * np.sin(theta_half) * np.cos(phi)
-    cos_in = 2.0 * cos_diff * np.cos(theta_half) - np.cos(theta_out)
+    cos_in = np.maximum(2.0 * cos_diff * np.cos(theta_half) - np.cos(theta_out), 0.0)
     # The azimuth runs over half the circle: the other half is its mirror image.
-    measure = 2.0 * weight * phi_weight * np.sin(theta_half) * 4.0 * cos_diff * np.maximum(cos_in, 0.0)
+    measure = 2.0 * weight * phi_weight * np.sin(theta_half) * 4.0 * cos_diff * cos_in
     theta_diff = np.arccos(np.clip(cos_diff, 0.0, 1.0))
     # cos_out = cos(theta_half) cos(theta_diff) + sin(theta_half) sin(theta_diff) cos(phi_diff)
     swing = np.sin(theta_half) * np.sin(theta_diff)
     cos_phi = (np.cos(theta_out) - np.cos(theta_half) * cos_diff) / np.where(swing > 0.0, swing, np.inf)
     phi_diff = np.arccos(np.clip(cos_phi, -1.0, 1.0))
-    angles = (part.ravel() for part in np.broadcast_arrays(theta_half, theta_diff, phi_diff))
-    return np.asarray(measure.ravel() @ evaluate(*angles))
+    parts = np.broadcast_arrays(theta_half, theta_diff, phi_diff, phi, cos_in, measure)
+    return HalfVectorRule(*(part.ravel() for part in parts))
 
 
 def _half_angle_rule(theta_out: float, knots: Array, width: float) -> tuple[Array, Array]:

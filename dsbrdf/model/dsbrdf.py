@@ -25,6 +25,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator, ParameterCurves
 from dsbrdf.model.parameter_checks import check_parameters
+from dsbrdf.model.sampling import ANGLES, DirectionSampler, LobesAtAngles, Samples, direction_sampler
 
 Array = NDArray[np.float64]
 
@@ -284,6 +285,66 @@ class DSBRDF:
         """
         kinks = self.theta_diff if self.interpolation == "linear" else np.zeros(0)
         return directional_albedo(self.evaluate_unmasked, _check_angle("theta_out", theta_out), kinks)
+
+    def sample(self, omega_out: ArrayLike, rng: np.random.Generator) -> Samples:
+        """Draw a direction omega_in for each omega_out, roughly in proportion to ``f cos(theta_in)``.
+
+        Parameters
+        ----------
+        omega_out : array_like, shape (..., 3)
+            Unit vectors above the horizon; the same one n times is ``np.broadcast_to(omega_out, (n, 3))``.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        Samples
+            Directions, their density and their weights; see `dsbrdf.model.sampling`.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector above the horizon.
+        """
+        towards = check_directions("omega_out", omega_out)
+        flat = towards.reshape(-1, 3)
+        omega_in = self._sampler.sample(flat, rng)
+        pdf = self._sampler.pdf(omega_in, flat)
+        cosine = omega_in[:, 2] / np.where(pdf > 0.0, pdf, np.inf)
+        weight = self.evaluate_directions(omega_in, flat) * cosine[:, None]
+        return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
+
+    def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
+        """Density with which `sample` draws omega_in for omega_out.
+
+        Parameters
+        ----------
+        omega_in, omega_out : array_like, shape (..., 3)
+            Unit vectors, the normal being (0, 0, 1); they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Per solid angle [1/sr]; 0 where one of the directions is below the horizon.  Its integral is the share of
+            the samples that are above the horizon.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector.
+        """
+        first = check_directions("omega_in", omega_in, below_horizon=True)
+        first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
+        return self._sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
+
+    @cached_property
+    def _sampler(self) -> DirectionSampler:
+        at = self.parameters_at(ANGLES)
+        shape = ANGLES.size, self.kappa.shape[0], self.n_lobes
+        at["elongation"] = np.broadcast_to(at["elongation"][:, None], shape)
+        rows = {
+            name: at[name].reshape(shape[0], shape[1] * shape[2]) for name in ("kappa", "gamma", "center", "elongation")
+        }
+        return direction_sampler(LobesAtAngles(**rows, family=self.lobe), self.evaluate_unmasked)
 
     @cached_property
     def _evaluator(self) -> Evaluator:
