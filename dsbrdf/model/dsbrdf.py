@@ -23,7 +23,7 @@ from dsbrdf.data.geometry import check_directions, half_difference, incident_cos
 from dsbrdf.data.grid import CENTER_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.evaluation import Evaluator, ParameterCurves
+from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
 from dsbrdf.model.parameter_checks import check_parameters
 from dsbrdf.model.sampling import ANGLES, DirectionSampler, LobesAtAngles, Samples, direction_sampler
 
@@ -259,6 +259,11 @@ class DSBRDF:
         parts = (*self._evaluator.parameters(flat), delta)
         names = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
         return {name: part.reshape(theta_diff.shape + part.shape[1:]) for name, part in zip(names, parts, strict=True)}
+
+    @property
+    def pieces(self) -> ParameterPieces:
+        """The parameters as polynomials in theta_diff, without the delta term."""
+        return self._evaluator.pieces
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
         """Return the part of the model made of some of its lobes, with or without the delta term."""

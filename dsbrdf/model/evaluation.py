@@ -37,6 +37,24 @@ class ParameterCurves:
     values: Array
 
 
+@dataclass(frozen=True, eq=False)
+class ParameterPieces:
+    """Parameters as polynomials in theta_diff, for programs that evaluate a model themselves.
+
+    Attributes
+    ----------
+    breaks : ndarray, shape (P + 1,)
+        Where the P pieces begin, and where the last one ends [rad]; theta_diff is held between the first and the last.
+    terms : ndarray, shape (4, R, P)
+        Coefficients of ``(theta_diff - break)**3`` to ``**0``.  Rows: amplitude (channel, lobe), kappa, gamma and
+        center (shape, lobe), elongation (lobe).  Amplitude, kappa and gamma are logarithms if the model's
+        interpolation is "spline"; else log1p(amplitude), kappa and gamma.
+    """
+
+    breaks: Array
+    terms: Array
+
+
 class Evaluator:
     """The lobes of a model, made ready to be evaluated; safe to use from several threads.
 
@@ -79,6 +97,11 @@ class Evaluator:
         self._round = not elongation.values.any()
         kc = n_lobes * n_shapes
         self._ends = np.cumsum([3 * n_lobes, kc, kc, kc, n_lobes])
+
+    @property
+    def pieces(self) -> ParameterPieces:
+        """The polynomials that are evaluated."""
+        return ParameterPieces(self._breaks, self._terms)
 
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.serialize import to_json, to_npz
 
-__all__ = ["FORMATS", "ExportFormat", "export_model", "merl_table"]
+__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "merl_table"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ FORMATS = {
     "json": ExportFormat("json", "application/json", lambda model, report: to_json(model, report).encode()),
     "npz": ExportFormat("npz", "application/octet-stream", to_npz),
     "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
+    "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
 }
 
 
@@ -45,8 +47,9 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     ----------
     model : DSBRDF
         A model, or one component of it.
-    file_format : {"json", "npz", "merl"}
-        ``json`` and ``npz`` store the parameters without loss, ``merl`` a table of values.
+    file_format : {"json", "npz", "merl", "glsl"}
+        ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
+        shaders.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 

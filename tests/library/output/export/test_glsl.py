@@ -1,0 +1,79 @@
+"""The GLSL function, compiled and run by WebGL 2, against the model in double precision."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export import export_model
+from dsbrdf.output.export.glsl import glsl_function
+from tests.support.mixtures import mixture
+from tests.support.random_models import papers_model, random_model
+from tests.support.webgl import CHROMIUM, evaluate_glsl
+
+Array = NDArray[np.float64]
+
+MODELS = {
+    "mixture": mixture(3, 0),
+    "elongated rings and cusps": random_model(1),
+    "student": random_model(2, family="student"),
+    "paper": papers_model(),
+    "one lobe": mixture(1, 4),
+}
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
+
+
+def pairs_of_directions(number: int, seed: int = 0) -> tuple[Array, Array]:
+    """Pairs in single precision, half of them near the mirror direction."""
+    random = np.random.default_rng(seed)
+    cosine, turn = random.uniform(0.02, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
+    sine = np.sqrt(1.0 - cosine**2)
+    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    near = np.arange(number) % 2 == 0
+    mirrored = first * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.03, first.shape)
+    mirrored[:, 2] = np.maximum(mirrored[:, 2], 0.01)
+    second[near] = mirrored[near] / np.linalg.norm(mirrored[near], axis=1)[:, None]
+    return first.astype(np.float32).astype(float), second.astype(np.float32).astype(float)
+
+
+@needs_chromium
+@pytest.mark.parametrize("name", MODELS)
+def test_webgl_gives_the_values_of_the_model(name: str, tmp_path: Path) -> None:
+    first, second = pairs_of_directions(10_000)
+    # `evaluate_directions` scales directions to exact unit length first, which single precision cannot hold.
+    expected = MODELS[name].evaluate(*half_difference(first, second))
+    values = evaluate_glsl(glsl_function(MODELS[name]), "dsbrdf(a, b)", first, second, tmp_path)
+    error = np.abs(values - expected) / np.maximum(expected, 1e-5)  # what is less than 1e-5 /sr cannot be seen
+    # The random gammas of the paper's model differ a thousandfold between slices: theta_diff itself is then too coarse.
+    assert error.max() < (1e-3 if name == "paper" else 1e-4)
+
+
+@needs_chromium
+def test_webgl_gives_zero_below_the_horizon(tmp_path: Path) -> None:
+    up, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.6, 0.0, -0.8]])
+    for first, second in ((up, down), (down, up)):
+        assert np.all(evaluate_glsl(glsl_function(MODELS["mixture"]), "dsbrdf(a, b)", first, second, tmp_path) == 0.0)
+
+
+def test_every_name_begins_with_that_of_the_library() -> None:
+    source = export_model(MODELS["mixture"], "glsl").decode()
+    declared = [
+        line.split("(")[0].split()[-1] for line in source.splitlines() if line.endswith(") {") and line[0] != " "
+    ]
+    assert declared
+    assert all(name.startswith("dsbrdf") for name in declared)
+
+
+def test_a_parameter_too_large_for_single_precision_is_refused() -> None:
+    one = np.ones((1, 1, 1))
+    model = DSBRDF(np.zeros(1), amplitude=np.full((3, 1, 1), 1e60), kappa=one, gamma=one)
+    with pytest.raises(InvalidArgumentError, match="too large for GLSL"):
+        glsl_function(model)
+
+
+def test_source_is_small() -> None:
+    assert len(export_model(random_model(1, n_lobes=7), "glsl")) < 40_000
