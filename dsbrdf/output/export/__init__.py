@@ -8,9 +8,10 @@ from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.merl import merl_table
+from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.serialize import to_json, to_npz
 
-__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "merl_table"]
+__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "merl_table", "rgl_bsdf"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ FORMATS = {
     "npz": ExportFormat("npz", "application/octet-stream", to_npz),
     "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
     "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
+    "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
 }
 
 
@@ -47,9 +49,9 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     ----------
     model : DSBRDF
         A model, or one component of it.
-    file_format : {"json", "npz", "merl", "glsl"}
+    file_format : {"json", "npz", "merl", "glsl", "bsdf"}
         ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
-        shaders.
+        shaders, ``bsdf`` a file of the RGL database for Mitsuba 3.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 

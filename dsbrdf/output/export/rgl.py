@@ -1,0 +1,112 @@
+"""A model or a measurement as an RGL ``.bsdf`` file, which Mitsuba 3 (``measured``, RGB variants) loads as it is.
+
+The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
+the unit square.  The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
+these to half vectors (u, v) with
+
+    theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
+
+and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4).  Here
+``vndf`` is the reflected luminance itself, so that what is left for ``luminance`` is nearly uniform; ``ndf``, the mean
+value at each theta_half, makes ``rgb`` smooth; and sigma is 1/4.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.interpolation import interpolate
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.rgl_warp import Warp, bilinear
+from dsbrdf.data.tensor_file import encode_tensors
+from dsbrdf.model.dsbrdf import DSBRDF
+
+__all__ = ["rgl_bsdf"]
+
+Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array, Array], Array]
+
+_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # closer together towards the horizon
+_N_SAMPLES = 64  # nodes along a side of rgb and luminance
+_VNDF_SHAPE = 48, 128  # azimuth, theta_half
+_N_NDF = 512
+_LEAST = 0.3  # least density of a half vector, as a share of the mean; ``luminance`` puts the samples right
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+
+
+def rgl_bsdf(source: DSBRDF | Measurement, description: str = "") -> bytes:
+    """Return the bytes of a ``.bsdf`` file.
+
+    Parameters
+    ----------
+    source : DSBRDF or Measurement
+        A measurement is interpolated.
+    description : str, optional
+        Stored in the file.
+
+    Returns
+    -------
+    bytes
+        About 3 MB.
+    """
+    evaluate = interpolate(source).evaluate if isinstance(source, Measurement) else source.evaluate
+    ndf = _ndf(evaluate)
+    slices = [_slice(evaluate, ndf, float(theta)) for theta in _THETA_I]
+    vndf, luminance, rgb = (np.stack(parts)[None].astype(np.float32) for parts in zip(*slices, strict=True))
+    fields = {
+        "description": np.frombuffer((description or "written by dsbrdf").encode(), np.uint8),
+        "phi_i": np.zeros(1, np.float32),
+        "theta_i": _THETA_I.astype(np.float32),
+        "sigma": np.full((2, 2), 0.25, np.float32),
+        "ndf": ndf.astype(np.float32),
+        "vndf": vndf,
+        "luminance": luminance,
+        "rgb": rgb,
+        "jacobian": np.ones(1, np.uint8),
+    }
+    return encode_tensors(fields)
+
+
+def _ndf(evaluate: Evaluate) -> Array:
+    """Typical value at each theta_half, evenly spaced in u, in two equal rows (2, `_N_NDF`)."""
+    theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF) ** 2
+    theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
+    values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ _LUMINANCE
+    typical = np.exp(np.mean(np.log(values + 1e-4), axis=1))
+    return np.stack([typical, typical])
+
+
+def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array, Array]:
+    """Tables vndf, luminance (S, S) and rgb (3, S, S) of one angle."""
+    v, u = (part.ravel() for part in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in _VNDF_SHAPE), indexing="ij"))
+    reflected, jacobian = _reflected(evaluate, theta_i, u, v)
+    density = ((reflected @ _LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
+    mean = density.mean()
+    # In u the solid angle is proportional to u sin(theta_half): half vectors evenly over the hemisphere.
+    even = (u * np.sin(0.5 * np.pi * u * u)).reshape(_VNDF_SHAPE)
+    density = density + max(mean, 1e-12) * _LEAST * (1.0 + even / even.mean())
+    warp = Warp.of(density)
+    side = np.linspace(0.0, 1.0, _N_SAMPLES)
+    rows, columns = (part.ravel() for part in np.meshgrid(side, side, indexing="ij"))
+    u, v = warp.sample(columns, rows)
+    reflected, jacobian = _reflected(evaluate, theta_i, u, v)
+    rgb = (reflected / bilinear(ndf, u, v)[:, None]).T.reshape(3, _N_SAMPLES, _N_SAMPLES)
+    left = (reflected @ _LUMINANCE) * jacobian / bilinear(warp.density, u, v)
+    luminance = left.reshape(_N_SAMPLES, _N_SAMPLES)
+    return density, luminance + 1e-3 * max(float(luminance.mean()), 1e-12), rgb
+
+
+def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[Array, Array]:
+    """``f cos(theta_out)`` (n, 3) of half vectors, and the solid angle of the second direction for a du dv (n,)."""
+    theta_half, azimuth = 0.5 * np.pi * u * u, (2.0 * v - 1.0) * np.pi
+    sine = np.sin(theta_half)
+    half = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(theta_half)], axis=-1)
+    first = np.array([np.sin(theta_i), 0.0, np.cos(theta_i)])
+    cosine = half @ first
+    second = 2.0 * cosine[:, None] * half - first
+    above = (cosine > 0.0) & (second[:, 2] > 0.0)
+    values = np.zeros((u.size, 3))
+    values[above] = evaluate(*half_difference(first, second[above])) * second[above, 2:]
+    return values, np.maximum(2.0 * np.pi**2 * u * sine, 1e-6) * 4.0 * np.maximum(cosine, 0.0)
