@@ -1,0 +1,85 @@
+"""``dsbrdf render``."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dsbrdf.cli.main import main
+from dsbrdf.data.merl import read_merl
+from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.render import render_sphere
+from dsbrdf.output.serialize import save
+from tests.support.mixtures import mixture
+
+MODEL = mixture(3, 0)
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("models") / "mixture.json"
+    save(MODEL, path)
+    return path
+
+
+@pytest.mark.parametrize("lighting", ["three_lights", "environment"])
+def test_picture_is_that_of_the_library(
+    model_file: Path, tmp_path: Path, lighting: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "sphere.png"
+    options = ["--lighting", lighting, "--size", "48", "--json"]
+    assert main(["render", str(model_file), "-o", str(output), *options]) == 0
+    factor = json.loads(capsys.readouterr().out)["exposure"]
+    expected = displayed(render_sphere(MODEL, lighting=lighting, size=48), factor)
+    with Image.open(output) as image:
+        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+    assert expected.max() > 0.999
+
+
+def test_a_component_has_the_exposure_of_the_whole(
+    model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    factors = []
+    for options in ([], ["--component", "diffuse"]):
+        command = ["render", str(model_file), "-o", str(tmp_path / "a.png"), "--size", "32", "--json", *options]
+        assert main(command) == 0
+        factors.append(json.loads(capsys.readouterr().out)["exposure"])
+    assert factors[0] == factors[1]
+
+
+def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "plastic.png"
+    assert main(["render", str(plastic_file), "-o", str(output), "--size", "32", "--exposure", "0.5"]) == 0
+    assert "radiance times 0.5" in capsys.readouterr().out
+    expected = displayed(render_sphere(read_merl(plastic_file), size=32), 0.5)
+    with Image.open(output) as image:
+        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "a.jpg"], "must end in .png"),
+        (["-o", "a.png", "--size", "4"], "size must be a whole number from 8 to 1024"),
+        (["-o", "a.png", "--exposure", "0"], "exposure must be a positive number"),
+        (["-o", "a.png", "--component", "diffuse"], "a measurement has no components"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    plastic_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    options[1] = str(tmp_path / options[1])
+    assert main(["render", str(plastic_file), *options]) == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", [["--lighting", "moon"], ["--component", "shine"], ["--size", "big"]])
+def test_unknown_choice_is_refused(model_file: Path, tmp_path: Path, option: list[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["render", str(model_file), "-o", str(tmp_path / "a.png"), *option])
+    assert stopped.value.code == 2
