@@ -101,7 +101,8 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     lines = [
         line for text in blocks("sh", http=False) for line in commands(text) if not line.startswith("dsbrdf serve")
     ]
-    assert {line.split()[1] for line in lines} == {"fit", "show", "eval", "decompose", "export"}
+    used = {line.split()[1] for line in lines}
+    assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]
