@@ -193,10 +193,9 @@ class DSBRDF:
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        delta = np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta])[..., None]
         for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
-            if angle < CENTER_CUTOFF and self.delta.any():
-                values += np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta])[..., None]
-            yield values
+            yield values + delta if angle < CENTER_CUTOFF else values
 
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
         """BRDF values for pairs of directions.

@@ -1,5 +1,7 @@
 """The model as a user meets it: values, symmetry, and what it does at the edges."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -234,8 +236,9 @@ def test_model_without_lobes_is_its_delta() -> None:
     assert np.all(papers_model().select((), with_delta=False).evaluate([0.0, 1.0], 0.3) == 0.0)
 
 
-def test_table_holds_the_values_at_the_nodes_those_below_the_horizon_too() -> None:
-    model = random_model()
+@pytest.mark.parametrize("make", [random_model, papers_model])
+def test_table_holds_the_values_at_the_nodes_those_below_the_horizon_too(make: Callable[[], DSBRDF]) -> None:
+    model = make()
     table = model.tabulate()
     assert table.shape == (3, *GRID_SHAPE)
     assert np.all(table > 0.0)
