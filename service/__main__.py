@@ -29,6 +29,7 @@ from service.http.limits import connection_class
 from service.operations import logging as logs
 from service.routes.dependencies import Context
 from service.settings import Settings, unknown_settings
+from service.storage.database import own_folder
 from service.storage.store import Store
 
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
@@ -52,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
+        _keep_temporary_files_in(settings.data_dir)
     except (DataFolderError, MissingExtraError) as error:
         return refuse(str(error))
     except OSError as error:
@@ -67,7 +69,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         logger.warning("%s", unknown)
     _return_freed_memory()
     _raise_descriptor_limit()
-    _keep_temporary_files_in(settings.data_dir)
     return _run(settings, store)
 
 
@@ -175,10 +176,10 @@ def _raise_descriptor_limit() -> None:
 
 def _keep_temporary_files_in(data_dir: Path) -> None:
     """Put the fork server's socket where the next start removes what a killed server has left."""
-    folder = data_dir.resolve() / "run"
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir()
+    folder = own_folder(data_dir.resolve() / "run")
+    for left in folder.glob("pymp-*"):  # as multiprocessing names them
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left)
     # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
     descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
     if descriptor.is_dir():

@@ -13,7 +13,7 @@ from pathlib import Path
 from dsbrdf.cli.arguments import Parser, add_json_option, print_json
 from service.access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
 from service.commands import add_data_dir, refuse, run_in_folder
-from service.storage.database import Database
+from service.storage.database import FILE_NAME, Database
 
 _MAX_NAME = 100
 
@@ -23,6 +23,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
 
     def work(folder: Path) -> int:
+        if not (folder / FILE_NAME).exists():
+            place = folder.resolve()
+            sys.stderr.write(
+                f"dsbrdf: {place} becomes a new data folder; the key is for a server of that folder only\n"
+            )
         with closing(Database(folder, exclusive=False)) as database:
             code: int = arguments.run(database, arguments)
             return code

@@ -3,20 +3,25 @@
 import errno
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from service.storage.database import own_folder
+
 _SUFFIX = ".binary"
+_UPLOAD = "upload-"
+_NAME = re.compile("[0-9a-f]{64}")
 
 
 class Incoming:
     """A file that is being received, of `size` bytes so far; it is either placed by `Blobs.place` or discarded."""
 
     def __init__(self, folder: Path) -> None:
-        descriptor, name = tempfile.mkstemp(prefix="upload-", dir=folder)
+        descriptor, name = tempfile.mkstemp(prefix=_UPLOAD, dir=folder)
         self.path = Path(name)
         self.size = 0
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
@@ -57,8 +62,11 @@ class Blobs:
         self._blobs = folder / "blobs"
         self._temporary = folder / "tmp"
         self._verified: dict[str, tuple[int, ...]] = {}  # fingerprints of files whose bytes were found to be right
-        self._blobs.mkdir(parents=True, exist_ok=True)
-        self._temporary.mkdir(exist_ok=True)
+
+    def make_folders(self) -> None:
+        """Make both folders if they do not exist; raise DataFolderError if something else is in their place."""
+        own_folder(self._blobs)
+        own_folder(self._temporary)
 
     def path(self, sha256: str) -> Path:
         """Return where the measurement `sha256` is, or would be."""
@@ -105,14 +113,16 @@ class Blobs:
             self.path(sha256).unlink()
 
     def all(self) -> Iterator[str]:
-        """Yield the sha256 of every file."""
-        for path in self._blobs.glob(f"*/*{_SUFFIX}"):
-            yield path.name.removesuffix(_SUFFIX)
+        """Yield the sha256 of every file that is one of a measurement."""
+        for path in self._blobs.glob(f"??/*{_SUFFIX}"):
+            if _NAME.fullmatch(path.stem) and path == self.path(path.stem):
+                yield path.stem
 
     def clear_temporary(self) -> None:
         """Remove what an earlier process was receiving when it ended."""
-        for path in self._temporary.iterdir():
-            path.unlink()
+        for path in self._temporary.glob(f"{_UPLOAD}*"):
+            if path.is_file():
+                path.unlink()
 
     def check(self) -> None:
         """Raise OSError unless a file can be written."""

@@ -1,21 +1,24 @@
-"""The SQLite database of a data folder, and the lock that keeps a second server out.
+"""The SQLite database of a data folder, which must be the service's own, and the lock that keeps a second server out.
 
-A server holds the lock as long as it runs. Commands open the database without it, while a server may run.
+A server holds the lock, which is on the folder itself, as long as it runs. Commands open the database without it,
+while a server may run.
 """
 
 import fcntl
+import os
 import sqlite3
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from service.errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
 from service.storage.schema import VERSION, create_tables, version_of
 
 FILE_NAME = "dsbrdf.sqlite"
+_HEADER = b"SQLite format 3\0"
 _BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
 _COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
 
@@ -26,12 +29,12 @@ class Database:
     The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock; a command
     goes without, so that a server may run or start. `busy_timeout` is how long a transaction waits until it begins [s].
 
-    Raises DataFolderError if another process holds the lock and it is needed, another release has written the
-    database, or it is damaged.
+    Raises DataFolderError if the folder holds anything else than a service's data, another process holds the lock and
+    it is needed, another release has written the database, or it is damaged; then nothing in the folder has changed.
     """
 
     def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _claim(folder)
         self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT
         self._path = folder.resolve() / FILE_NAME
         self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
@@ -39,14 +42,16 @@ class Database:
         try:
             if exclusive:
                 self._resources.enter_context(_lock(folder))
+            with suppress(FileExistsError):  # SQLite gives its other files the same mode
+                os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
             self._writer, self._reader = self._connection(), self._connection()
-            for pragma in ("journal_mode = WAL", "synchronous = FULL"):
-                self._writer.execute(f"PRAGMA {pragma}")
             if exclusive:
                 create_tables(self._writer)
             elif version_of(self._writer) != VERSION:
                 with _lock(folder):  # one process at a time creates them
                     create_tables(self._writer)
+            for pragma in ("journal_mode = WAL", "synchronous = FULL"):
+                self._writer.execute(f"PRAGMA {pragma}")
             self._reader.execute("PRAGMA query_only = ON")
             self._version = self._data_version()
             self._identity = _identity(self._path)
@@ -117,15 +122,52 @@ class Database:
             )
 
 
-def _lock(folder: Path) -> IO[str]:
-    """Return the open file that is the lock."""
-    file = (folder / "lock").open("w")
+def own_folder(folder: Path) -> Path:
+    """Return a folder in a data folder, made if it does not exist.
+
+    Raises DataFolderError if there is a file or a symbolic link in its place.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise DataFolderError(f"{folder} is not a folder of the service's own; remove it, or give another data folder")
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _claim(folder: Path) -> None:
+    """Make the folder; raise DataFolderError if it holds anything, but no database of the service."""
+    if folder.is_symlink() or folder.exists():
+        if not folder.is_dir():
+            raise DataFolderError(f"{folder} is not a folder; give a data folder that is new, empty or the service's")
+    else:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    names = {path.name for path in folder.iterdir()}
+    database = folder / FILE_NAME
+    ours = database.is_file() and not database.is_symlink()
+    if ours:
+        with database.open("rb") as file:
+            start = file.read(len(_HEADER))
+        if start not in (b"", _HEADER):
+            raise DataFolderError(f"the database {database} cannot be opened: it is not one, or it is damaged")
+        # A service that was killed at its first start leaves an empty file.
+        ours = bool(start) or names <= {FILE_NAME, f"{FILE_NAME}-journal"}
+    if names and not ours:
+        raise DataFolderError(
+            f"{folder} has files in it, but none of a service, and was left as it is; "
+            "give a data folder that is new, empty or the service's"
+        )
+
+
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Hold the lock."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
     except BlockingIOError:
-        file.close()
         raise DataFolderInUseError(f"the data folder {folder} is in use by another server") from None
-    return file
+    finally:
+        os.close(descriptor)
 
 
 def _identity(path: Path) -> tuple[int, int]:

@@ -53,9 +53,13 @@ def version_of(connection: sqlite3.Connection) -> int:
 def create_tables(connection: sqlite3.Connection) -> None:
     """Create the tables in an empty database.
 
-    Raises DataFolderError if another release has written the database.
+    Raises DataFolderError if another release or another program has written the database.
     """
     version = version_of(connection)
+    if version == 0 and connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+        raise DataFolderError(
+            "the database is another program's; give a data folder that is new, empty or the service's"
+        )
     if version not in (0, VERSION):
         raise DataFolderError(
             f"the database has schema version {version}, but this release knows version {VERSION}; "

@@ -45,7 +45,8 @@ def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
 class Store:
     """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
 
-    Raises DataFolderError if one has, another release has written the folder, or the database is damaged.
+    Raises DataFolderError if one has, the folder holds anything else, another release has written it, or the database
+    is damaged.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -54,6 +55,7 @@ class Store:
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
         try:
+            self.blobs.make_folders()
             self._remove_orphans()
         except sqlite3.DatabaseError as error:
             self.close()

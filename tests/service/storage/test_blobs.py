@@ -19,6 +19,7 @@ from tests.support.server import QUICK, assert_problem
 
 def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> None:
     blobs = Blobs(tmp_path)
+    blobs.make_folders()
     dropped, kept = blobs.incoming(), blobs.incoming()
     dropped.write(b"a")
     dropped.discard()
@@ -36,6 +37,7 @@ def test_file_is_durable_before_it_is_placed_and_its_name_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blobs = Blobs(tmp_path)
+    blobs.make_folders()
     incoming = blobs.incoming()
     incoming.write(b"content")
     steps: list[tuple[str, str]] = []
