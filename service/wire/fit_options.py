@@ -15,6 +15,7 @@ import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.global_method import AMPLITUDE_KNOTS
 from dsbrdf.fitting.options import (
     MAX_EM_ITERATIONS,
     MAX_LOBES,
@@ -71,9 +72,11 @@ def canonical(options: FitOptions) -> dict[str, Any]:
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
+    usual = options.knots is not None and _to_degrees("knots", options.knots) == _USUAL_KNOTS
     filled = replace(
         options,
         ring_lobes=0 if paper else options.ring_lobes,
+        knots=None if usual else options.knots,
         horizon_cutoff=None if horizon else options.horizon_cutoff,
         mask=float(mask),
         weighting=options.resolved_weighting,  # type: ignore[arg-type]  # one of the words that it may be
@@ -117,6 +120,7 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+_USUAL_KNOTS = _to_degrees("knots", AMPLITUDE_KNOTS.tolist())
 DEFAULTS = to_wire(FitOptions())
 _AUTO = {"type": "string", "enum": ["auto"]}
 _NONE = {"type": "null"}
@@ -133,7 +137,7 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
                 "minItems": 2,
                 "maxItems": THETA_DIFF.size,
                 "uniqueItems": True,
-                "description": "Increasing, whole degrees; null takes nine that lie closer towards grazing angles.",
+                "description": "Increasing, whole degrees; null takes eight that lie closer towards grazing angles.",
             },
             _NONE,
         ]

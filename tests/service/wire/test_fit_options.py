@@ -164,6 +164,7 @@ def identity(options: FitOptions) -> str:
         ({}, {"mask": 0.0}),
         ({}, {"weighting": "balanced"}),
         ({"horizon_cutoff": None}, {"horizon_cutoff": math.pi / 2}),
+        ({}, {"knots": tuple(math.radians(angle) for angle in (0, 25, 50, 65, 72, 77, 81, 89))}),
         ({"method": "paper"}, {"method": "paper", "mask": 1}),
         ({"method": "paper"}, {"method": "paper", "ring_lobes": 0, "weighting": "plain"}),
     ],
