@@ -74,6 +74,9 @@ class Store:
         Raises ProblemError if the caller would have stored more than it may.
         """
         incoming, sha256, valid_nodes = received
+        found = self.measurement(caller.owner, sha256)
+        if found is not None and self.blobs.damage(sha256) is None:  # nothing has to be written
+            return found, False
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
@@ -82,8 +85,7 @@ class Store:
                 check_storage(db, caller, incoming.size)
                 values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
                 (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
-            # Placed even if the same bytes are there: they may have been damaged or lost since, and how long it takes
-            # does not tell whether another owner has them.
+            # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
             self.blobs.place(incoming, sha256)
         return MeasurementRow(*row), known is None
 
@@ -136,6 +138,9 @@ class Store:
             self.add_measurement(caller, measurement)
             measurement = measurement.sha256
         key = FitKey(caller.owner, fit_identity(measurement, options))
+        found = self.fit(key)
+        if found is not None and not found.repeatable:  # nothing has to be written
+            return found, False
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         with self.database.transaction() as db:
             values = db.execute(f"{_SELECT_FIT} {_WHERE_FIT}", key).fetchone()

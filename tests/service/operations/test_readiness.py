@@ -41,6 +41,22 @@ def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server
     wait_until(lambda: server.http.get("/health/ready").status_code == 200)
 
 
+def test_known_requests_are_answered_while_the_database_is_locked(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server()
+    first = server.http.post("/v1/fits", params=QUICK, content=data).json()
+    with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
+        db.execute("BEGIN IMMEDIATE")
+        again = [server.http.post("/v1/fits", params=QUICK, content=data) for _ in range(2)]
+        again.append(server.submit(first["measurement"], **QUICK))
+        again.append(server.http.post("/v1/measurements", content=data))
+        assert [answer.status_code for answer in again] == [200] * 4
+        assert [answer.json().get("id") for answer in again] == [first["id"]] * 3 + [None]
+        db.execute("ROLLBACK")
+    assert not list((server.data_dir / "tmp").iterdir())
+
+
 def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
