@@ -85,10 +85,14 @@ class DaskEngine:
         return completed
 
     async def check(self) -> None:
-        """Raise RuntimeError if the scheduler cannot be reached or has no worker that can run fits."""
+        """Raise RuntimeError if the scheduler has no worker that can run fits, or no measurement can be read."""
         fault = self._cluster.fault()
         if fault is not None:
             raise RuntimeError(fault)
+        try:
+            await asyncio.to_thread(start_fork_server)
+        except OSError as error:
+            raise RuntimeError(f"no process that reads measurements can be started: {error}") from error
 
     async def close(self) -> None:
         """Disconnect from the cluster; all calls of `run` must have ended or been cancelled."""

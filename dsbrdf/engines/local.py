@@ -87,11 +87,11 @@ class LocalEngine:
         return outcome
 
     async def check(self) -> None:
-        """Start the fork server again if it has ended; raise RuntimeError if that is not possible."""
+        """Start the fork server again if it has ended; raise RuntimeError if no process can be started."""
         try:
             await asyncio.to_thread(start_fork_server)
         except OSError as error:
-            raise RuntimeError(f"No process can be started: {error}.") from error
+            raise RuntimeError(f"no process can be started: {error}") from error
 
     async def close(self) -> None:
         """Release the threads; all calls of `run` must have ended or been cancelled."""

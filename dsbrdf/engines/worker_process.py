@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing import connection, parent_process, resource_tracker, util
+from pathlib import Path
 from typing import Any
 
 from dsbrdf.engines.engine import NOT_STARTED, Fault, FitLimits, OnProgress
@@ -44,13 +45,18 @@ logger = logging.getLogger(__name__)
 
 
 def start_fork_server() -> None:
-    """Start the server from which worker processes are forked, unless it runs or this system has none."""
+    """Start the server from which worker processes are forked, unless it runs or this system has none.
+
+    Raises OSError if it cannot be started, or be reached because its socket has been removed.
+    """
     if "forkserver" in multiprocessing.get_all_start_methods():
         from multiprocessing import forkserver
 
         with _start_conditions():
             _context()
             forkserver.ensure_running()
+            if not any(Path(util.get_temp_dir()).glob("listener-*")):
+                raise OSError("the fork server's socket has been removed; start this program again")
 
 
 class WorkerProcess:

@@ -79,6 +79,22 @@ def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[
     assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
 
 
+def test_removed_socket_of_the_fork_server_is_not_ready_until_the_next_start(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server()
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    shutil.rmtree(server.data_dir / "run")
+    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
+    detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
+    assert "socket has been removed; start this program again" in detail
+    assert server.http.get("/health/live").status_code == 200
+    fit = server.submit(sha256, prefer="respond-async", **QUICK).json()["id"]
+    server.stop()
+    server.start()
+    assert server.http.get(f"/v1/fits/{fit}?wait=60").json()["status"] == "succeeded"
+
+
 def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False)
     server.stop()  # what it has written is in the file, and no longer in its memory
