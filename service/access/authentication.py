@@ -1,4 +1,6 @@
-"""Authentication: whose request it is, whether it is allowed, and how often; a request sees the rows of its owner.
+"""Authentication: whose request it is, whether it is allowed, how often, and how many at once.
+
+A request sees the rows of its owner.
 
 A key is asked for where other machines reach the service. On loopback there is a user without one, and then it has to
 be this user who asks: not a page of another site that is open in the user's browser, nor one whose name has been made
@@ -7,6 +9,7 @@ to lead here.
 
 import math
 import re
+from collections import Counter
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -35,16 +38,51 @@ class AuthenticationMiddleware:
         self._keys = keys
         self._needs_key = settings.require_keys or not (settings.loopback or settings.insecure)
         self._local_only = settings.loopback and not settings.insecure
+        self._free = settings.limit_concurrency
+        self._in_progress: Counter[str] = Counter()  # requests of each key, or of each address without one
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
         if scope["type"] == "http":
             try:
                 self._check(scope)
+                caller = self._begin(scope)
             except ProblemError as error:
                 await problem_response(error, scope["path"])(scope, receive, send)
                 return
-        await self._app(scope, receive, send)
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                self._end(caller)
+        else:
+            await self._app(scope, receive, send)
+
+    def _begin(self, scope: Scope) -> str | None:
+        """Count a request and return whose it is; None if it is one that anyone may send.
+
+        A caller may have as many requests in progress as there are free places left: whoever takes all that one can
+        get leaves as many to the others.
+
+        Raises ProblemError if it has more.
+        """
+        if CALLER not in scope:
+            return None
+        owner = scope[CALLER].owner
+        caller = f"key {owner}" if owner else str((scope.get("client") or ("",))[0])
+        number = self._in_progress[caller]
+        if number >= self._free:
+            detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."
+            raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
+        self._in_progress[caller] = number + 1
+        self._free -= 1
+        return caller
+
+    def _end(self, caller: str | None) -> None:
+        if caller is not None:
+            self._free += 1
+            self._in_progress[caller] -= 1
+            if not self._in_progress[caller]:
+                del self._in_progress[caller]
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""

@@ -97,8 +97,8 @@ class Connection(H11Protocol):
 
 def connection_class(settings: Settings) -> type[Connection]:
     """Return the class of connections with the limits of `settings`; it leaves descriptors for as many files."""
-    # Some are idle, and an excess request gets its response from `RequestLogMiddleware`.
-    most = 2 * settings.limit_concurrency
+    # Many may be idle, or are about to get the answer that their caller has too many requests in progress.
+    most = 8 * settings.limit_concurrency
     descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     limits = {
         "max_connections": most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2),

@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
+from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server, assert_problem
 
@@ -153,31 +154,54 @@ def test_malformed_http_gets_a_problem_document(impatient: Server, sent: bytes) 
         assert problem(rest(connection)) == (400, "bad-request")
 
 
-def test_requests_over_the_concurrency_limit_are_refused(impatient: Server, data: bytes) -> None:
+def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: dict[str, str]) -> int:
+    """Open streams of a fit's events until one is refused; return how many there are."""
+    sent = "".join(f"{name}: {value}\r\n" for name, value in {"Host": "x", **headers}.items())
+    for number in range(100):
+        answer = stack.enter_context(closing(connect(server, f"GET {path}/events HTTP/1.1\r\n{sent}\r\n".encode())))
+        if b" 429 " in answer.recv(20):
+            return number
+    raise AssertionError("no stream was refused")
+
+
+def test_caller_cannot_take_all_places(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true", limit_concurrency="8", workers="1")
+    alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
+    sha256 = server.http.post("/v1/measurements", content=data, headers=alice).json()["sha256"]
+    wanted = {"measurement": sha256, "options": ENDLESS}
+    begun = server.http.post("/v1/fits", json=wanted, headers={**alice, "Prefer": "respond-async"})
+    path = f"/v1/fits/{begun.json()['id']}"
+    with ExitStack() as stack:
+        assert follow_until_refused(stack, server, path, alice) == 4
+        refused = server.http.get("/v1/fits", headers=alice)
+        assert "4 requests of this caller" in assert_problem(refused, 429, "too-many-at-once")
+        assert refused.headers["retry-after"] == "1"
+        for _ in range(10):
+            assert server.http.get("/v1/fits", headers=bob).status_code == 200
+            assert server.http.get("/health/live").status_code == 200
+    wait_until(lambda: server.http.get("/v1/fits", headers=alice).status_code == 200)
+    server.http.delete(path, headers=alice)
+
+
+def test_requests_over_the_concurrency_limit_without_keys_are_refused(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     fit = impatient.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "mask": 0.01}).json()["id"]
-    poll = f"GET /v1/fits/{last}?wait=60 HTTP/1.1\r\nHost: x\r\n\r\n".encode()
-    polls = [connect(impatient, poll) for _ in range(4)]
     try:
-        with httpx.Client(base_url=impatient.http.base_url, timeout=20) as client:
-            wait_until(lambda: client.get("/v1/fits").status_code == 503)
-            refused = client.get("/v1/fits")
-            assert_problem(refused, 503, "overloaded")
-            assert refused.headers["retry-after"] == "1"
+        with ExitStack() as stack, httpx.Client(base_url=impatient.http.base_url, timeout=20) as client:
+            assert follow_until_refused(stack, impatient, f"/v1/fits/{last}", {}) == 2
+            assert_problem(client.get("/v1/fits"), 429, "too-many-at-once")
             assert client.get("/health/live").status_code == 200
     finally:
-        for connection in polls:
-            connection.close()
         for name in (last, fit):
             wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 204, 404))  # noqa: B023
     wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
 
 
-def test_connections_over_twice_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
+def test_connections_over_eight_times_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False, limit_concurrency="4")
     server.http.close()
-    idle = [connect(server) for _ in range(8)]
+    idle = [connect(server) for _ in range(32)]
     try:
         with connect(server, b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n") as connection:
             assert problem(rest(connection)) == (503, "overloaded")
