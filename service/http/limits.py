@@ -4,7 +4,11 @@ A connection that is refused here has not reached the application; the response 
 """
 
 import asyncio
+import fcntl
 import resource
+import termios
+from array import array
+from contextlib import suppress
 from http import HTTPStatus
 
 from starlette.types import Message, Receive
@@ -52,12 +56,20 @@ class Connection(H11Protocol):
     def pause_writing(self) -> None:
         """Start the timer of a client that does not read what has been sent."""
         super().pause_writing()
-        self._write_timer = self.loop.call_later(self.idle_timeout, self.transport.abort)
+        self._await_progress(None)
 
     def resume_writing(self) -> None:
         """Stop that timer: the client reads again."""
         _cancel(self._write_timer)
         super().resume_writing()
+
+    def _await_progress(self, before: int | None) -> None:
+        """Close the connection unless the client has read something since there were `before` bytes to send."""
+        unread = self.transport.get_write_buffer_size() + _unacknowledged(self.transport)
+        if before is not None and unread >= before:
+            self.transport.abort()
+            return
+        self._write_timer = self.loop.call_later(self.idle_timeout, self._await_progress, unread)
 
     def send_400_response(self, msg: str) -> None:
         """Answer a request that is not HTTP with a problem document."""
@@ -106,6 +118,14 @@ def connection_class(settings: Settings) -> type[Connection]:
         "idle_timeout": settings.idle_timeout,
     }
     return type("Connection", (Connection,), limits)
+
+
+def _unacknowledged(transport: asyncio.Transport) -> int:
+    """Return how many bytes the system has taken and the client has not; 0 where it cannot be asked."""
+    connection, number = transport.get_extra_info("socket"), array("i", [0])
+    with suppress(AttributeError, OSError):
+        fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, number)
+    return number[0]
 
 
 def _cancel(timer: asyncio.TimerHandle | None) -> None:

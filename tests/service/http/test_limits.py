@@ -14,7 +14,7 @@ import pytest
 from dsbrdf.data.merl import FILE_SIZE
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 
 PATIENCE = 1.0  # seconds that the service has with slow clients here
 
@@ -143,6 +143,24 @@ def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
         except ConnectionResetError:
             pass
         assert received < len(data)  # what the sockets' buffers held
+
+
+def test_slow_reader_that_makes_progress_gets_the_whole_answer(impatient: Server, data: bytes) -> None:
+    fit = impatient.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
+    head = f"GET /v1/fits/{fit}/export?format=merl HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+    url = impatient.http.base_url
+    with socket.socket() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        connection.settimeout(20)
+        connection.connect((url.host, url.port or 80))
+        connection.sendall(head.encode())
+        received = 0
+        begin = time.monotonic()
+        while part := connection.recv(1 << 20):
+            received += len(part)
+            if time.monotonic() - begin < 4 * PATIENCE:  # then the rest, as fast as it comes
+                time.sleep(0.1)
+    assert received > FILE_SIZE
 
 
 @pytest.mark.parametrize(
