@@ -1,4 +1,4 @@
-"""Request bodies and their encodings: measurements as a stream, small bodies kept whole.
+"""Request bodies and their encodings: measurements as a stream, other bodies whole, long ones in a temporary file.
 
 A decoder is given the body in pieces and passes decoded pieces of at most `PIECE` bytes to a sink, which raises as
 soon as it has enough: a small body that decodes to a huge one costs no more memory or time than the limit.
@@ -8,15 +8,19 @@ import mmap
 import zlib
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from tempfile import SpooledTemporaryFile
 from typing import Any
 
 from backports import zstd
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from service.errors import ProblemError
 from service.storage.uploads import Sink, UploadBody
 
 PIECE = 1 << 18
+IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
 SUPPORTED_ENCODINGS = "gzip, zstd"
 _BLOCK = 1 << 14  # encoded bytes that are decoded at a time, so that a body has one verdict however it arrives
 _MAX_MEMBERS = 10_000
@@ -46,24 +50,30 @@ def upload_body(request: Request) -> UploadBody:
     return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None, None)
 
 
-async def receive_small(request: Request, limit: int) -> memoryview:
-    """Return the decoded body of `request`, of at most `limit` bytes.
+async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mmap.mmap:
+    """Return the decoded body of `request`, of at most `limit` bytes; a long one is in a temporary file in `folder`.
 
-    Its memory is reserved at once, used as it fills and given back as one: a buffer that grows is there twice while it
-    is moved, and leaves holes.
+    So many bodies that arrive slowly take little memory.
 
     Raises ProblemError if it is longer, or its encoding is unknown or damaged.
     """
+    with SpooledTemporaryFile(IN_MEMORY, dir=str(folder)) as file:
+        await _receive(request, limit, file)
+        size = file.tell()
+        if size > IN_MEMORY:
+            file.flush()
+            return mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+        file.seek(0)
+        return file.read()
+
+
+async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[bytes]") -> None:
     too_large = ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
-    body = memoryview(mmap.mmap(-1, limit))
-    size = 0
 
     def keep(data: bytes) -> None:
-        nonlocal size
-        if size + len(data) > limit:
+        if file.tell() + len(data) > limit:
             raise too_large
-        body[size : size + len(data)] = data
-        size += len(data)
+        file.write(data)
 
     encoded = decoder(_encoding(request), keep)
     declared = request.headers.get("content-length", "")
@@ -74,9 +84,11 @@ async def receive_small(request: Request, limit: int) -> memoryview:
         n_encoded += len(piece)
         if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing can be endless
             raise too_large
-        encoded.feed(piece)
+        if n_encoded > IN_MEMORY:
+            await run_in_threadpool(encoded.feed, piece)
+        else:
+            encoded.feed(piece)
     encoded.finish()
-    return body[:size]
 
 
 def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":

@@ -6,22 +6,22 @@ from functools import partial
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
 
+from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.report_text import component_document
 from service.errors import ProblemError
 from service.http import openapi
-from service.http.request_body import media_type_of, receive_small
+from service.http.request_body import IN_MEMORY, media_type_of, receive_body
 from service.http.responses import IfNoneMatch, tagged_reply
 from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
 from service.storage.schema import FitKey
 from service.wire import examples, values
 from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
-from service.wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points
+from service.wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points, StoredPoints
 
 
 class _DirectRoute(APIRoute):
@@ -51,6 +51,7 @@ Label = Annotated[
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
 ]
 
+_long_bodies = CapacityLimiter(1)
 _MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_PER_POINT = 48
@@ -151,26 +152,34 @@ async def _values_of_query(request: Request, context: Context, fit: FitKey, labe
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     media_type = _accepted_type(request)
     model = await context.models.component(fit, label)
-    points = await _batch(request, context.settings.max_points)
+    points = await _batch(request, context)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise ProblemError("too-large", detail)
     return await values.values_reply(model, points, media_type, context.metrics)
 
 
-async def _batch(request: Request, max_points: int) -> Points:
-    """Return the points in the body."""
-    if media_type_of(request, JSON, NPY) == NPY:
-        body = await receive_small(request, max_points * _NPY_BYTES_PER_POINT + 4096)
-        return await run_in_threadpool(values.from_npy, body)
-    max_points = min(max_points, _MAX_JSON_POINTS)
-    text = bytes(await receive_small(request, max_points * _JSON_BYTES_PER_POINT + 4096))
-    if text.count(b",") > 6 * max_points:
+async def _batch(request: Request, context: Context) -> Points | StoredPoints:
+    """Return the points in the body; many of them in a temporary file."""
+    folder, max_points = context.store.blobs.temporary, context.settings.max_points
+    npy = media_type_of(request, JSON, NPY) == NPY
+    if not npy:
+        max_points = min(max_points, _MAX_JSON_POINTS)
+    per_point = _NPY_BYTES_PER_POINT if npy else _JSON_BYTES_PER_POINT
+    body = await receive_body(request, max_points * per_point + 4096, folder)
+
+    def convert() -> Points | StoredPoints:
+        if npy:
+            return values.stored(values.npy_blocks(body), folder)
+        return values.stored(_from_json(bytes(body), max_points).blocks(), folder)
+
+    # What is read of a long body takes memory: of one at a time.
+    return await to_thread.run_sync(convert, limiter=_long_bodies if len(body) > IN_MEMORY else None)
+
+
+def _from_json(body: bytes, max_points: int) -> Points:
+    if body.count(b",") > 6 * max_points:
         raise ProblemError("too-large", f"A JSON body may have {max_points} points; send more of them as {NPY}.")
-    return await run_in_threadpool(_from_json, text)
-
-
-def _from_json(body: bytes) -> Points:
     if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
         vectors = parse_document(DirectionsRequest, body, strict=True)
         return values.from_directions(vectors.omega_in, vectors.omega_out)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
@@ -19,13 +19,14 @@ from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
-from service.http.request_body import media_type_of, receive_small, upload_body
+from service.http.request_body import media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
+from service.wire.merl_stream import merl_parts
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
@@ -88,7 +89,8 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     else:
         if request.query_params:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        document = schemas.parse_document(schemas.FitRequest, bytes(await receive_small(request, _MAX_JSON)))
+        body = await receive_body(request, _MAX_JSON, context.store.blobs.temporary)
+        document = schemas.parse_document(schemas.FitRequest, bytes(body))
         measurement, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.jobs.submit(caller, measurement, options)
     if not row.ended:
@@ -185,10 +187,13 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     The report of the fit goes with the whole model in the lossless formats.
     """
     model = await context.models.component(fit, wanted.component)
-    report = (await context.models.get(fit)).report if wanted.component is None else None
-    content = await run_in_threadpool(export_model, model, wanted.format, report)
     name = "-".join(part for part in (fit.id, wanted.component) if part)
     headers = {"Content-Disposition": f'attachment; filename="{name}.{FORMATS[wanted.format].suffix}"'}
+    if wanted.format == "merl":
+        headers["Content-Length"] = str(FILE_SIZE)
+        return StreamingResponse(merl_parts(model), 200, headers, FORMATS[wanted.format].media_type)
+    report = (await context.models.get(fit)).report if wanted.component is None else None
+    content = await run_in_threadpool(export_model, model, wanted.format, report)
     return Response(content, 200, headers, FORMATS[wanted.format].media_type)
 
 

@@ -60,13 +60,13 @@ class Blobs:
 
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
-        self._temporary = folder / "tmp"
+        self.temporary = folder / "tmp"  # for bodies too that are too long for the memory
         self._verified: dict[str, tuple[int, ...]] = {}  # fingerprints of files whose bytes were found to be right
 
     def make_folders(self) -> None:
         """Make both folders if they do not exist; raise DataFolderError if something else is in their place."""
         own_folder(self._blobs)
-        own_folder(self._temporary)
+        own_folder(self.temporary)
 
     def path(self, sha256: str) -> Path:
         """Return where the measurement `sha256` is, or would be."""
@@ -74,7 +74,7 @@ class Blobs:
 
     def incoming(self) -> Incoming:
         """Return a new temporary file."""
-        return Incoming(self._temporary)
+        return Incoming(self.temporary)
 
     def place(self, incoming: Incoming, sha256: str) -> None:
         """Move a closed incoming file to its place; durable when this returns."""
@@ -120,7 +120,7 @@ class Blobs:
 
     def clear_temporary(self) -> None:
         """Remove what an earlier process was receiving when it ended."""
-        for path in self._temporary.glob(f"{_UPLOAD}*"):
+        for path in self.temporary.glob(f"{_UPLOAD}*"):
             if path.is_file():
                 path.unlink()
 

@@ -1,17 +1,20 @@
 """Points at which a model is evaluated, and responses with its values.
 
-Points are half and difference angles, or pairs of directions, as text or arrays. Values leave as JSON or .npy: a few at
-once, many block by block, so that memory stays small.
+Points are half and difference angles, or pairs of directions, as text or arrays. Many points are kept in a temporary
+file, and their values leave as JSON or .npy block by block as the client reads them, so that memory stays small.
 """
 
-import asyncio
 import math
-from collections import deque
+import mmap
+import os
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from json import JSONEncoder
+from pathlib import Path
+from tempfile import TemporaryFile
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -32,14 +35,11 @@ JSON = "application/json"
 NPY = "application/x-npy"
 _KNOWN = (*ANGLES, PHI_DIFF, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
-_BLOCK = 8192  # directions converted at a time, so that intermediate arrays stay small
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
-_JSON_BLOCK = 4096  # points: while the text of a block is made, nothing else runs
-_NPY_BLOCK = 131_072  # points that a model evaluates at a time
-_AHEAD = 2  # blocks that are computed at the same time, while those before them are sent
+BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
 _encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
@@ -58,11 +58,47 @@ class Points:
         """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
         return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
 
-    def blocks(self, size: int) -> "Iterator[Points]":
-        """Yield the points in blocks of at most `size`; there is one, even if it is empty."""
-        for start in range(0, max(len(self), 1), size):
-            block = slice(start, start + size)
+    def blocks(self) -> "Iterator[Points]":
+        """Yield the points in blocks; there is one, even if it is empty."""
+        for start in range(0, max(len(self), 1), BLOCK):
+            block = slice(start, start + BLOCK)
             yield Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
+
+
+class StoredPoints:
+    """Points in a temporary file in `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 (open as long as the answer is sent)
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def add(self, points: Points) -> None:
+        """Append points."""
+        self._file.write(np.stack([points.theta_half, points.theta_diff, points.phi_diff], axis=1).tobytes())
+        self._size += len(points)
+
+    def block(self, start: int) -> Points:
+        """Return a block of points."""
+        data = os.pread(self._file.fileno(), 24 * BLOCK, 24 * start)
+        return Points(*np.frombuffer(data).reshape(-1, 3).T)
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._file.close()
+
+
+def stored(blocks: Iterator[Points], folder: Path) -> Points | StoredPoints:
+    """Return the points of several blocks; a single block is not stored."""
+    first, second = next(blocks), next(blocks, None)
+    if second is None:
+        return first
+    points = StoredPoints(folder)
+    for block in (first, second, *blocks):
+        points.add(block)
+    return points
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
@@ -109,8 +145,8 @@ def from_directions(
             raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
     pairs = np.asarray(omega_in, dtype=float).reshape(-1, 3), np.asarray(omega_out, dtype=float).reshape(-1, 3)
     angles = np.empty((3, len(omega_in)))
-    for start in range(0, len(omega_in), _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for start in range(0, len(omega_in), BLOCK):
+        block = slice(start, start + BLOCK)
         first, second = (
             check_directions(name, part[block], below_horizon=True)
             for name, part in zip(DIRECTIONS, pairs, strict=True)
@@ -120,19 +156,24 @@ def from_directions(
     return Points(*angles)
 
 
-def from_npy(data: bytes | memoryview) -> Points:
-    """Return the points of a .npy array: (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
+def npy_blocks(data: bytes | mmap.mmap) -> Iterator[Points]:
+    """Yield the points of a .npy array in blocks.
+
+    It has (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
     Raises InvalidArgumentError if the bytes are not such an array.
     """
     array = _read_npy(data)
-    if array.shape[1:] in ((2,), (3,)):
-        return from_angles(*array.T)
-    pairs = array.reshape(-1, 2, 3)
-    return from_directions(pairs[:, 0], pairs[:, 1])
+    for start in range(0, max(len(array), 1), BLOCK):
+        block = array[start : start + BLOCK].astype(np.float64)
+        if array.shape[1:] in ((2,), (3,)):
+            yield from_angles(*block.T)
+        else:
+            pairs = block.reshape(-1, 2, 3)
+            yield from_directions(pairs[:, 0], pairs[:, 1])
 
 
-def _read_npy(data: bytes | memoryview) -> Array:
+def _read_npy(data: bytes | mmap.mmap) -> NDArray[Any]:
     """Return the array of a .npy file, which is not copied, without trusting its header."""
     stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
     try:
@@ -153,7 +194,7 @@ def _read_npy(data: bytes | memoryview) -> Array:
     if min(shape, default=0) < 0 or expected != rest:
         raise InvalidArgumentError(f"The array's header promises {expected} bytes of values, the body has {rest}.")
     flat = np.frombuffer(data, dtype, offset=stream.tell())
-    return flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64, copy=False)
+    return flat.reshape(shape, order="F" if fortran_order else "C")
 
 
 def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
@@ -207,7 +248,6 @@ class _Form:
     """How values are written: blocks of points, with what stands before, between and behind them."""
 
     media_type: str
-    block: int
     encode: Callable[[Array], bytes]
     head: bytes
     between: bytes = b""
@@ -221,17 +261,19 @@ def _npy_form(n_points: int) -> _Form:
     """Return the form of a .npy file of shape (n, 3)."""
     header = BytesIO()
     npy.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
-    return _Form(NPY, _NPY_BLOCK, lambda values: values.tobytes(), header.getvalue())
+    return _Form(NPY, lambda values: values.tobytes(), header.getvalue())
 
 
-_JSON_FORM = _Form(
-    JSON, _JSON_BLOCK, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}"
-)
+_JSON_FORM = _Form(JSON, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}")
 
 
-async def values_reply(model: DSBRDF, points: Points, media_type: str, metrics: Metrics) -> Response:
+async def values_reply(model: DSBRDF, points: Points | StoredPoints, media_type: str, metrics: Metrics) -> Response:
     """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
     form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
+    if isinstance(points, StoredPoints):
+        # The length is known beforehand for numbers of equal size, not for their text.
+        headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
+        return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
 
     def whole() -> Response:
         with metrics.timing("evaluating"):
@@ -239,43 +281,26 @@ async def values_reply(model: DSBRDF, points: Points, media_type: str, metrics: 
 
     if len(points) <= _MAX_INLINE:
         return whole()
-    if len(points) <= form.block:
-        return await run_in_threadpool(whole)
-    # The length is known beforehand for numbers of equal size, not for their text.
-    headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
-    return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
+    return await run_in_threadpool(whole)
 
 
-async def _parts(form: _Form, model: DSBRDF, points: Points, metrics: Metrics) -> AsyncIterator[bytes]:
-    """Yield the parts of a long answer, each while the next ones are made; note how long that took in all."""
+async def _parts(form: _Form, model: DSBRDF, points: StoredPoints, metrics: Metrics) -> AsyncIterator[bytes]:
+    """Yield the parts of a long answer, each computed when the one before has been sent; note how long that took."""
     seconds = 0.0
 
-    def write(block: Points) -> bytes:
+    def write(start: int) -> bytes:
         nonlocal seconds
         begin = perf_counter()
-        part = form.write(model, block)
+        part = form.write(model, points.block(start))
         seconds += perf_counter() - begin
         return part
 
-    blocks: Iterator[Points] = points.blocks(form.block)
-    coming: deque[asyncio.Task[bytes]] = deque()
-
-    def begin_next() -> None:
-        if (block := next(blocks, None)) is not None:
-            coming.append(asyncio.create_task(run_in_threadpool(write, block)))
-
     try:
-        for _ in range(_AHEAD):
-            begin_next()
         before = form.head
-        while coming:
-            part = await coming[0]
-            coming.popleft()
-            begin_next()
-            yield before + part
+        for start in range(0, len(points), BLOCK):
+            yield before + await run_in_threadpool(write, start)
             before = form.between
         yield form.tail
     finally:
-        for task in coming:  # when the client has closed the connection
-            task.cancel()
+        points.close()
     metrics.record_time("evaluating", seconds)

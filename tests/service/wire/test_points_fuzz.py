@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.wire.values import Points, from_npy, from_query
+from service.wire.values import Points, from_query, npy_blocks
 from tests.support.strategies import MODEL, arrays, examples
 
 # Points
@@ -27,7 +27,7 @@ def check_points(points: Points) -> None:
 @given(st.one_of(arrays(), st.binary(max_size=100), st.binary(max_size=100).map(b"\x93NUMPY\1\0".__add__)))
 def test_npy_bodies_are_points_or_refused(body: bytes) -> None:
     try:
-        points = from_npy(body)
+        (points,) = npy_blocks(body)
     except InvalidArgumentError:
         return
     check_points(points)
@@ -45,7 +45,7 @@ def test_damaged_npy_bodies_are_points_or_refused(changes: list[tuple[int, bytes
     for place, content in changes:
         body[place : place + len(content)] = content
     try:
-        points = from_npy(bytes(body))
+        (points,) = npy_blocks(bytes(body))
     except InvalidArgumentError:
         return
     check_points(points)
