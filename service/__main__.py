@@ -81,6 +81,8 @@ def _run(settings: Settings, store: Store) -> int:
         http=connection_class(settings),
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
+        # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
+        proxy_headers="FORWARDED_ALLOW_IPS" in os.environ,
         ws="none",
         log_config=None,
         log_level=settings.log_level,

@@ -9,6 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 from fastapi import FastAPI
+from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp
 
@@ -136,6 +137,11 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     problems.install(app)
     # Routes are tried in this order, so the fast ones come first.
     routers = (brdf.router, fits.router, brdf.components, fits.exports, measurements.router, about.router, about.page)
+    given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
+    with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
+    for route in given:  # a resource that can be had can be asked for
+        if route.methods and "GET" in route.methods and route.path not in with_head:
+            route.methods.add("HEAD")
     for router in routers:
         app.include_router(router)
     return app

@@ -41,6 +41,20 @@ SMALLEST_VALID_SHARE = 0.01
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 _SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_SIZE = 1 << 20
+# What is sent in place of a measurement, by its first bytes, of which no MERL file has any.
+_OTHER_FORMATS = {
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"v/1\x01": "an OpenEXR image",
+    b"#?": "a Radiance image",
+    b"PK\x03\x04": "a ZIP archive or an .npz file",
+    b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
+    b"\x28\xb5\x2f\xfd": "zstd, without the header Content-Encoding: zstd if it was sent over HTTP",
+    b"\x93NUMPY": "a .npy array",
+    b"\x89HDF": "an HDF5 file",
+    b"{": "JSON, or another text",
+    b"<": "HTML or XML",
+}
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 
 
@@ -58,6 +72,11 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
         If there are fewer than 12 bytes or a dimension is not that of the MERL grid.
     """
     start = bytes(header[:HEADER_SIZE])
+    for magic, kind in _OTHER_FORMATS.items():
+        if start.startswith(magic):
+            raise MeasurementFormatError(
+                f"The data is {kind}; a MERL measurement is a .binary file of {FILE_SIZE} bytes."
+            )
     if len(start) < HEADER_SIZE:
         check_length(len(start))
     if start == HEADER:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
 _LIMITS = "requests_per_second, stored_mb, queued_fits"
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
-_MB = 1 << 20
+_MB = 1_000_000
 _BURST_SECONDS = 5.0
 
 
@@ -46,15 +46,19 @@ class KeyRow:
     created: float
     revoked: float | None
     limits: KeyLimits
+    metrics: bool
 
 
-def add_key(database: Database, name: str, limits: KeyLimits) -> tuple[KeyRow, str]:
-    """Make a key; return its row and the key itself, which is not stored and cannot be shown again."""
-    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), None, limits), secrets.token_urlsafe(32)
-    values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), *astuple(limits))
+def add_key(database: Database, name: str, limits: KeyLimits, *, metrics: bool = False) -> tuple[KeyRow, str]:
+    """Make a key; return its row and the key itself, which is not stored and cannot be shown again.
+
+    With `metrics` it may read ``/metrics``, which has the totals of all keys.
+    """
+    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), None, limits, metrics), secrets.token_urlsafe(32)
+    values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), metrics, *astuple(limits))
     with database.transaction() as db:
         db.execute(
-            f"INSERT INTO keys (id, name, created, secret_sha256, {_LIMITS}) VALUES (?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
+            f"INSERT INTO keys (id, name, created, secret_sha256, metrics, {_LIMITS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
             values,
         )
     return row, f"dsbrdf_{row.id}_{secret}"
@@ -62,9 +66,10 @@ def add_key(database: Database, name: str, limits: KeyLimits) -> tuple[KeyRow, s
 
 def all_keys(database: Database) -> list[KeyRow]:
     """Return every key, in the order in which they were made."""
-    rows = database.rows(f"SELECT id, name, created, revoked, {_LIMITS} FROM keys ORDER BY rowid")  # noqa: S608
+    rows = database.rows(f"SELECT id, name, created, revoked, metrics, {_LIMITS} FROM keys ORDER BY rowid")  # noqa: S608
     return [
-        KeyRow(key_id, name, created, revoked, KeyLimits(*limits)) for key_id, name, created, revoked, *limits in rows
+        KeyRow(key_id, name, created, revoked, KeyLimits(*limits), bool(metrics))
+        for key_id, name, created, revoked, metrics, *limits in rows
     ]
 
 
@@ -123,7 +128,7 @@ class Keys:
 
     def load(self, database: Database) -> None:
         """Read the keys again; the requests that a key has made still count."""
-        rows = database.rows(f"SELECT id, secret_sha256, {_LIMITS} FROM keys WHERE revoked IS NULL")  # noqa: S608
+        rows = database.rows(f"SELECT id, secret_sha256, {_LIMITS}, metrics FROM keys WHERE revoked IS NULL")  # noqa: S608
         self._active = {row[0]: self._key(*row) for row in rows}
 
     def find(self, text: bytes) -> ActiveKey | None:
@@ -141,7 +146,7 @@ class Keys:
         return not caller.owner or caller.owner in self._active
 
     def _key(
-        self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, queued_fits: int | None
+        self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, queued_fits: int | None, metrics: int
     ) -> ActiveKey:
         settings = self._settings
         rate = settings.key_requests_per_second if rate is None else rate
@@ -149,4 +154,4 @@ class Keys:
         queued_fits = settings.key_queued_fits if queued_fits is None else queued_fits
         known = self._active.get(key_id)
         rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
-        return ActiveKey(bytes.fromhex(digest), Caller(key_id, stored_mb * _MB, queued_fits), rate_limit)
+        return ActiveKey(bytes.fromhex(digest), Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), rate_limit)

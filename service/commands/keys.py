@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _add(database: Database, arguments: argparse.Namespace) -> int:
     limits = KeyLimits(arguments.requests_per_second, arguments.stored_mb, arguments.queued_fits)
-    row, key = add_key(database, arguments.name, limits)
+    row, key = add_key(database, arguments.name, limits, metrics=arguments.metrics)
     sys.stderr.write(f"dsbrdf: the key {row.id} of {row.name!r} is shown this once\n")
     print(key)
     return 0
@@ -65,7 +65,14 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 def _document(row: KeyRow) -> dict[str, object]:
     created = _time(row.created).isoformat()
     revoked = None if row.revoked is None else _time(row.revoked).isoformat()
-    return {"id": row.id, "name": row.name, "created": created, "revoked": revoked, **asdict(row.limits)}
+    return {
+        "id": row.id,
+        "name": row.name,
+        "created": created,
+        "revoked": revoked,
+        "metrics": row.metrics,
+        **asdict(row.limits),
+    }
 
 
 def _time(seconds: float) -> datetime:
@@ -103,8 +110,9 @@ def _parser() -> Parser:
     add.set_defaults(run=_add)
     add.add_argument("name", type=_name, metavar="NAME", help="whose key it is, for the list")
     add.add_argument("--requests-per-second", type=_rate, metavar="N", help="five times as many may come at once")
-    add.add_argument("--stored-mb", type=_count, metavar="N", help="most that may be stored [MB of 2^20 bytes]")
+    add.add_argument("--stored-mb", type=_count, metavar="N", help="most that may be stored [MB of 10^6 bytes]")
     add.add_argument("--queued-fits", type=_count, metavar="N", help="most fits that may wait or run")
+    add.add_argument("--metrics", action="store_true", help="it may read GET /metrics, the totals of all keys")
     listing = commands.add_parser("list", help="print the keys, without their secrets")
     listing.set_defaults(run=_list)
     add_json_option(listing)

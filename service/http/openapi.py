@@ -135,6 +135,8 @@ def document_of(app: FastAPI) -> dict[str, Any]:
         schemas.pop(name, None)
     components["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
+        if methods.get("head", {}).get("operationId") == methods.get("get", {}).get("operationId"):
+            methods.pop("head", None)  # as GET, without a body
         for operation in methods.values():
             operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
             # FastAPI adds this of its own accord; a bad id in the path is answered with 404 here.

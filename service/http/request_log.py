@@ -103,7 +103,7 @@ class RequestLogMiddleware:
 class _Exchange:
     """One request and the state of its response."""
 
-    __slots__ = ("_send", "begin", "body", "complete", "has_body", "request_id", "status")
+    __slots__ = ("_head", "_send", "begin", "body", "complete", "has_body", "request_id", "status")
 
     def __init__(self, scope: Scope, send: Send) -> None:
         self.begin = perf_counter()
@@ -112,6 +112,7 @@ class _Exchange:
         self.has_body = False
         self.body: BodyTimeout | None = None
         self._send = send
+        self._head = scope["method"] == "HEAD"
         given = b""
         for name, value in scope["headers"]:
             if name == b"x-request-id":
@@ -126,6 +127,10 @@ class _Exchange:
             self.status = message["status"]
             message["headers"] = with_security_headers(message.get("headers", ()))
             message["headers"].append((b"x-request-id", self.request_id.encode()))
+        elif self._head:  # it has no body; what was about to make one learns that the request is over
+            if self.complete:
+                return
+            message, self.complete = {"type": "http.response.body"}, True
         elif not message.get("more_body", False):
             self.complete = True
         await self._send(message)

@@ -116,10 +116,10 @@ def check_range(request: Request, size: int) -> None:
 
 
 def next_page(request: Request, limit: int, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
-    """Return the ``Link`` header to the page after the one with these rows, unless it is the last one."""
-    if len(rows) < limit:
+    """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
+    if len(rows) <= limit:
         return {}
-    query = urlencode({"limit": limit, "cursor": rows[-1].seq})
+    query = urlencode({"limit": limit, "cursor": rows[limit - 1].seq})
     return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
 
 

@@ -114,11 +114,17 @@ class Jobs:
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
         """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
-        running = self._running.get(key)
-        if running is not None and seconds > 0:
-            ends = (running.task, self._stopping, *ends)
-            await asyncio.wait(ends, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
-        return await run_in_threadpool(self._store.fit, key)
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + seconds
+        ends = (self._stopping, *ends)
+        while True:
+            running, left = self._running.get(key), deadline - loop.time()
+            if running is not None and left > 0:
+                await asyncio.wait((running.task, *ends), timeout=left, return_when=asyncio.FIRST_COMPLETED)
+            row = await run_in_threadpool(self._store.fit, key)
+            if row is None or row.ended or loop.time() >= deadline or any(end.done() for end in ends):
+                return row
+            await asyncio.sleep(_MIN_POLL_INTERVAL)  # the fit was cancelled and sent again: it has another task
 
     def progress(self, row: FitRow) -> float:
         """Return the finished share of a fit, 0 to 1."""

@@ -14,7 +14,7 @@ from service.errors import ProblemError
 from service.http import openapi
 from service.http.responses import IfNoneMatch, json_reply, tagged_reply
 from service.operations.metrics import MEDIA_TYPE
-from service.routes.dependencies import TheContext
+from service.routes.dependencies import NO_QUERY, TheCaller, TheContext
 from service.wire.schemas import Health
 
 router = APIRouter(tags=["health"])
@@ -42,6 +42,7 @@ dsbrdf_fits{state="running"} 2.0
 
 @router.get(
     "/health/live",
+    dependencies=NO_QUERY,
     response_model=Health,
     summary="Is the process alive?",
     responses=openapi.response("The service is live.", {"status": "live", "version": dsbrdf.__version__})
@@ -54,6 +55,7 @@ async def get_live() -> Response:
 
 @router.get(
     "/health/ready",
+    dependencies=NO_QUERY,
     response_model=Health,
     summary="Can it take work?",
     responses=openapi.response("The service is ready.", {"status": "ready", "version": dsbrdf.__version__})
@@ -72,16 +74,19 @@ async def get_ready(context: TheContext) -> Response:
 
 @router.get(
     "/metrics",
+    dependencies=NO_QUERY,
     response_class=PlainTextResponse,
     summary="Counts and times",
     responses=openapi.response(
         "Metrics in Prometheus' text format.",
         content={"text/plain": {"schema": {"type": "string"}, "example": _METRICS}},
     )
-    | openapi.problems(),
+    | openapi.problems("not-found"),
 )
-async def get_metrics(context: TheContext) -> Response:
-    """Return requests, fits, times and sizes in Prometheus' text format."""
+async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
+    """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""
+    if not caller.metrics:
+        raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
     return Response(await run_in_threadpool(context.metrics.exposition), media_type=MEDIA_TYPE)
 
 

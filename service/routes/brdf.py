@@ -17,7 +17,7 @@ from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import IN_MEMORY, media_type_of, receive_body
 from service.http.responses import IfNoneMatch, tagged_reply
-from service.routes.dependencies import Context, TheContext, TheFit, caller_of, context_of, fit_key
+from service.routes.dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 from service.storage.schema import FitKey
 from service.wire import examples, values
 from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
@@ -130,6 +130,7 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
 
 @components.get(
     "",
+    dependencies=NO_QUERY,
     response_model=ComponentList,
     summary="The components of a fit",
     responses=openapi.response("The components, from narrow to wide.", examples.COMPONENTS, headers=["ETag"])
@@ -150,6 +151,7 @@ async def _values_of_query(request: Request, context: Context, fit: FitKey, labe
 
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
+    await no_query(request)
     media_type = _accepted_type(request)
     model = await context.models.component(fit, label)
     points = await _batch(request, context)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Request
 
+from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
 from service.jobs.jobs import Jobs
@@ -58,6 +59,16 @@ async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
 
 
 TheFit = Annotated[FitKey, Depends(fit_key)]
+
+
+async def no_query(request: Request) -> None:
+    """Refuse a query where none has a meaning, rather than ignoring what may have been misspelled."""
+    if request.scope["query_string"]:
+        name = next(iter(request.query_params), "")
+        raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; there is none here.")
+
+
+NO_QUERY = [Depends(no_query)]
 
 
 async def revocation(keys: Keys, caller: Caller) -> None:

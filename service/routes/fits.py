@@ -21,7 +21,7 @@ from service.http import openapi
 from service.http.openapi import BINARY, JSON
 from service.http.request_body import media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
-from service.routes.dependencies import Context, TheCaller, TheContext, TheFit, revocation
+from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody
 from service.wire import examples, schemas
@@ -114,8 +114,10 @@ async def list_fits(
 ) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit, before)
-    items = [schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows]
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, before)
+    items = [
+        schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows[: page.limit]
+    ]
     return json_reply(schemas.FitList(items=items), headers=next_page(request, page.limit, rows))
 
 
@@ -150,6 +152,7 @@ async def get_fit(
 
 @router.delete(
     "/{fit_id}",
+    dependencies=NO_QUERY,
     response_model=schemas.FitDocument,
     summary="Cancel or delete a fit",
     responses=openapi.response("The fit was unfinished and is cancelled.", examples.CANCELLED_FIT)
@@ -216,6 +219,7 @@ _EVENT = {
 
 @router.get(
     "/{fit_id}/events",
+    dependencies=NO_QUERY,
     response_class=EventSourceResponse,
     summary="Follow a fit",
     responses=openapi.response(

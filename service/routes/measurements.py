@@ -13,7 +13,7 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
 from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
-from service.routes.dependencies import Context, Sha256, TheCaller, TheContext
+from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext
 from service.routes.fits import CONTENT_ENCODING
 from service.storage.schema import Caller, MeasurementRow
 from service.wire import examples
@@ -34,6 +34,7 @@ _RANGE = openapi.header_parameter(
 
 @router.post(
     "",
+    dependencies=NO_QUERY,
     status_code=201,
     response_model=MeasurementDocument,
     summary="Upload a measurement",
@@ -69,13 +70,14 @@ async def list_measurements(
 ) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit, before)
-    items = [from_row(MeasurementDocument, row) for row in rows]
+    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, before)
+    items = [from_row(MeasurementDocument, row) for row in rows[: page.limit]]
     return json_reply(MeasurementList(items=items), headers=next_page(request, page.limit, rows))
 
 
 @router.get(
     "/{sha256}",
+    dependencies=NO_QUERY,
     response_class=FileResponse,
     summary="Download a measurement",
     responses=openapi.response(
@@ -108,6 +110,7 @@ async def download_measurement(
 
 @router.head(
     "/{sha256}",
+    dependencies=NO_QUERY,
     response_class=Response,
     summary="Ask for a measurement",
     responses=openapi.response("The measurement is stored.", headers=["ETag", "Content-Length"])
@@ -126,6 +129,7 @@ async def probe_measurement(
 
 @router.delete(
     "/{sha256}",
+    dependencies=NO_QUERY,
     status_code=204,
     response_class=Response,
     summary="Delete a measurement",
@@ -144,4 +148,4 @@ async def _found(context: Context, caller: Caller, sha256: str) -> tuple[Measure
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     if row is None:
         raise MeasurementNotFoundError(sha256)
-    return row, {"ETag": f'"{sha256}"', "Cache-Control": "private, max-age=31536000, immutable"}
+    return row, {"ETag": f'"{sha256}"'}

@@ -35,7 +35,8 @@ _TABLES = """
     CREATE INDEX fits_by_size ON fits (owner, size);
     CREATE TABLE keys (
         id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
-        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER
+        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
+        metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """
 
@@ -87,6 +88,7 @@ class Caller:
     owner: str = ""  # id of the key that was sent
     stored_bytes: int | None = None  # None is no bound
     queued_fits: int | None = None
+    metrics: bool = True  # whether they may see the totals of all
 
 
 def columns(row: type) -> str:

@@ -25,13 +25,13 @@ class Guarded:
         return new_key(self.server, name, **limits)[1]
 
 
-def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
+def new_key(server: Server, name: str, *, metrics: bool = False, **limits: Any) -> tuple[str, dict[str, str]]:
     """Make a key beside a running service, and use it once; return its id and the header that holds it."""
     database = Database(server.data_dir, exclusive=False)
-    row, key = add_key(database, name, KeyLimits(**limits))
+    row, key = add_key(database, name, KeyLimits(**limits), metrics=metrics)
     database.close()
     header = {"Authorization": f"Bearer {key}"}
-    wait_until(lambda: server.http.get("/metrics", headers=header).status_code == 200)
+    wait_until(lambda: server.http.get("/v1/fits", headers=header).status_code == 200)
     return row.id, header
 
 

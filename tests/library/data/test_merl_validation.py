@@ -161,6 +161,20 @@ def test_dimensions_are_checked_one_by_one(data: bytes, dimensions: tuple[int, i
         MerlChecker().update(header)
 
 
+@pytest.mark.parametrize(
+    ("start", "kind"),
+    [
+        (b"\x89PNG\r\n\x1a\n", "a PNG image"),
+        (b"v/1\x01\2\0\0\0", "an OpenEXR image"),
+        (b'{"measurement": ', "JSON"),
+        (b"PK\x03\x04", "a ZIP archive"),
+    ],
+)
+def test_other_formats_are_named(data: bytes, start: bytes, kind: str) -> None:
+    for content in (start, start + data, start + data[:50]):
+        assert f"The data is {kind}" in refusal(content)
+
+
 def test_big_endian_file_is_named(data: bytes) -> None:
     assert "big-endian" in refusal(struct.pack(">3i", 90, 90, 180) + data[12:])
 

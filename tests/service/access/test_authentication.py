@@ -178,7 +178,7 @@ def test_revoked_key_is_refused(guarded: Guarded) -> None:
 
 def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true", workers="1")
-    (key_id, header), (_, other) = (new_key(server, name) for name in ("brief", "lasting"))
+    (key_id, header), (_, other) = (new_key(server, name, metrics=True) for name in ("brief", "lasting"))
     address = (server.http.base_url.host, server.http.base_url.port)
     document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
 

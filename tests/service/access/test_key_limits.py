@@ -63,7 +63,7 @@ def test_request_after_retry_after_is_answered(guarded: Guarded) -> None:
 
 def test_upload_over_quota_is_refused_and_not_stored(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
-    header = guarded.new_key("full", stored_mb=70)  # room for two files of 33.4 MB
+    header = guarded.new_key("full", stored_mb=74)  # room for two files of 35.0 MB
     before = set(server.files())
 
     def upload(content: bytes) -> httpx.Response:
@@ -76,7 +76,7 @@ def test_upload_over_quota_is_refused_and_not_stored(guarded: Guarded, data: byt
     for answer in answers:
         if answer.status_code == 403:
             assert re.search(
-                "this key has stored [0-9.]+ of 73.4 MB and ", assert_problem(answer, 403, "storage-quota")
+                "this key has stored [0-9.]+ of 74.0 MB and ", assert_problem(answer, 403, "storage-quota")
             )
     assert len(set(server.files()) - before) == 2
     assert len(server.http.get("/v1/measurements", headers=header).json()["items"]) == 2

@@ -37,6 +37,7 @@ def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guar
         "id": key_id,
         "name": "carol's laptop",
         "revoked": None,
+        "metrics": False,
         "requests_per_second": 7.0,
         "stored_mb": 80,
         "queued_fits": None,

@@ -35,6 +35,7 @@ def test_fits_are_listed_newest_first_page_by_page(filled: Server) -> None:
         pages += 1
     assert found == [5, 4, 3, 2, 1]
     assert pages == 3
+    assert filled.http.get("/v1/fits?limit=5").links == {}
 
 
 def test_page_cursor_stays_valid_when_fits_come_and_go(filled: Server) -> None:

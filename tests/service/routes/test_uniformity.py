@@ -1,0 +1,89 @@
+"""What holds for all routes alike: HEAD, unknown parameters, caches, forwarded addresses, who sees the metrics."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.service.jobs.test_jobs import Race
+from tests.support.guarded import Guarded, new_key
+from tests.support.server import Server, assert_problem
+
+
+def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, fitted: str) -> None:
+    fit = f"/v1/fits/{fitted}"
+    point = "theta_half_deg=0&theta_diff_deg=0"
+    paths = [
+        "/v1/fits",
+        "/v1/measurements",
+        fit,
+        f"{fit}/brdf?{point}",
+        f"{fit}/lobes",
+        f"{fit}/lobes/diffuse/brdf?{point}",
+    ]
+    paths += [f"{fit}/export?format=json", f"{fit}/export?format=merl", f"{fit}/events", f"/v1/measurements/{stored}"]
+    paths += ["/health/live", "/health/ready", "/metrics", "/docs", "/openapi.json"]
+    for path in paths:
+        head, get = server.http.head(path), server.http.get(path)
+        assert (head.status_code, get.status_code) == (200, 200), path
+        assert head.content == b""
+        assert head.headers["content-type"] == get.headers["content-type"]
+    missing = server.http.head(f"/v1/fits/{'0' * 32}")
+    assert (missing.status_code, missing.content) == (404, b"")
+
+
+def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
+    paths = [f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"]
+    requests = [(method, path) for path in paths for method in ("GET", "DELETE")]
+    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "lobes", "export", "brdf")]
+    requests += [("POST", f"/v1/fits/{fitted}/brdf"), ("POST", "/v1/measurements")]
+    requests += [
+        ("GET", path) for path in ("/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics")
+    ]
+    for method, path in requests:
+        answer = server.http.request(method, path, params={"nonsense": "1"})
+        assert "'nonsense'" in assert_problem(answer, 422, "invalid-argument"), (method, path)
+    assert server.http.get(f"/v1/fits/{fitted}").status_code == 200
+
+
+def test_answer_about_a_measurement_does_not_outlive_it(server: Server, stored: str) -> None:
+    answer = server.http.head(f"/v1/measurements/{stored}")
+    assert answer.headers["cache-control"] == "private, no-cache"
+
+
+def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Callable[..., Server]) -> None:
+    server = own_server(fits=False, access_log="true")
+    server.http.get("/v1/fits", headers={"X-Forwarded-For": "203.0.113.9"})
+    assert server.stop() == 0
+    assert "/v1/fits" in server.log.read_text()
+    assert "203.0.113.9" not in server.log.read_text()
+
+
+def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> None:
+    assert_problem(guarded.server.http.get("/metrics", headers=guarded.alice), 404, "not-found")
+    header = new_key(guarded.server, "prometheus", metrics=True)[1]
+    assert "dsbrdf_fits" in guarded.server.http.get("/metrics", headers=header).text
+
+
+def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        race = Race(tmp_path)
+        key = await race.submit()
+        await race.until_run(1)
+        slow = race.slow_down(monkeypatch, "fit", 60.0)
+        waiting = asyncio.create_task(race.jobs.wait(key, 60.0))
+        await asyncio.sleep(0)
+        await race.jobs.cancel(key)
+        await asyncio.to_thread(slow.there.wait, 60.0)
+        assert await race.submit() == key
+        slow.on.set()  # the row that is read now is the new one's
+        await race.until_run(2)
+        race.engine.go_on.set()
+        row = await waiting
+        assert row is not None
+        assert row.status == "succeeded"
+        await race.jobs.close()
+        race.store.close()
+
+    asyncio.run(check())
