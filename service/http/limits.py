@@ -12,7 +12,7 @@ from contextlib import suppress
 from http import HTTPStatus
 
 from starlette.types import Message, Receive
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.errors import ProblemError
 from service.http.problems import problem_response
@@ -20,14 +20,18 @@ from service.http.responses import with_security_headers
 from service.settings import Settings
 
 _CLOSE = {"Connection": "close"}
+_MAX_HEAD = 1 << 16  # bytes of a request's head, and of what frames its body
+_MAX_FRAMING = 16  # bytes for each byte of a body that is sent in chunks
 
 
-class Connection(H11Protocol):
+class Connection(HttpToolsProtocol):
     """One client's connection; `connection_class` gives it its limits."""
 
     max_connections: int
     header_timeout: float  # seconds that a request's head may take to arrive
     idle_timeout: float  # seconds that a client may leave a response unread
+
+    _n_received = _n_head = _n_body = 0  # bytes of the request that is being received
 
     _header_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
@@ -44,8 +48,51 @@ class Connection(H11Protocol):
             detail = f"{self.max_connections} connections are open, as many as may; try again later."
             self._refuse(ProblemError("overloaded", detail, _CLOSE))
             return
+        self._n_received += len(data)
         super().data_received(data)
+        # The parser keeps the beginning of a line however long it becomes.
+        if self._n_received > _MAX_HEAD + (1 + _MAX_FRAMING) * self._n_body:
+            self.send_400_response("Too much")
         self._update_header_timer()
+
+    def on_message_begin(self) -> None:
+        """Begin to count what belongs to a request."""
+        super().on_message_begin()
+        self._n_head = self._n_body = 0
+
+    def on_url(self, url: bytes) -> None:
+        """Take a part of the target."""
+        self._count_head(len(url))
+        super().on_url(url)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Take a header, or a trailer."""
+        self._count_head(len(name) + len(value))
+        super().on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """Begin to answer the request; HTTP/1.1 wants the name of the host once, and one in the target counts more."""
+        if self.parser.get_http_version() == "1.1" and [name for name, _ in self.headers].count(b"host") != 1:
+            raise ValueError("not one Host")
+        if not self.url.startswith(b"/") and self.url != b"*":
+            host = self.url.partition(b"://")[2].partition(b"/")[0].partition(b"?")[0]
+            self.headers[:] = [(b"host", host) if name == b"host" else (name, value) for name, value in self.headers]
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Take a part of the body."""
+        self._n_body += len(body)
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        """Take the end of a request."""
+        self._n_received = 0
+        super().on_message_complete()
+
+    def _count_head(self, n_bytes: int) -> None:
+        self._n_head += n_bytes
+        if self._n_head > _MAX_HEAD:
+            raise ValueError("too long a head")  # the parser turns what its callbacks raise into its own error
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the timers."""

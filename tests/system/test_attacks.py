@@ -224,7 +224,7 @@ def test_idle_connections_leave_descriptors_for_others(own_server: Callable[...,
             connection.close()
 
 
-@pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 1024), (-1, 1024)])
+@pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 4096), (-1, 4096)])
 def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPatch, files: int, most: int) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
     assert connection_class(Settings()).max_connections == most

@@ -128,7 +128,7 @@ def test_trickling_head_times_out(impatient: Server) -> None:
             except TimeoutError:
                 continue
         # The second request of the connection.
-        assert problem(trickle(connection, first[:10] * 40)) == (408, "request-timeout")
+        assert problem(trickle(connection, first[:-2] + b"X-Slow: " + b"x" * 400)) == (408, "request-timeout")
 
 
 def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
@@ -199,6 +199,25 @@ def test_caller_cannot_take_all_places(own_server: Callable[..., Server], data: 
             assert server.http.get("/health/live").status_code == 200
     wait_until(lambda: server.http.get("/v1/fits", headers=alice).status_code == 200)
     server.http.delete(path, headers=alice)
+
+
+def test_target_in_absolute_form_names_the_host(impatient: Server) -> None:
+    for target, status in (("http://localhost/v1/fits", b"200"), ("http://evil.example/v1/fits", b"401")):
+        request = f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+        with connect(impatient, request.encode()) as connection:
+            assert rest(connection).split()[1] == status
+
+
+@pytest.mark.parametrize("hosts", ["", "Host: a\r\nHost: a\r\n"])
+def test_request_without_one_host_is_refused(impatient: Server, hosts: str) -> None:
+    with connect(impatient, f"GET /health/live HTTP/1.1\r\n{hosts}\r\n".encode()) as connection:
+        assert problem(rest(connection)) == (400, "bad-request")
+
+
+def test_endless_trailers_are_refused(impatient: Server) -> None:
+    head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with connect(impatient, head + b"1\r\n{\r\n0\r\nX-Trailer: " + b"x" * 200_000) as connection:
+        assert b" 400 " in connection.recv(100)
 
 
 def test_requests_over_the_concurrency_limit_without_keys_are_refused(impatient: Server, data: bytes) -> None:
