@@ -1,7 +1,6 @@
 """``python -m service``: run the HTTP service."""
 
 import argparse
-import ctypes
 import logging
 import os
 import resource
@@ -27,12 +26,12 @@ from service.commands import refuse
 from service.errors import DataFolderError, validation_sentence
 from service.http.limits import connection_class
 from service.operations import logging as logs
+from service.operations.memory import return_freed_memory
 from service.routes.dependencies import Context
 from service.settings import Settings, unknown_settings
 from service.storage.database import own_folder
 from service.storage.store import Store
 
-_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
 _CLEANUP_SECONDS = 5.0  # that the end of the service may take after the open requests have ended
 
 logger = logging.getLogger(__name__)
@@ -67,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs.configure(settings)
     for unknown in unknown_settings():
         logger.warning("%s", unknown)
-    _return_freed_memory()
+    return_freed_memory()
     _raise_descriptor_limit()
     return _run(settings, store)
 
@@ -91,6 +90,8 @@ def _run(settings: Settings, store: Store) -> int:
     # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
     signal.signal(signal.SIGTERM, _exit)
     server = _Server(config, app)
+    place = settings.data_dir.resolve()
+    logger.info("serving dsbrdf %s from the data folder %s; Ctrl-C or SIGTERM stops it", app.version, place)
     try:
         server.run()
     except KeyboardInterrupt:
@@ -154,19 +155,6 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
         written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
         faults.append({**fault, "loc": (written,), "msg": f"{fault['msg']}, not {str(fault['input'])[:60]!r}"})
     return validation_sentence(faults)
-
-
-def _return_freed_memory() -> None:
-    """Let the C library return large buffers when they are freed.
-
-    By default, glibc raises its threshold when large buffers are freed and then keeps them, so that the process grows
-    as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
-    that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
-    """
-    with suppress(AttributeError, OSError, TypeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, 1 << 20)
-        library.mallopt(_ARENA_MAX, 2)
 
 
 def _raise_descriptor_limit() -> None:

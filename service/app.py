@@ -4,10 +4,11 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from operator import attrgetter
 from typing import Any
 
+from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
@@ -24,6 +25,7 @@ from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
+from service.operations.memory import trim_regularly
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.routes import about, brdf, fits, measurements
@@ -32,6 +34,7 @@ from service.settings import Settings
 from service.storage.database import Database
 from service.storage.store import Store
 
+_THREADS = 8  # of which each that has ever worked keeps memory
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
 logger = logging.getLogger(__name__)
@@ -64,6 +67,7 @@ class _Application(FastAPI):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the parts of the service, and close them in the opposite order."""
+    to_thread.current_default_thread_limiter().total_tokens = _THREADS
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
@@ -77,13 +81,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
         await jobs.start()
-        following = asyncio.create_task(_follow_changes(store.database, keys, models))
+        regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
+        regular.append(asyncio.create_task(trim_regularly()))
         try:
             yield
         finally:
-            following.cancel()
-            with suppress(asyncio.CancelledError):
-                await following
+            for task in regular:
+                task.cancel()
+            await asyncio.gather(*regular, return_exceptions=True)
             await jobs.close()
             await engine.close()
     finally:

@@ -21,7 +21,7 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.storage.uploads import UploadBody
+from service.storage.uploads import UploadBody, in_write_thread
 from service.wire.fit_options import from_wire
 
 logger = logging.getLogger(__name__)
@@ -104,7 +104,7 @@ class Jobs:
         """
         add = partial(self._store.add_fit, caller, options=options, queue_limit=self._settings.queue_limit)
         if isinstance(measurement, str):
-            row, new = await run_in_threadpool(add, measurement)
+            row, new = await in_write_thread(add, measurement)
         else:
             with self._metrics.timing("upload"):
                 row, new = await self._store.uploads.receive(caller, measurement, add)
@@ -157,7 +157,7 @@ class Jobs:
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
         running = self._running.get(key)  # before the row changes: the same request may begin another one after it
-        row = await run_in_threadpool(self._store.cancel_fit, key)
+        row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
             running.task.cancel()
             await asyncio.wait([running.task], timeout=_MAX_CANCEL_WAIT)
@@ -264,7 +264,7 @@ async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     """
     while True:
         try:
-            return await _run_to_end(run_in_threadpool(write, *args, **kwargs))
+            return await _run_to_end(in_write_thread(write, *args, **kwargs))
         except _DISK_ERRORS as error:
             logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)

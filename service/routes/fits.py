@@ -23,7 +23,7 @@ from service.http.request_body import media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, revocation
 from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.uploads import UploadBody
+from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
 from service.wire.merl_stream import merl_parts
@@ -164,7 +164,7 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     row = await context.jobs.cancel(fit)
     if row is not None:
         return json_reply(await _document(context, row))
-    if not await run_in_threadpool(context.store.remove_fit, fit):
+    if not await in_write_thread(context.store.remove_fit, fit):
         raise FitNotFoundError(fit.id)
     context.models.forget(fit)
     return Response(status_code=204)

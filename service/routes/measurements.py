@@ -16,6 +16,7 @@ from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, i
 from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext
 from service.routes.fits import CONTENT_ENCODING
 from service.storage.schema import Caller, MeasurementRow
+from service.storage.uploads import in_write_thread
 from service.wire import examples
 from service.wire.schemas import MeasurementDocument, MeasurementList, Page, from_row
 
@@ -138,7 +139,7 @@ async def probe_measurement(
 )
 async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
-    if not await run_in_threadpool(context.store.remove_measurement, caller.owner, sha256):
+    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
         raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)
 

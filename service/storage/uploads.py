@@ -27,6 +27,8 @@ Sink = Callable[[bytes], object]
 _PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
 # Few threads for all uploads: each that has ever worked keeps memory for its next piece.
 _threads = CapacityLimiter(4)
+# Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
+_writers = CapacityLimiter(4)
 # Compressors add less than this to what they cannot compress.
 _MAX_ENCODED = FILE_SIZE + FILE_SIZE // 64
 _STORED = (
@@ -123,6 +125,11 @@ class Uploads:
 async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     """Call what belongs to an upload in one of the few threads for all of them."""
     return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_threads)
+
+
+async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call what writes to the database in one of the few threads for that."""
+    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
 
 
 async def _write(body: UploadBody, incoming: Incoming) -> None:

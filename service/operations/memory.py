@@ -1,0 +1,34 @@
+"""The memory that the C library keeps when it is freed, returned to the system; only glibc's does as asked here."""
+
+import asyncio
+import ctypes
+from contextlib import suppress
+
+_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
+_TRIM_PERIOD = 60.0  # seconds; it takes some milliseconds
+
+
+def return_freed_memory() -> None:
+    """Let the C library return large buffers when they are freed.
+
+    By default, glibc raises its threshold when large buffers are freed and then keeps them, so that the process grows
+    as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
+    that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MMAP_THRESHOLD, 1 << 20)
+        library.mallopt(_ARENA_MAX, 2)
+
+
+def trim() -> None:
+    """Return what is free between small buffers, which the C library keeps for ever by itself."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+async def trim_regularly() -> None:
+    """Call `trim` once a minute until cancelled."""
+    while True:
+        await asyncio.sleep(_TRIM_PERIOD)
+        await asyncio.to_thread(trim)
