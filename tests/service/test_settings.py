@@ -18,7 +18,11 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         for words, code, sentence in (
-            (["--data-dir", str(file)], 2, f"{file} cannot be the data folder: File exists."),
+            (
+                ["--data-dir", str(file)],
+                2,
+                f"{file} is not a folder; give a data folder that is new, empty or the service's",
+            ),
             (["--port", str(port)], 1, f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."),
         ):
             arguments = ["--data-dir", str(tmp_path / "data"), *words]
