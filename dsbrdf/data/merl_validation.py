@@ -199,6 +199,7 @@ class MerlChecker:
             If the length is wrong, a value is NaN or infinite or above 1e8/sr, fewer than 1 % of the nodes
             above the horizon are valid, or all valid nodes are zero.
         """
+        check_header(self._header)  # which `update` has done unless there are fewer bytes than a header has
         check_length(self.n_bytes)
         if self._not_finite.count:
             raise MeasurementFormatError(

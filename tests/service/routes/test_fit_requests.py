@@ -84,10 +84,10 @@ def test_unknown_resources_are_not_found(server: Server) -> None:
 
 def test_unsupported_method_lists_the_allowed_ones(server: Server) -> None:
     for path, allowed in (
-        ("/v1/fits", "GET, POST"),
-        (f"/v1/fits/{'0' * 32}", "GET, DELETE"),
+        ("/v1/fits", "GET, HEAD, POST"),
+        (f"/v1/fits/{'0' * 32}", "GET, HEAD, DELETE"),
         (f"/v1/measurements/{'0' * 64}", "GET, HEAD, DELETE"),
-        ("/health/live", "GET"),
+        ("/health/live", "GET, HEAD"),
     ):
         answer = server.http.put(path)
         assert allowed in assert_problem(answer, 405, "method-not-allowed")
