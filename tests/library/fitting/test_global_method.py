@@ -20,7 +20,7 @@ from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.fitting.structure import GAMMA_BOUNDS, KAPPA_BOUNDS, Structure
+from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
@@ -76,7 +76,8 @@ def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> No
     data = FitData.select(folded, folded.weight, rows, columns)
     knot = np.zeros(1)
     structure = Structure((False,), knot, knot, knot, "hemi_epd")
-    unknowns = np.concatenate([np.full(3, np.log(30.0)), [0.0, np.log(40.0)], [1.0]])
+    lobe = np.array([[0.0, np.log(40.0)]])
+    unknowns = structure.join(np.full((1, 3), np.log(30.0)), lobe, np.ones((1, 1)))
     problem = MixtureProblem(data, structure)
     hidden = global_method._lost_in_bins(problem, unknowns)
     seen = data.weight > 0
@@ -251,4 +252,4 @@ def test_lobe_at_a_bound_is_said() -> None:
 
     assert not hit(1.0, 50.0)
     assert hit(KAPPA_BOUNDS[1], 50.0)
-    assert hit(1.0, GAMMA_BOUNDS[1])
+    assert hit(1.0, 0.5 / REACH_BOUNDS[0])
