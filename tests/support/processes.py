@@ -29,9 +29,9 @@ def children(parent: int) -> list[int]:
 
 
 def command(pid: int) -> bytes:
-    """Command line of a process; empty if it has ended."""
+    """Command line of a process and the name that it has given itself; empty if it has ended."""
     try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
+        return Path(f"/proc/{pid}/cmdline").read_bytes() + Path(f"/proc/{pid}/comm").read_bytes()
     except (FileNotFoundError, ProcessLookupError):
         return b""
 

@@ -1,5 +1,6 @@
 """What the durability series share: a folder and a server, and what can be observed of it from outside."""
 
+import json
 import os
 import random
 import sqlite3
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -63,6 +65,7 @@ class Harness:
         temporary.mkdir(exist_ok=True)
         server = Server((folder or self.folder) / "data", **settings)
         server.own_interpreter = self.own_interpreter
+        server.own_fork_server = True  # whose environment tells its processes from others, see `processes`
         server.environment["TMPDIR"] = str(temporary)
         try:
             yield server
@@ -75,9 +78,16 @@ class Harness:
 
     def models(self, *choices: dict[str, Any]) -> list[dsbrdf.DSBRDF]:
         """Return the models that the library fits to the measurement, with options in their HTTP form."""
-        os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return list(pool.map(_model, [self.measurement] * len(choices), choices))
+        return list(_models(self.measurement, json.dumps(choices)))
+
+
+@cache
+def _models(measurement: Path, choices: str) -> tuple[dsbrdf.DSBRDF, ...]:
+    """Return models that several series ask for, fitted once."""
+    options = json.loads(choices)
+    os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return tuple(pool.map(_model, [measurement] * len(options), options))
 
 
 def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
