@@ -53,7 +53,7 @@ def free_port() -> int:
             return port
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
+def wait_until(condition: Callable[[], bool], seconds: float = 300.0) -> float:
     """Return how long it took until the condition held."""
     start = time.monotonic()
     while not condition():
