@@ -75,21 +75,13 @@ class Launcher:
         atexit.register(self._close)
 
     def launch(
-        self,
-        arguments: Sequence[str],
-        environment: Mapping[str, str],
-        log: Path,
-        *,
-        fits: bool = True,
-        own_fork_server: bool = False,
+        self, arguments: Sequence[str], environment: Mapping[str, str], log: Path, *, fits: bool = True
     ) -> ForkedProcess:
         """Fork a process that runs the program and appends what it prints to a log.
 
-        Without `fits`, a service starts the server of its worker processes at the first fit only; with
-        `own_fork_server`, as a new interpreter, whose environment shows where it belongs.
+        Without `fits`, a service starts the server of its worker processes at the first fit only.
         """
         request: dict[str, object] = {"arguments": arguments, "environment": dict(environment), "fits": fits}
-        request["own_fork_server"] = own_fork_server
         request |= {"log": str(log), "cwd": str(Path.cwd())}
         assert self._process.stdin is not None
         with self._lock:
@@ -190,7 +182,7 @@ def _become(program: str, request: dict[str, Any]) -> None:
         import_module("dask.config").refresh()  # it takes settings from the environment
     if not request["fits"]:
         vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
-    elif not request["own_fork_server"]:
+    else:
         _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]
     sys.exit(import_module(f"{program}.__main__").main())
@@ -228,7 +220,7 @@ def _become_fork_server(requests: socket.socket) -> NoReturn:
     if not message:
         os._exit(0)
     request = json.loads(message)
-    aside = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, 1000) for descriptor in received]
+    aside = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, 256) for descriptor in received]
     os.closerange(3, 256)
     for descriptor, number in zip(aside, request["descriptors"], strict=True):
         os.dup2(descriptor, number)

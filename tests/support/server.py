@@ -27,12 +27,11 @@ class Server:
     """One service process; `stop` and `start` keep its data folder.
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
-    ``python -m service`` starts. So is the process from which fits are forked, unless that is to be a new interpreter;
-    where nothing is fitted, the service is spared it.
+    ``python -m service`` starts. So is the process from which fits are forked; where nothing is fitted, the service is
+    spared it.
     """
 
     own_interpreter = False
-    own_fork_server = False
     fits = True
 
     def __init__(self, data_dir: Path, **environment: str) -> None:
@@ -71,9 +70,7 @@ class Server:
                 command = [sys.executable, "-m", "service", *arguments]
                 self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self._process = launcher("service").launch(
-                    arguments, environment, self.log, fits=self.fits, own_fork_server=self.own_fork_server
-                )
+                self._process = launcher("service").launch(arguments, environment, self.log, fits=self.fits)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

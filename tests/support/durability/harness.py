@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import get_context
@@ -65,7 +65,6 @@ class Harness:
         temporary.mkdir(exist_ok=True)
         server = Server((folder or self.folder) / "data", **settings)
         server.own_interpreter = self.own_interpreter
-        server.own_fork_server = True  # whose environment tells its processes from others, see `processes`
         server.environment["TMPDIR"] = str(temporary)
         try:
             yield server
@@ -112,16 +111,12 @@ def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
 
 
 def processes(server: Server) -> set[int]:
-    """Return the process ids of a server and of all processes that it has started, orphans included."""
-    mark = f"TMPDIR={server.environment['TMPDIR']}\0".encode()
-    found = {server.process.pid} if alive(server.process.pid) else set()
+    """Return the process ids of a server and of all that it has started, orphans included: its log is their stderr."""
+    found = set()
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            ours = mark in (folder / "environ").read_bytes()
-        except OSError:
-            continue
-        if ours and alive(int(folder.name)):
-            found.add(int(folder.name))
+        with suppress(OSError):  # it has ended meanwhile
+            if (folder / "fd/2").readlink() == server.log and alive(int(folder.name)):
+                found.add(int(folder.name))
     return found
 
 
