@@ -219,7 +219,8 @@ class Jobs:
         while True:
             damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
             try:
-                task = FitTask(str(row.key), self._store.blobs.path(row.measurement), from_wire(row.options))
+                path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
+                task = FitTask(str(row.key), path, options, row.measurement)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
                 found = await damage
             except OSError as error:

@@ -211,7 +211,9 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(merl_parts(model), 200, headers, FORMATS[wanted.format].media_type)
+        return StreamingResponse(
+            merl_parts(model, context.store.blobs.temporary), 200, headers, FORMATS[wanted.format].media_type
+        )
     report = (await context.models.get(fit)).report if wanted.component is None else None
     content = await run_in_threadpool(export_model, model, wanted.format, report)
     return Response(content, 200, headers, FORMATS[wanted.format].media_type)

@@ -25,6 +25,7 @@ T = TypeVar("T")
 Sink = Callable[[bytes], object]
 
 _PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
+_BLOCK = 1 << 20  # bytes that are checked at a time, read back from the file: many waiting ones would take memory
 # Few threads for all uploads: each that has ever worked keeps memory for its next piece.
 _threads = CapacityLimiter(4)
 # Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
@@ -82,13 +83,10 @@ class Uploads:
         if body.length not in (None, FILE_SIZE):
             await _refuse_early(body.parts, body.length or 0)
         async with self.incoming(caller) as incoming:
-            await _write(body, incoming)
-            # The disk and the processor have work of their own here, and neither waits for the other.
-            closing = asyncio.ensure_future(in_thread(incoming.close))
-            try:
-                valid_nodes = await in_thread(_valid_nodes, incoming)
-            finally:
-                sha256 = await closing
+            checker = MerlChecker()
+            await _write(body, incoming, checker)
+            valid_nodes = await in_thread(lambda: int(checker.finish().sum()))
+            sha256 = await in_thread(incoming.close)
             return await in_thread(store, Received(incoming, sha256, valid_nodes))
 
     @asynccontextmanager
@@ -132,8 +130,8 @@ async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwarg
     return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
 
 
-async def _write(body: UploadBody, incoming: Incoming) -> None:
-    """Write what the body decodes to, each piece while the next one arrives; header and length are checked."""
+async def _write(body: UploadBody, incoming: Incoming, checker: MerlChecker) -> None:
+    """Write and check what the body decodes to, each piece while the next one arrives."""
     header, n_received = b"", 0
 
     def write(data: bytes) -> None:
@@ -144,6 +142,12 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
                 check_header(header)
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
+        if incoming.size - checker.n_bytes >= _BLOCK:
+            check()
+
+    def check() -> None:
+        while block := incoming.read(checker.n_bytes, _BLOCK):
+            checker.update(block)
 
     decoder = None if body.decoder is None else body.decoder(write)
     feed = write if decoder is None else decoder.feed
@@ -162,6 +166,7 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
         await writing
         if decoder is not None:
             await in_thread(decoder.finish)
+        await in_thread(check)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 
@@ -180,17 +185,6 @@ async def _pieces(parts: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
             yield piece
     if size:
         yield b"".join(waiting)
-
-
-def _valid_nodes(incoming: Incoming) -> int:
-    """Check the values of a file and return the number of its valid nodes.
-
-    They are checked when all are there, since a check takes memory that many uploads should not have at the same time.
-    """
-    checker = MerlChecker()
-    for piece in incoming.pieces(4 * _PIECE):
-        checker.update(piece)
-    return int(checker.finish().sum())
 
 
 async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:
