@@ -12,7 +12,7 @@ from dsbrdf import DSBRDF
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl_validation import HEADER, NODES, SCALE
 
-_ROWS = 3  # angles theta_half at a time
+_ROWS = 1  # angles theta_half at a time: what is kept for a client that does not read
 _PIECE = _ROWS * THETA_DIFF.size * PHI_DIFF.size * 8  # bytes of them in one channel
 _QUARTER = PHI_DIFF.size // 2 + 1  # the model is the same at phi_diff and pi - phi_diff
 
