@@ -28,7 +28,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
     assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
 
     # The same again is renamed, not fitted; without a name it keeps the one that it has.
-    named = {"Content-Disposition": 'attachment; filename="/home/me/nickel.binary"'}
+    named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
     again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
     assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
     assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
