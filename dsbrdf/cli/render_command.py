@@ -4,16 +4,14 @@ import argparse
 from pathlib import Path
 
 from dsbrdf.cli.arguments import add_json_option, print_json, whole_number
+from dsbrdf.cli.source_files import read_source
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.errors import DSBRDFError, InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.decomposition import LABELS, decompose
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.output.png import encode_png
-from dsbrdf.output.serialize import load
 
 
 def configure(parser: argparse.ArgumentParser, _: str) -> None:
@@ -40,7 +38,7 @@ def _render(arguments: argparse.Namespace) -> int:
     factor = arguments.exposure
     if factor is not None and not 0.0 < factor < float("inf"):
         raise InvalidArgumentError(f"the exposure must be a positive number, not {factor:g}")
-    whole = _read(arguments.source)
+    whole = read_source(arguments.source)
     source = whole
     if arguments.component is not None:
         if isinstance(whole, Measurement):
@@ -56,10 +54,3 @@ def _render(arguments: argparse.Namespace) -> int:
     else:
         print(f"{arguments.output}: {arguments.lighting}, radiance times {factor:.4g}, sRGB")
     return 0
-
-
-def _read(path: Path) -> Measurement | DSBRDF:
-    try:
-        return read_merl(path) if path.suffix.lower() == ".binary" else load(path)
-    except DSBRDFError as error:
-        raise type(error)(f"{path}: {error}") from error

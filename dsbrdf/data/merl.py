@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl_encoding import encode_stored, encode_values
 from dsbrdf.data.merl_validation import (
     FILE_SIZE,
     HEADER_SIZE,
@@ -24,8 +25,6 @@ from dsbrdf.data.merl_validation import (
     check_header,
     check_length,
     checked_values,
-    encode_stored,
-    encode_values,
 )
 from dsbrdf.errors import MeasurementFormatError
 
