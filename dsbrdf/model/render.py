@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.environment import EnvironmentRings, environment_rings
+from dsbrdf.model.environment import environment_radiance
+from dsbrdf.model.environment_rings import EnvironmentRings, environment_rings, map_directions
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
 __all__ = ["LIGHTINGS", "SUN", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
@@ -110,7 +110,7 @@ def render_sphere(source: Source, *, lighting: str = "three_lights", size: int =
     if lighting == "three_lights":
         image[mask] = _lit(size, THREE_LIGHTS).radiance(evaluate)
     else:
-        image[mask] = _lit(size, (SUN,)).radiance(evaluate) + _environment(size).radiance(evaluate)
+        image[mask] = _lit(size, (SUN,)).radiance(evaluate) + _rings(size).radiance(evaluate, _sky(size))
     return image
 
 
@@ -173,31 +173,42 @@ class _Lit:
 @lru_cache(maxsize=4)
 def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
     normals, _ = sphere_normals(size)
-    frame = _surface_frame(normals)
-    directions = np.array([light.direction for light in lights])
-    cosine = normals @ directions.T
-    pixel, light = np.nonzero(cosine > 0.0)
-    to_surface = frame[pixel]
-    omega_in = np.einsum("nij,nj->ni", to_surface, directions[light])
-    omega_out = to_surface @ _VIEW
-    angles = half_difference(omega_in, omega_out)
-    irradiance = np.array([light.irradiance for light in lights])[light] * cosine[pixel, light][:, np.newaxis]
+    parts = [_light_angles(normals, light) for light in lights]
+    pixel = np.concatenate([lit for lit, _, _ in parts])
+    angles = np.concatenate([of_light for _, of_light, _ in parts], axis=1)
+    irradiance = np.concatenate([received for _, _, received in parts])
     point = np.arange(pixel.size)
     gather = [sparse.csr_array((irradiance[:, c], (pixel, point)), (len(normals), point.size)) for c in range(3)]
-    return _Lit(angles, tuple(gather))
+    return _Lit((angles[0], angles[1], angles[2]), tuple(gather))
 
 
-def _surface_frame(normals: Array) -> Array:
-    """Rotations from the world to frames whose z axes are the normals, shape (N, 3, 3), without a special case.
+def _light_angles(normals: Array, light: Light) -> tuple[NDArray[np.intp], Array, Array]:
+    """Pixels that a light reaches (n,), their three angles (3, n) and the irradiance that they receive (n, 3).
 
-    The rotation of the view onto the normal, about the axis at right angles to both; z > 0 for all normals.
+    Light and view are the same everywhere, and so are their half vector and theta_diff.  What is left are the polar
+    coordinates of the normal about the half vector: theta_half, and phi_diff from the plane of light and view.
     """
-    x, y, z = normals.T
-    share = 1.0 / (1.0 + z)
-    rows = [[1.0 - x * x * share, -x * y * share, -x], [-x * y * share, 1.0 - y * y * share, -y], [x, y, z]]
-    return np.moveaxis(np.array(rows), -1, 0)
+    direction = np.array(light.direction)
+    cosine = normals @ direction
+    lit = np.flatnonzero(cosine > 0.0)
+    half = (direction + _VIEW) / np.linalg.norm(direction + _VIEW)
+    cos_diff = float(direction @ half)
+    across = np.cross(_VIEW, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    # Along: towards the light, at right angles to the half vector, from where phi_diff is counted.
+    frame = np.stack([np.cross(across, half), across, half])
+    along, aside, height = frame @ normals[lit].T
+    theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
+    theta_diff = np.full(lit.size, np.arccos(min(cos_diff, 1.0)))
+    return lit, np.stack([theta_half, theta_diff, phi_diff]), cosine[lit, np.newaxis] * np.array(light.irradiance)
 
 
 @lru_cache(maxsize=2)
-def _environment(size: int) -> EnvironmentRings:
+def _rings(size: int) -> EnvironmentRings:
     return environment_rings(sphere_normals(size)[0], size)
+
+
+@lru_cache(maxsize=2)
+def _sky(size: int) -> Array:
+    """Radiance of the environment of the library at the nodes of the map, shape (3, P, A)."""
+    return np.moveaxis(environment_radiance(map_directions(size)), -1, 0)
