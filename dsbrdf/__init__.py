@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         ConvergenceWarning,
         DSBRDFError,
         FitError,
+        ImageFormatError,
         InvalidArgumentError,
         MeasurementFormatError,
         ModelFormatError,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.decomposition import Component, Decomposition, decompose
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.model.environment import EnvironmentMap, read_environment
     from dsbrdf.model.furnace import FurnaceReport, white_furnace
     from dsbrdf.model.render import render_sphere
     from dsbrdf.output.serialize import load, load_result, save
@@ -43,11 +45,13 @@ __all__ = [
     "ConvergenceWarning",
     "DSBRDFError",
     "Decomposition",
+    "EnvironmentMap",
     "FitError",
     "FitOptions",
     "FitReport",
     "FitResult",
     "FurnaceReport",
+    "ImageFormatError",
     "InvalidArgumentError",
     "Measurement",
     "MeasurementFormatError",
@@ -60,6 +64,7 @@ __all__ = [
     "load_result",
     "parse_merl",
     "profiles",
+    "read_environment",
     "read_merl",
     "render_sphere",
     "save",
@@ -77,6 +82,7 @@ _DEFINED_IN = {
         "ConvergenceWarning",
         "DSBRDFError",
         "FitError",
+        "ImageFormatError",
         "InvalidArgumentError",
         "MeasurementFormatError",
         "ModelFormatError",
@@ -86,6 +92,7 @@ _DEFINED_IN = {
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
+    "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
     "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
     "dsbrdf.model.render": ("render_sphere",),
     "dsbrdf.output.serialize": ("load", "load_result", "save"),

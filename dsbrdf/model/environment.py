@@ -1,14 +1,70 @@
-"""What shines from all around a sphere: a sky with a window above a ground, or a picture that the user gives.
+"""What shines on a sphere: distant lights, a sky with a window above a ground, or a picture that the user gives.
 
 The view looks along -z; x is to the right and y up.
 """
 
-import numpy as np
-from numpy.typing import NDArray
+import os
+from dataclasses import dataclass
 
-__all__ = ["environment_radiance"]
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import label
+
+from dsbrdf.data.hdr_image import read_hdr_image
+from dsbrdf.errors import ImageFormatError
+
+__all__ = [
+    "SUN",
+    "THREE_LIGHTS",
+    "EnvironmentMap",
+    "Light",
+    "environment_radiance",
+    "read_environment",
+]
 
 Array = NDArray[np.float64]
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+_WIDEST = 2048  # pixels of a picture; finer ones are averaged
+_BRIGHT = 16.0  # times the mean: brighter spots are taken for distant lights,
+_SMALL = np.radians(5.0) ** 2  # if they are not larger than this [sr]
+_MOST_LIGHTS = 8
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light.
+
+    Attributes
+    ----------
+    direction : tuple of float
+        Unit vector towards the light.
+    irradiance : tuple of float
+        RGB irradiance of a surface that faces the light.
+    """
+
+    direction: tuple[float, float, float]
+    irradiance: tuple[float, float, float]
+
+
+def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
+    """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
+    polar, turn = np.radians((from_view, azimuth))
+    return _as_light(
+        np.array([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)]), np.full(3, irradiance)
+    )
+
+
+def _as_light(direction: Array, irradiance: Array) -> Light:
+    x, y, z = direction.tolist()
+    red, green, blue = irradiance.tolist()
+    return Light((x, y, z), (red, green, blue))
+
+
+THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
+"""Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
+SUN = _light(55.0, 132.0, 3.0 * np.pi)
+"""Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
 
 
 def _unit(x: float, y: float, z: float) -> Array:
@@ -58,3 +114,139 @@ def environment_radiance(direction: Array) -> Array:
 def _logistic(x: Array) -> Array:
     """Soft step from 0 to 1, with an axis for the channels."""
     return (0.5 + 0.5 * np.tanh(0.5 * x))[..., np.newaxis]
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentMap:
+    """Light from all around, as a picture shows it; made by `from_pixels` or `read_environment`.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape (height, width, 3)
+        Linear RGB radiance, without what the lights hold; see `from_pixels` for the directions.
+    lights : tuple of Light
+        The brightest spots.
+    """
+
+    pixels: Array
+    lights: tuple[Light, ...]
+
+    @classmethod
+    def from_pixels(cls, pixels: ArrayLike) -> "EnvironmentMap":
+        """Return the environment that a panorama shows.
+
+        Parameters
+        ----------
+        pixels : array_like, shape (height, 2 height, 3)
+            Linear RGB radiance in latitude and longitude: the first row is straight up, and the middle column is what
+            the view looks at behind the sphere, so that the sphere mirrors the columns near the left and right edges.
+            Small spots brighter than 16 times the mean, such as the sun, are taken out of it as distant lights.
+
+        Returns
+        -------
+        EnvironmentMap
+
+        Raises
+        ------
+        ImageFormatError
+            If the shape is another, a value is negative or not finite, or the picture is black.
+        """
+        image = np.asarray(pixels, dtype=np.float64)
+        if image.ndim != 3 or image.shape[2] != 3 or not 0 < 2 * image.shape[0] == image.shape[1]:
+            raise ImageFormatError(
+                "A picture of an environment shows 360 by 180 degrees in RGB and is twice as wide as high, "
+                f"unlike one of the shape {image.shape}."
+            )
+        if not (np.isfinite(image).all() and (image >= 0.0).all()):
+            raise ImageFormatError("A picture of an environment has values that are finite and not negative.")
+        if not image.any():
+            raise ImageFormatError("The picture of an environment is black.")
+        return cls(*_without_lights(_at_most(image, _WIDEST)))
+
+    def at_most(self, width: int) -> "EnvironmentMap":
+        """Return the environment with at most so many columns of pixels; finer ones are averaged."""
+        return self if self.pixels.shape[1] <= width else EnvironmentMap(_at_most(self.pixels, width), self.lights)
+
+    def radiance(self, direction: Array) -> Array:
+        """Radiance (..., 3) from unit vectors (..., 3), between the pixels' centres."""
+        height, width, _ = self.pixels.shape
+        up = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
+        turn = np.arctan2(direction[..., 0], -direction[..., 2])
+        row = np.clip(up * height / np.pi - 0.5, 0.0, height - 1.0)
+        column = (turn / (2.0 * np.pi) + 0.5) * width - 0.5
+        above, left = row.astype(np.intp), np.floor(column).astype(np.intp)
+        down, right = (row - above)[..., np.newaxis], (column - left)[..., np.newaxis]
+        below = np.minimum(above + 1, height - 1)
+        upper, lower = (
+            (1.0 - right) * self.pixels[at, left % width] + right * self.pixels[at, (left + 1) % width]
+            for at in (above, below)
+        )
+        return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
+    """Read a panorama of an environment for `render_sphere`.
+
+    Parameters
+    ----------
+    path : path-like
+        A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
+
+    Returns
+    -------
+    EnvironmentMap
+
+    Raises
+    ------
+    ImageFormatError
+        If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
+    MissingExtraError
+        For an OpenEXR file if the extra ``exr`` is not installed.
+    OSError
+        If the file cannot be read.
+    """
+    return EnvironmentMap.from_pixels(read_hdr_image(path))
+
+
+def _at_most(image: Array, width: int) -> Array:
+    """Picture with at most so many columns, of mean radiance over larger pixels."""
+    if image.shape[1] <= width:
+        return image
+    for axis, count in ((0, width // 2), (1, width)):
+        old = image.shape[axis]
+        running = np.cumsum(np.insert(image, 0, 0.0, axis=axis), axis=axis)
+        edges = np.linspace(0.0, old, count + 1)
+        lower = np.minimum(edges.astype(np.intp), old - 1)
+        share = np.expand_dims(edges - lower, [other for other in range(3) if other != axis])
+        at_edges = (1.0 - share) * running.take(lower, axis) + share * running.take(lower + 1, axis)
+        image = np.maximum(np.diff(at_edges, axis=axis), 0.0) * (count / old)
+    return image
+
+
+def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
+    """Cut small bright spots down to the level of what surrounds them at most; they become distant lights."""
+    height, width, _ = image.shape
+    up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
+    area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)
+    luminance = image @ _LUMINANCE
+    level = _BRIGHT * float(np.average(luminance, weights=area))
+    spots, count = label(luminance > level)
+    if not count:
+        return image, ()
+    surplus = np.maximum(1.0 - level / np.maximum(luminance, 1e-300), 0.0)
+    numbers = np.arange(1, count + 1)
+    sizes = np.bincount(spots.ravel(), area.ravel())[1:]
+    power = np.bincount(spots.ravel(), (area * surplus * luminance).ravel())[1:]
+    small = numbers[sizes <= _SMALL]
+    image, lights = image.copy(), []
+    for number in small[np.argsort(power[small - 1])[::-1][:_MOST_LIGHTS]]:
+        row, column = np.nonzero(spots == number)
+        taken = image[row, column] * surplus[row, column, np.newaxis]
+        share = area[row, column, np.newaxis] * taken
+        direction = np.stack(
+            [np.sin(up[row]) * np.sin(turn[column]), np.cos(up[row]), -np.sin(up[row]) * np.cos(turn[column])]
+        )
+        middle = direction @ (share @ _LUMINANCE)
+        lights.append(_as_light(middle / np.linalg.norm(middle), share.sum(axis=0)))
+        image[row, column] -= taken
+    return image, tuple(lights)

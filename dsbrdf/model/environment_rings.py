@@ -39,11 +39,11 @@ def map_shape(size: int) -> tuple[int, int]:
     return azimuths // 2 + 1, azimuths
 
 
-def map_directions(size: int) -> Array:
-    """Directions of the nodes of the map in the world, shape (P, A, 3)."""
+def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Directions of the nodes of the map in the world, or of points a share of their spacing away, shape (P, A, 3)."""
     polar_angles, azimuths = map_shape(size)
-    polar = np.linspace(0.0, np.pi, polar_angles)[:, np.newaxis]
-    azimuth = np.arange(azimuths) * 2.0 * np.pi / azimuths
+    polar = ((np.arange(polar_angles) + shift[0]) * np.pi / (polar_angles - 1))[:, np.newaxis]
+    azimuth = (np.arange(azimuths) + shift[1]) * 2.0 * np.pi / azimuths
     parts = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth]
     return np.stack(parts, axis=-1)
 
