@@ -65,7 +65,7 @@ def read_hdr_image(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
 def _read_exr(path: Path) -> NDArray[np.float64]:
     require("exr", "OpenEXR", purpose="OpenEXR pictures")
-    import OpenEXR
+    import OpenEXR  # type: ignore[import-not-found]  # ships no types
 
     try:
         with OpenEXR.File(str(path)) as file:

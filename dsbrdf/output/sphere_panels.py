@@ -4,8 +4,11 @@ All have one exposure, that of the measurement: its sphere's 99th percentile bec
 clipped to [0, 1] and shown with the sRGB curve.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +20,10 @@ from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
 
-__all__ = ["DIFFERENCE_GAIN", "SphereComparison", "compare_spheres", "side_by_side"]
+if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
+__all__ = ["DIFFERENCE_GAIN", "SphereComparison", "compare_spheres", "draw_panels", "side_by_side"]
 
 Array = NDArray[np.float64]
 
@@ -82,3 +88,13 @@ def compare_spheres(
 def side_by_side(panels: Mapping[str, Array]) -> Array:
     """One picture of panels of one height, from left to right."""
     return np.concatenate(list(panels.values()), axis=1)
+
+
+def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
+    """Draw panels in one row, each with its title and transparent beside the sphere."""
+    _, mask = sphere_normals(len(next(iter(panels.values()))))
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, (title, picture) in zip(axes, panels.items(), strict=True):
+        ax.imshow(np.concatenate([picture, mask[..., np.newaxis]], axis=-1), interpolation="antialiased")
+        ax.set_title(title, fontsize=9)
+        ax.set_axis_off()

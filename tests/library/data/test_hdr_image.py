@@ -5,6 +5,7 @@ import importlib.util
 import struct
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def mitsuba() -> ModuleType:
     return module
 
 
-def written(mitsuba: ModuleType, image: NDArray[np.float32], path: Path) -> Path:
+def written(mitsuba: ModuleType, image: NDArray[np.floating[Any]], path: Path) -> Path:
     mitsuba.Bitmap(image.astype(np.float32)).write(str(path))
     return path
 
