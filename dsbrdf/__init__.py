@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dsbrdf.data.measurement import Measurement
+    from dsbrdf.data.measurement_files import read_measurement
     from dsbrdf.data.merl import parse_merl, read_merl, write_merl
     from dsbrdf.data.reduction import Profiles, profiles
+    from dsbrdf.data.scattered_samples import ScatteredSamples
     from dsbrdf.errors import (
         ConvergenceWarning,
         DSBRDFError,
@@ -57,6 +59,7 @@ __all__ = [
     "MeasurementFormatError",
     "ModelFormatError",
     "Profiles",
+    "ScatteredSamples",
     "__version__",
     "decompose",
     "fit",
@@ -65,6 +68,7 @@ __all__ = [
     "parse_merl",
     "profiles",
     "read_environment",
+    "read_measurement",
     "read_merl",
     "render_sphere",
     "save",
@@ -76,8 +80,10 @@ __all__ = [
 # commands that compute nothing do not wait for NumPy and SciPy.
 _DEFINED_IN = {
     "dsbrdf.data.measurement": ("Measurement",),
+    "dsbrdf.data.measurement_files": ("read_measurement",),
     "dsbrdf.data.merl": ("parse_merl", "read_merl", "write_merl"),
     "dsbrdf.data.reduction": ("Profiles", "profiles"),
+    "dsbrdf.data.scattered_samples": ("ScatteredSamples",),
     "dsbrdf.errors": (
         "ConvergenceWarning",
         "DSBRDFError",

@@ -22,7 +22,7 @@ INTERRUPTED = 130
 
 # command -> (module whose function ``configure`` completes its parser, what the command does)
 _COMMANDS = {
-    "fit": ("dsbrdf.cli.fit_command", "fit models to MERL .binary files"),
+    "fit": ("dsbrdf.cli.fit_command", "fit models to measurements"),
     "eval": ("dsbrdf.cli.model_commands", "print values of a model"),
     "show": ("dsbrdf.cli.model_commands", "print the report of a fit again"),
     "decompose": ("dsbrdf.cli.model_commands", "print the specular spike, specular lobe and diffuse part"),

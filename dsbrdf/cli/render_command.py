@@ -33,8 +33,8 @@ def configure(parser: argparse.ArgumentParser, _: str) -> None:
         nargs="+",
         type=Path,
         metavar="SOURCE",
-        help="a .json or .npz model, or a MERL .binary file; a second one, a model, is compared with the first: "
-        "the picture then shows both, their difference and the components of the model",
+        help="a .json or .npz model, or a .binary or .bsdf measurement; a second one, a model, is compared with the "
+        "first: the picture then shows both, their difference and the components of the model",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.png", help="the file to write")
     parser.add_argument(

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.errors import DSBRDFError
+from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.serialize import load
 
@@ -20,7 +20,18 @@ def named_in_errors(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from error
 
 
-def read_source(path: Path) -> Measurement | DSBRDF:
-    """Read a measurement (``.binary``) or a model (``.json``, ``.npz``); an error names the file."""
+def read_grid(path: Path) -> Measurement:
+    """Read a measurement on the grid (``.binary`` or ``.bsdf``); an error names the file."""
     with named_in_errors(path):
-        return read_merl(path) if path.suffix.lower() == ".binary" else load(path)
+        measurement = read_measurement(path)
+        if not isinstance(measurement, Measurement):
+            raise InvalidArgumentError("scattered samples are no measurement on a grid; fit them first")
+        return measurement
+
+
+def read_source(path: Path) -> Measurement | DSBRDF:
+    """Read a measurement on the grid, or a model (``.json`` or ``.npz``); an error names the file."""
+    if path.suffix.lower() in (".binary", ".bsdf", ".csv"):
+        return read_grid(path)
+    with named_in_errors(path):
+        return load(path)

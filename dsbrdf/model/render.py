@@ -81,7 +81,8 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     evaluate = _evaluator(source)
     image = np.zeros((size, size, 3))
     _, mask = sphere_normals(size)
-    lights, around = THREE_LIGHTS, None
+    lights: tuple[Light, ...] = THREE_LIGHTS
+    around: Array | None = None
     if isinstance(lighting, EnvironmentMap):
         lights, around = lighting.lights, _map_of_picture(size, lighting)
     elif lighting == "environment":
