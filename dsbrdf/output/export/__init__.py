@@ -9,7 +9,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.brdf_explorer import brdf_explorer_file
 from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.merl import merl_table
-from dsbrdf.output.export.parameter_table import parameter_table
+from dsbrdf.output.export.parameter_table import parameters_csv
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.serialize import to_json, to_npz
 
@@ -20,7 +20,7 @@ __all__ = [
     "export_model",
     "glsl_function",
     "merl_table",
-    "parameter_table",
+    "parameters_csv",
     "rgl_bsdf",
 ]
 
@@ -50,7 +50,7 @@ FORMATS = {
     "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
     "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
     "brdf": ExportFormat("brdf", "text/plain; charset=utf-8", lambda model, _: brdf_explorer_file(model).encode()),
-    "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameter_table(model).encode()),
+    "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
     "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
 }
 

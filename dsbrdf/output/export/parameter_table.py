@@ -7,7 +7,7 @@ from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
 
-__all__ = ["parameter_table"]
+__all__ = ["parameters_csv"]
 
 _THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
 _COLUMNS = (
@@ -24,7 +24,7 @@ _COLUMNS = (
 )
 
 
-def parameter_table(model: DSBRDF) -> str:
+def parameters_csv(model: DSBRDF) -> str:
     """Return a table with one row for each lobe, channel and theta_diff.
 
     Parameters
