@@ -30,7 +30,7 @@ from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
 
-_SAMPLE_ROUNDS = 5  # fits of scattered samples; from the fourth on, parameters change by 1 % at most
+_SAMPLE_ROUNDS = 5  # fits of scattered samples; more of them change parameters by about 1 %
 
 
 def fit(
