@@ -164,8 +164,11 @@ class Evaluator:
             start += count
             if count:
                 terms = self._terms[:, :, index : index + 1]
-                rows = self._natural(_polynomial(terms, step[chosen]))
-                result[chosen] = self._sum(rows, squared[chosen], theta_diff[chosen], phi_diff[chosen])
+                steps, angles = step[chosen], theta_diff[chosen]
+                if (angles == angles[0]).all():  # as under one distant light: parameters are found once
+                    steps, angles = steps[:1], angles[:1]
+                rows = self._natural(_polynomial(terms, steps))
+                result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
     def _place(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
         """Piece of each angle, and the step from where the piece begins."""

@@ -245,6 +245,19 @@ class Export(_Input):
     ] = None
 
 
+class Sphere(_Input):
+    """What to draw."""
+
+    lighting: Annotated[
+        Literal["three_lights", "environment"], Field(description="Three lights, or a sky with sun and window.")
+    ] = "three_lights"
+    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side.")] = 128
+    component: Annotated[
+        Literal["specular_spike", "specular_lobe", "diffuse"] | None,
+        Field(description="One component instead of the whole fit."),
+    ] = None
+
+
 def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
     """Return a row's document; `more` is what the row does not have."""
     return kind.model_validate({**asdict(row), **more})

@@ -6,12 +6,23 @@ from dataclasses import dataclass
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export.brdf_explorer import brdf_explorer_file
 from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.merl import merl_table
+from dsbrdf.output.export.parameter_table import parameters_csv
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.serialize import to_json, to_npz
 
-__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "merl_table", "rgl_bsdf"]
+__all__ = [
+    "FORMATS",
+    "ExportFormat",
+    "brdf_explorer_file",
+    "export_model",
+    "glsl_function",
+    "merl_table",
+    "parameters_csv",
+    "rgl_bsdf",
+]
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ FORMATS = {
     "npz": ExportFormat("npz", "application/octet-stream", to_npz),
     "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
     "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
+    "brdf": ExportFormat("brdf", "text/plain; charset=utf-8", lambda model, _: brdf_explorer_file(model).encode()),
+    "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
     "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
 }
 
@@ -49,9 +62,10 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     ----------
     model : DSBRDF
         A model, or one component of it.
-    file_format : {"json", "npz", "merl", "glsl", "bsdf"}
+    file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf"}
         ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
-        shaders, ``bsdf`` a file of the RGL database for Mitsuba 3.
+        shaders, ``brdf`` the same for Disney's BRDF Explorer, ``csv`` a table of the parameters, ``bsdf`` a file of the
+        RGL database for Mitsuba 3.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 
