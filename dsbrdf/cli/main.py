@@ -30,6 +30,7 @@ _COMMANDS = {
     "schema": ("dsbrdf.cli.schema_command", "print the JSON Schema of stored models"),
     "render": ("dsbrdf.cli.render_command", "draw a lit sphere of a model or a measurement"),
     "convert": ("dsbrdf.cli.convert_command", "write a measurement as another kind of file"),
+    "paper": ("dsbrdf.cli.paper_command", "make the figures of Nishino 2009 from a folder of measurements"),
     "demo": ("dsbrdf.cli.demo", "start the service, fit a generated measurement, save a figure"),
 }
 
@@ -76,7 +77,9 @@ def _run(words: list[str]) -> int:
     for name, (module, purpose) in _COMMANDS.items():
         subparser = commands.add_parser(name, help=purpose)
         if name == command:
-            if command == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
+            if (
+                command in ("fit", "paper") and "numpy" not in sys.modules
+            ):  # NumPy reads these variables when it is imported
                 os.environ.update(ONE_BLAS_THREAD)
             import_module(module).configure(subparser, command)
     for name, (_, purpose) in SERVICE_COMMANDS.items():

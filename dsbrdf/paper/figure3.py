@@ -23,14 +23,15 @@ PREFERRED = (
     "nickel",
     "brass",
     "specular-blue-phenolic",
+    "specular-orange-phenolic",
     "red-plastic",
     "satin_purple",
     "ilm_l3_37_matte",
     "vch_golden_yellow",
 )
 PARTS = ("lobe 1", "lobe 2", "lobe 3", *(label.replace("_", " ") for label in LABELS))
-_COUNT, _SIZE = 7, 128
-_FAINT = 1e-3  # of the whole albedo: the colour of less is rounding
+_COUNT, _SIZE = 8, 128
+_FAINT = 0.02  # of the whole albedo: nobody sees the colour of less
 _COLOURED, _GREY = 0.4, 0.2  # saturation
 
 
@@ -81,9 +82,9 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     figure = new_figure("Figure 3: parts of a sphere", 13.0, 1.6 * len(computed) + 0.5)
     names = ("data", "paper, 3 lobes", *PARTS[:3], "default fit", *PARTS[3:])
     axes = figure.subplots(len(computed), len(names), squeeze=False)
-    for row, one in zip(axes, computed, strict=True):
+    for number, (row, one) in enumerate(zip(axes, computed, strict=True)):
         for ax, name, picture in zip(row, names, one["spheres"], strict=True):
-            draw_sphere(ax, picture, name if row is axes[0] else "")
+            draw_sphere(ax, picture, "" if number else name)
         row[0].set_ylabel(one.label, fontsize=7)
     return figure
 
@@ -104,7 +105,10 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     papers = {one.label: _is_split(one, PARTS[:2], PARTS[2]) for one in computed}
     defaults = {one.label: _is_split(one, PARTS[3:5], PARTS[5]) for one in computed}
     counted = {
-        name: (sum(answer is True for answer in answers.values()), sum(answer is not None for answer in answers.values()))
+        name: (
+            sum(answer is True for answer in answers.values()),
+            sum(answer is not None for answer in answers.values()),
+        )
         for name, answers in (("paper", papers), ("default", defaults))
     }
     split, of = counted["paper"]
@@ -119,7 +123,8 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             "agrees" if of and split == of else "agrees in part" if split else "differs",
             f"Saturation above {_COLOURED} in the last part and below {_GREY} in the others: on {split} of {of}"
             f" coloured materials for the 3 lobes of the paper's procedure, on {split_default} of {of_default} for the"
-            " components of the default fit. Lobes are sorted by kappa, slice by slice and channel by channel, and are"
+            " components of the default fit. Metals and effect paints are counted too: their highlights are coloured, so that"
+            " the sentence cannot hold for them. Lobes are sorted by kappa, slice by slice and channel by channel, and are"
             " not held together otherwise. Saturation of lobes 1 to 3, spike, specular lobe and diffuse part (1 or 0"
             f" for an empty one): {listed}.",
         ),

@@ -32,7 +32,17 @@ from dsbrdf.output.serialize import load_result, save
 from dsbrdf.process_settings import keep_freed_memory
 from dsbrdf.version import ALGORITHM_VERSION
 
-__all__ = ["STAND_INS", "Computed", "Failure", "Material", "Numbers", "choose", "compute", "find_materials", "fit_quietly"]
+__all__ = [
+    "STAND_INS",
+    "Computed",
+    "Failure",
+    "Material",
+    "Numbers",
+    "choose",
+    "compute",
+    "find_materials",
+    "fit_quietly",
+]
 
 Numbers = dict[str, NDArray[Any]]
 Measure = Callable[["Material"], Numbers]

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Claim", "Made", "PaperFigure", "Row", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
+__all__ = ["Claim", "Made", "PaperFigure", "Row", "Verdict", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
+
+Verdict = Literal["agrees", "agrees in part", "differs"]
 
 Row = Mapping[str, object]
 """One line of a table, values by the names of the columns."""
@@ -39,7 +41,7 @@ class Claim:
     """A sentence of the paper and what the numbers say of it."""
 
     paper: str
-    verdict: Literal["agrees", "agrees in part", "differs"]
+    verdict: Verdict
     found: str
 
 
