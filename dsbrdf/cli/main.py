@@ -77,9 +77,8 @@ def _run(words: list[str]) -> int:
     for name, (module, purpose) in _COMMANDS.items():
         subparser = commands.add_parser(name, help=purpose)
         if name == command:
-            if (
-                command in ("fit", "paper") and "numpy" not in sys.modules
-            ):  # NumPy reads these variables when it is imported
+            # NumPy reads these variables when it is imported.
+            if command in ("fit", "paper") and "numpy" not in sys.modules:
                 os.environ.update(ONE_BLAS_THREAD)
             import_module(module).configure(subparser, command)
     for name, (_, purpose) in SERVICE_COMMANDS.items():

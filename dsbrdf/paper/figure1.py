@@ -127,10 +127,8 @@ def asymmetry(one: Computed) -> float:
 
 def _half_widths(one: Computed) -> list[float]:
     """Largest theta_half at which each lobe of the red channel has half of its height [degrees]."""
-    found = []
-    for lobe in one["lobes"][:, 0]:
-        found.append(float(np.degrees(THETA_HALF[np.flatnonzero(lobe >= 0.5 * lobe.max())[-1]])))
-    return found
+    last = [np.flatnonzero(lobe >= 0.5 * lobe.max())[-1] for lobe in one["lobes"][:, 0]]
+    return [float(np.degrees(THETA_HALF[node])) for node in last]
 
 
 def _claims(computed: Sequence[Computed]) -> list[Claim]:
@@ -147,8 +145,8 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             "The profiles of theta_diff = 0 slices are center-peaked and symmetric about theta_half = 0.",
             "agrees" if max(sides) < 0.05 else "agrees in part",
             f"The two sides (phi_diff 0 and 90 degrees) deviate from their mean by {min(sides):.1%} to {max(sides):.1%}"
-            " of the data. That says little: at theta_diff = 0 both directions are the half vector, so that phi_diff has"
-            " no meaning there; what the symmetry costs at other theta_diff is the floor of Figure 4.",
+            " of the data. That says little: at theta_diff = 0 both directions are the half vector, and phi_diff has no"
+            " meaning there; what the symmetry costs at other theta_diff is the floor of Figure 4.",
         ),
         Claim(
             "The model with 3 lobes accurately fits the measured data despite the significantly varying shapes.",

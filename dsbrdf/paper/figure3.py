@@ -55,9 +55,9 @@ def _measure(material: Material) -> Numbers:
 
 
 def saturation(albedo: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 1 - smallest / largest channel, 0 for grey and 1 for a pure colour; shapes (..., 3) and (...)."""
+    """Return 1 - smallest / largest channel, 0 for grey or black and 1 for a pure colour; shapes (..., 3) and (...)."""
     largest = albedo.max(axis=-1)
-    return 1.0 - albedo.min(axis=-1) / np.where(largest > 0.0, largest, 1.0)
+    return (largest - albedo.min(axis=-1)) / np.where(largest > 0.0, largest, 1.0)
 
 
 def _parts(one: Computed) -> dict[str, NDArray[np.float64]]:
@@ -93,26 +93,22 @@ def _is_split(one: Computed, bright: Sequence[str], coloured: str) -> bool | Non
     """Whether colour sits in one part only; None for a material whose fit has no coloured part worth the name."""
     parts = _parts(one)
     total = sum(parts[name].sum() for name in (*bright, coloured))
-    seen = {name: albedo for name, albedo in parts.items() if albedo.sum() > _FAINT * total}
-    found = {name: float(saturation(seen[name])) for name in (*bright, coloured) if name in seen}
-    if max(found.values(), default=0.0) < _COLOURED or not any(name in found for name in bright):
+    seen = [name for name in (*bright, coloured) if parts[name].sum() > _FAINT * total]
+    found = {name: float(saturation(parts[name])) for name in seen}
+    if max(found.values()) < _COLOURED:
         return None
-    grey = all(found[name] < _GREY for name in bright if name in found)
-    return grey and found.get(coloured, 0.0) >= _COLOURED
+    return found.get(coloured, 0.0) >= _COLOURED and all(found[name] < _GREY for name in bright if name in found)
+
+
+def _count(computed: Sequence[Computed], bright: Sequence[str], coloured: str) -> tuple[int, int]:
+    """Number of materials whose colour sits in one part, and of those with colour."""
+    answers = [_is_split(one, bright, coloured) for one in computed]
+    return answers.count(True), len(answers) - answers.count(None)
 
 
 def _claims(computed: Sequence[Computed]) -> list[Claim]:
-    papers = {one.label: _is_split(one, PARTS[:2], PARTS[2]) for one in computed}
-    defaults = {one.label: _is_split(one, PARTS[3:5], PARTS[5]) for one in computed}
-    counted = {
-        name: (
-            sum(answer is True for answer in answers.values()),
-            sum(answer is not None for answer in answers.values()),
-        )
-        for name, answers in (("paper", papers), ("default", defaults))
-    }
-    split, of = counted["paper"]
-    split_default, of_default = counted["default"]
+    split, of = _count(computed, PARTS[:2], PARTS[2])
+    split_default, of_default = _count(computed, PARTS[3:5], PARTS[5])
     listed = "; ".join(
         f"{one.label} {', '.join(f'{float(saturation(albedo)):.2f}' for albedo in _parts(one).values())}"
         for one in computed
@@ -121,12 +117,12 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
         Claim(
             "For materials with some matte appearance the 3rd lobe solely encodes the colour of the material.",
             "agrees" if of and split == of else "agrees in part" if split else "differs",
-            f"Saturation above {_COLOURED} in the last part and below {_GREY} in the others: on {split} of {of}"
+            f"Saturation of at least {_COLOURED} in the last part and below {_GREY} in the others: on {split} of {of}"
             f" coloured materials for the 3 lobes of the paper's procedure, on {split_default} of {of_default} for the"
-            " components of the default fit. Metals and effect paints are counted too: their highlights are coloured, so that"
-            " the sentence cannot hold for them. Lobes are sorted by kappa, slice by slice and channel by channel, and are"
-            " not held together otherwise. Saturation of lobes 1 to 3, spike, specular lobe and diffuse part (1 or 0"
-            f" for an empty one): {listed}.",
+            " components of the default fit. Metals and effect paints are counted too: their highlights are coloured,"
+            " and the sentence cannot hold for them. The paper's lobes are sorted by kappa, slice by slice and channel"
+            " by channel, and nothing else holds them together. Saturation of lobes 1 to 3, spike, specular lobe and"
+            f" diffuse part (0 for an empty one): {listed}.",
         ),
         Claim(
             "Such a decomposition cannot be achieved with non-parametric models.",

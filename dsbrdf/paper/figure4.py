@@ -113,13 +113,12 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     below_floor = int(np.sum(default < floor))
     exceptions = [one.label for one, worse in zip(computed, default >= paper, strict=True) if worse]
     worst = _sorted(computed)[0]
-    seldom = paper > _PAPERS_LARGEST
     return [
         Claim(
             "The model represents a wide range of real-world isotropic BRDFs accurately.",
             "agrees" if np.median(paper) < 0.1 else "agrees in part",
-            f"relative_rms of the paper's procedure: {_spread(paper)}; above {_PAPERS_LARGEST} on {int(seldom.sum())} of"
-            f" {count}. Default fit: {_spread(default)}.",
+            f"relative_rms of the paper's procedure: {_spread(paper)}; above {_PAPERS_LARGEST} on"
+            f" {int(np.sum(paper > _PAPERS_LARGEST))} of {count}. Default fit: {_spread(default)}.",
         ),
         Claim(
             "The accuracy is comparable to the non-parametric bivariate model.",
@@ -127,14 +126,14 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             f"The floor is the error of the best bivariate table: {_spread(floor)}. The paper's procedure has"
             f" {np.median(paper / floor):.2f} times that (median; {(paper / floor).min():.2f} to"
             f" {(paper / floor).max():.1f}), the default fit {np.median(default / floor):.2f} times"
-            f" ({(default / floor).min():.2f} to {(default / floor).max():.2f}): its lobes are elongated, which takes it"
-            f" below the floor on {below_floor} of {count}.",
+            f" ({(default / floor).min():.2f} to {(default / floor).max():.2f}): its lobes are elongated, which takes"
+            f" it below the floor on {below_floor} of {count}.",
         ),
         Claim(
             "Beyond the paper: the default fit has a smaller error than the paper's procedure on every material.",
             "agrees" if not exceptions else "differs",
-            f"It has on {count - len(exceptions)} of {count}; {'no exception' if not exceptions else exceptions}."
-            f" Factor between the two errors: {_spread(paper / default)}.",
+            f"It has on {count - len(exceptions)} of {count}; exceptions: {', '.join(exceptions) or 'none'}. Factor"
+            f" between the two errors: {_spread(paper / default)}.",
         ),
         Claim(
             "The large errors are mainly caused by subsurface scattering: lobes at the perimeter of theta_half.",
@@ -162,7 +161,7 @@ FIGURE = PaperFigure(
     title="Relative RMS of every material",
     shows=(
         "Above: relative_rms of every material, sorted by that of the paper's procedure, on a logarithmic axis; the"
-        " default fit and the floor beside it. Below: spheres of the materials with the largest and the smallest errors,"
+        " default fit and the floor beside it. Below: spheres of the largest and the smallest of its errors,"
         " from top to bottom the paper's procedure, the default fit and the data."
     ),
     choose=list,

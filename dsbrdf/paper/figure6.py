@@ -152,19 +152,19 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             "The embedding lays out a spectrum of materials by their specularity in the horizontal direction.",
             "agrees" if first > 0.8 else "agrees in part" if first > 0.4 else "differs",
             f"Rank correlation of the first coordinate with gloss (log10 of the peak over the value at 45 degrees):"
-            f" {first:.2f}, of the second {second:.2f}. With the parameters of all slices: {found[SPACES[1]][0]:.2f} and"
-            f" {found[SPACES[1]][1]:.2f}.",
+            f" {first:.2f}, of the second {second:.2f}. With the parameters of all slices:"
+            f" {found[SPACES[1]][0]:.2f} and {found[SPACES[1]][1]:.2f}.",
         ),
         Claim(
             "A dense cluster on the left contains most purely matte materials.",
             "agrees" if spread[0] < 0.5 * spread[1] else "agrees in part" if spread[0] < spread[1] else "differs",
-            f"The least glossy quarter has a spread of {spread[0]:.2f}, the others {spread[1]:.2f} (standard deviation).",
+            f"Spread (standard deviation) of the least glossy quarter {spread[0]:.2f}, of the others {spread[1]:.2f}.",
         ),
         Claim(
             "The parameters characterize the space of materials.",
             "agrees" if alike > 0.5 else "agrees in part",
-            f"The nearest material differs in gloss by less than a quarter of a decade for {alike:.0%} of the materials."
-            " Nearest materials of each are in the CSV file.",
+            f"For {alike:.0%} of the materials the nearest one differs in gloss by less than a quarter of a decade;"
+            " the CSV file lists the three nearest of each.",
         ),
     ]
 
@@ -178,8 +178,8 @@ FIGURE = PaperFigure(
     name="figure6",
     title="The space of materials",
     shows=(
-        "Isomap embeddings of the parameters of the paper's procedure with 3 lobes, a sphere of the data at the place of"
-        " each material. Above: parameters at theta_diff = 0, as in the paper. Below: those of all slices. Glossier"
+        "Isomap embeddings of the parameters of the paper's procedure with 3 lobes, a sphere of the data at the place"
+        " of each material. Above: parameters at theta_diff = 0, as in the paper. Below: those of all slices. Glossier"
         " materials are to the right."
     ),
     choose=list,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
@@ -224,7 +225,7 @@ def compute(
     return computed, [got for _, got in outcomes if isinstance(got, Failure)]
 
 
-def fit_quietly(measurement: Measurement, options: FitOptions) -> FitResult:
+def fit_quietly(measurement: Measurement | Profiles, options: FitOptions) -> FitResult:
     """Fit without the warning that some slices did not converge: the figures show how good the fit is."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)

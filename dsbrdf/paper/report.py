@@ -2,6 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 
@@ -60,11 +61,16 @@ def write_report(
     made: dict[str, Made] = {}
     for number, figure in enumerate(_ORDER):
         chosen = figure.choose(materials)
-        share = lambda done, number=number, count=len(chosen): progress(number + done / count)  # noqa: E731
+        share = partial(_report_share, progress, number, len(chosen))
         made[figure.name] = make(figure, chosen, output, jobs=jobs, progress=share)
     in_order = [made[figure.name] for figure in FIGURES]
     write_atomically(output / "report.html", [page(materials, in_order).encode()])
     return list(dict.fromkeys(failure for one in in_order for failure in one.failures))
+
+
+def _report_share(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
+    """Tell how much is done of all figures when some of a figure's materials are."""
+    progress(number + done / count)
 
 
 def page(materials: Sequence[Material], made: Sequence[Made]) -> str:
@@ -93,7 +99,8 @@ def _data(materials: Sequence[Material]) -> str:
     parts = [
         "<h2>The data</h2>",
         f"<p><b>Measured</b> ({len(measured)}): {escape(', '.join(measured)) or 'none'}.</p>",
-        f"<p><b>Stand-ins</b> ({len(stand_ins)}), marked with an asterisk: {escape(', '.join(stand_ins)) or 'none'}.</p>",
+        f"<p><b>Stand-ins</b> ({len(stand_ins)}), marked with an asterisk:"
+        f" {escape(', '.join(stand_ins)) or 'none'}.</p>",
     ]
     if stand_ins:
         parts.append(
