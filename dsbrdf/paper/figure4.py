@@ -78,7 +78,7 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     if len(shown) > _WORST + _BEST:
         shown = shown[:_WORST] + shown[-_BEST:]
     figure = new_figure("Figure 4: relative RMS of every material", max(11.0, 0.19 * len(ordered)), 10.5)
-    above, below = figure.subfigures(2, 1, height_ratios=[1.15, 1.0])
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.15, 1.0])[:, 0]
     _draw_errors(above.subplots(), ordered)
     below.suptitle("spheres of the largest errors of the paper's procedure, then of the smallest", fontsize=9)
     axes = below.subplots(3, len(shown), squeeze=False)

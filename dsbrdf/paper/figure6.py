@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
 
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_normals
@@ -34,7 +33,6 @@ SPACES = ("theta_diff_0", "all_slices")
 _N_LOBES, _SIZE = 3, 64
 _NEIGHBORS = 7
 _N_NEAREST = 3
-_SMALLEST = 4  # materials of which there is a space
 _KAPPA_RANGE, _GAMMA_RANGE = (1e-3, 20.0), (1e-2, 1e5)  # beyond these a lobe is flat, dark or a mirror: no difference
 
 
@@ -64,16 +62,12 @@ def embedding(computed: Sequence[Computed], space: str) -> Array:
 
     Raises
     ------
-    InvalidArgumentError
-        If there are fewer than 4 materials.
     MissingExtraError
         If scikit-learn is not installed.
     """
     require("paper", "sklearn", purpose="the space of materials")
     from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # ships no types
 
-    if len(computed) < _SMALLEST:
-        raise InvalidArgumentError(f"the space of materials needs at least {_SMALLEST} of them, not {len(computed)}")
     neighbors = min(_NEIGHBORS, len(computed) - 1)
     places: Array = Isomap(n_neighbors=neighbors, n_components=2).fit_transform(features(computed, space))
     if places[:, 0] @ _gloss(computed) < 0.0:
@@ -187,4 +181,5 @@ FIGURE = PaperFigure(
     table=_table,
     draw=_draw,
     claims=_claims,
+    at_least=4,
 )

@@ -177,7 +177,7 @@ def choose(materials: Sequence[Material], preferred: Sequence[str], count: int) 
     chosen = list(dict.fromkeys(by_name[name] for name in preferred if name in by_name))[:count]
     others = [material for material in materials if material not in chosen]
     missing = min(count - len(chosen), len(others))
-    places = np.linspace(0, len(others) - 1, missing).round().astype(int) if missing else []
+    places = np.linspace(0, len(others) - 1, missing).round().astype(int)
     return chosen + [others[place] for place in places]
 
 
@@ -273,7 +273,7 @@ def _measure_one(material: Material, measure: Measure, folder: Path, settings: s
         return Failure(material.file, str(error))
     content = BytesIO()
     about = np.array([str(ALGORITHM_VERSION), settings])
-    np.savez_compressed(content, **{_ABOUT: about}, **numbers)
+    np.savez_compressed(content, allow_pickle=False, **{_ABOUT: about}, **numbers)
     write_atomically(_path(material, folder), [content.getvalue()])
     return numbers
 

@@ -66,6 +66,8 @@ class PaperFigure:
         Draws the picture.
     claims : callable
         Compares the numbers with the paper's text.
+    at_least : int
+        Fewest materials that the figure makes sense of.
     settings : str
         What the numbers depend on, see `dsbrdf.paper.materials.compute`.
     """
@@ -78,6 +80,7 @@ class PaperFigure:
     table: Callable[[Sequence[Computed]], list[Row]]
     draw: Callable[[Sequence[Computed]], Figure]
     claims: Callable[[Sequence[Computed]], list[Claim]]
+    at_least: int = 1
     settings: str = ""
 
 
@@ -114,7 +117,7 @@ def make(
     Raises
     ------
     InvalidArgumentError
-        If no material is left to show.
+        If there are too few materials to show.
     MissingExtraError
         If matplotlib is not installed.
     """
@@ -127,9 +130,10 @@ def make(
         jobs=jobs,
         progress=progress,
     )
-    if not computed:
-        reason = f": {failures[0].file}: {failures[0].message}" if failures else ""
-        raise InvalidArgumentError(f"{figure.name} has no material to show{reason}")
+    if len(computed) < figure.at_least:
+        reason = f"; {failures[0].file}: {failures[0].message}" if failures else ""
+        wanted = f"{figure.at_least} material{'s' if figure.at_least > 1 else ''}"
+        raise InvalidArgumentError(f"{figure.name} needs at least {wanted}, not {len(computed)}{reason}")
     drawn = figure.draw(computed)
     picture = encode_figure(drawn, "png", dpi=110.0)
     write_atomically(output / f"{figure.name}.png", [picture])

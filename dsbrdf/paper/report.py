@@ -43,13 +43,14 @@ def write_report(
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Failure]:
-    """Make all figures and write ``report.html``, see `dsbrdf.paper.paper_figure.make`.
+    """Make all figures that there are enough materials for, and write ``report.html``.
 
     Parameters
     ----------
     materials : sequence of Material
     output : Path
     jobs : int, optional
+        As for `dsbrdf.paper.paper_figure.make`.
     progress : callable, optional
         Called with the number of finished figures, fractions included.
 
@@ -61,9 +62,11 @@ def write_report(
     made: dict[str, Made] = {}
     for number, figure in enumerate(_ORDER):
         chosen = figure.choose(materials)
+        if len(chosen) < figure.at_least:
+            continue
         share = partial(_report_share, progress, number, len(chosen))
         made[figure.name] = make(figure, chosen, output, jobs=jobs, progress=share)
-    in_order = [made[figure.name] for figure in FIGURES]
+    in_order = [made[figure.name] for figure in FIGURES if figure.name in made]
     write_atomically(output / "report.html", [page(materials, in_order).encode()])
     return list(dict.fromkeys(failure for one in in_order for failure in one.failures))
 

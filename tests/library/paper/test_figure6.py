@@ -10,7 +10,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.paper import figure6
 from dsbrdf.paper.materials import Computed, Material
-from dsbrdf.paper.paper_figure import make
+from dsbrdf.paper.paper_figure import PaperFigure, make
 
 
 @pytest.fixture
@@ -61,9 +61,10 @@ def test_more_slices_make_another_space(computed: list[Computed]) -> None:
     assert figure6.features(computed, "all_slices").shape == (6, 324)
 
 
-def test_three_materials_have_no_space(computed: list[Computed]) -> None:
-    with pytest.raises(InvalidArgumentError, match="needs at least 4 of them, not 3"):
-        figure6.embedding(computed[:3], "theta_diff_0")
+def test_few_materials_have_no_space(tmp_path: Path) -> None:
+    assert figure6.FIGURE.at_least == 4
+    with pytest.raises(InvalidArgumentError, match="figure6 needs at least 4 materials, not 0"):
+        make(figure6.FIGURE, [], tmp_path)
 
 
 def test_parameters_are_those_of_the_fit_with_three_lobes(
@@ -79,9 +80,7 @@ def test_parameters_are_those_of_the_fit_with_three_lobes(
 
 def test_figure_is_written(computed: list[Computed], tmp_path: Path) -> None:
     by_name = {one.name: one for one in computed}
-    figure = figure6.PaperFigure(
-        **{**vars(figure6.FIGURE), "measure": lambda material: dict(by_name[material.name].numbers)}
-    )
+    figure = PaperFigure(**{**vars(figure6.FIGURE), "measure": lambda material: dict(by_name[material.name].numbers)})
     for name in by_name:
         (tmp_path / f"{name}.binary").touch()
     made = make(figure, [Material(tmp_path / f"{name}.binary", tmp_path) for name in by_name], tmp_path)

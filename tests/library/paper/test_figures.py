@@ -134,10 +134,11 @@ def test_figure_5_tells_the_error_of_a_fit_of_fewer_rows(
     lines_of: MakeLines, plastic: Measurement, quick_fits: Fits, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figure5, "FACTORS", (1, 8))
-    quick = {"global": FitOptions(n_lobes=1, ring_lobes=0)}
-    monkeypatch.setattr(
-        figure5, "fit_quietly", lambda data, options: fit_quietly(data, quick.get(options.method, options))
-    )
+    quick = {
+        "global": FitOptions(n_lobes=1, ring_lobes=0),
+        "paper": FitOptions(method="paper", n_lobes=2, em_iterations=1),
+    }
+    monkeypatch.setattr(figure5, "fit_quietly", lambda data, options: fit_quietly(data, quick[options.method]))
     lines = lines_of(figure5.FIGURE)
     assert [line["factor"] for line in lines] == ["1", "8"]
     paper = quick_fits["paper-auto"].model
@@ -167,5 +168,5 @@ def test_crossing_is_where_the_model_stays_below(model: list[float], expected: i
 def test_figure_without_a_material_is_refused(material: Material, tmp_path: Path) -> None:
     bad = tmp_path / "bad.binary"
     bad.touch()
-    with pytest.raises(InvalidArgumentError, match=r"figure1 has no material to show: .*bad\.binary"):
+    with pytest.raises(InvalidArgumentError, match=r"figure1 needs at least 1 material, not 0; .*bad\.binary"):
         make(figure1.FIGURE, [Material(bad, tmp_path)], tmp_path)
