@@ -120,7 +120,7 @@ def test_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: b
 
 
 def test_a_fit_has_a_memory_limit(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fit_memory_mb="200")
+    server = own_server(own_interpreter=True, fit_memory_mb="200")  # a fork of the launcher has more than that
     answer = server.http.post("/v1/fits", content=data)
     assert answer.status_code == 201
     assert answer.json()["status"] == "failed"
