@@ -39,6 +39,7 @@ FORMATS = {
     "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
     "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
     "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
+    "bsdf-spectral": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model, spectral=True)),
 }
 
 

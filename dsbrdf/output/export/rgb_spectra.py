@@ -21,6 +21,6 @@ SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])
 """Spectra of red, green and blue at the nodes, shape (3, 16)."""
 
 
-def spectra_of_rgb(rgb: Array) -> Array:
+def spectra_of_rgb(rgb: NDArray[np.floating]) -> Array:
     """Spectra (..., 16) at `WAVELENGTHS` of values (..., 3) in linear sRGB."""
-    return rgb @ SPECTRA
+    return np.asarray(rgb @ SPECTRA)
