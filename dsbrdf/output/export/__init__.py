@@ -7,11 +7,12 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import glsl_function
+from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.serialize import to_json, to_npz
 
-__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "merl_table", "rgl_bsdf"]
+__all__ = ["FORMATS", "ExportFormat", "export_model", "glsl_function", "materialx_document", "merl_table", "rgl_bsdf"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ FORMATS = {
     "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
     "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
     "bsdf-spectral": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model, spectral=True)),
+    "materialx": ExportFormat("mtlx", "application/xml", lambda model, _: materialx_document(model).encode()),
 }
 
 
@@ -50,9 +52,10 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     ----------
     model : DSBRDF
         A model, or one component of it.
-    file_format : {"json", "npz", "merl", "glsl", "bsdf"}
+    file_format : {"json", "npz", "merl", "glsl", "bsdf", "bsdf-spectral", "materialx"}
         ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
-        shaders, ``bsdf`` a file of the RGL database for Mitsuba 3.
+        shaders, ``bsdf`` a file of the RGL database for Mitsuba 3, ``bsdf-spectral`` one for pbrt-v4 and for spectral
+        variants of Mitsuba, ``materialx`` the nearest OpenPBR surface, which takes some seconds.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 
@@ -63,7 +66,7 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     Raises
     ------
     InvalidArgumentError
-        If the format is unknown.
+        If the format is unknown, or the values of the model are too large for it.
     MeasurementFormatError
         If a value of the model cannot be stored in a table.
     """
