@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of the spheres that are fitted
 _STATED_SIZE = 128  # of those whose PSNR is stated
 _BRIGHTEST = 1e100
+_STEPS = [1e-4]  # of derivatives, relative
 _LEAST_ROUGHNESS = 0.03
 _NAMES = ("base_metalness", "specular_weight", "specular_roughness", "coat_weight", "coat_roughness")
 # Metalness, weight and roughness of the highlight, weight and roughness of the coat.
@@ -114,7 +115,8 @@ def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
     starts = [np.concatenate([color, np.full(3, 0.9), start]) for start in _STARTS]
     starts.sort(key=lambda numbers: float(np.sum(difference(numbers) ** 2)))
     ends = [
-        least_squares(difference, start, bounds=_bounds(), diff_step=1e-4, max_nfev=30) for start in starts[:_POLISHED]
+        least_squares(difference, start, bounds=_bounds(), diff_step=_STEPS, max_nfev=30)
+        for start in starts[:_POLISHED]
     ]
     surface = _surface(min(ends, key=lambda end: end.cost).x)
     return FittedSurface(surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS})
