@@ -31,8 +31,8 @@ MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
 PAYS = 0.04
 """Share of the error on the rows held out by which a lobe has to lower it."""
-NEGLIGIBLE = 1e-5
-"""... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
+NEGLIGIBLE = 1e-6
+"""... and share of the weighted squared signal: errors below 0.1 % are nobody's material."""
 NOISE_CORRELATION = 0.25
 """Correlation of neighbouring residuals below which they count as noise: 0 for noise of single samples, above 0.3 as a
 rule where a mixture misses the shape of a material."""
