@@ -164,7 +164,7 @@ def reference(source: Source) -> Array:
 
 def spheres(measurement: Measurement, model: DSBRDF, files: Files) -> list[float]:
     """Figures of `HEADS` "spheres"."""
-    inside = sphere_normals(SIZE * FINER)[1].reshape(SIZE, FINER, SIZE, FINER).all(axis=(1, 3))
+    inside = np.asarray(sphere_normals(SIZE * FINER)[1].reshape(SIZE, FINER, SIZE, FINER).all(axis=(1, 3)))
     measured, mitsuba = reference(measurement), variant("llvm_ad_rgb")
     factor = exposure(measured, inside)
     pictures = [reference(model), *(picture(mitsuba, path) for path in (files.model, files.fit, files.data))]

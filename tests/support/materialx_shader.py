@@ -41,8 +41,11 @@ def surface_of(document: Any) -> OpenPBR:
     """Return the inputs of the document's only surface."""
     node = document.getNode(_SHADER)
     assert node.getCategory() == "open_pbr_surface"
-    values: dict[str, Any] = {field.name: node.getInput(field.name).getValue() for field in fields(OpenPBR)}
-    return OpenPBR(**{name: value if isinstance(value, float) else tuple(value) for name, value in values.items()})
+    values: dict[str, Any] = {}
+    for field in fields(OpenPBR):
+        value = node.getInput(field.name).getValue()
+        values[field.name] = value if isinstance(value, float) else tuple(value)
+    return OpenPBR(**values)
 
 
 def generated_function(document: Any) -> str:
