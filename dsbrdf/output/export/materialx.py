@@ -6,7 +6,6 @@ difference is left: it is stated in the file, as PSNR.
 """
 
 from dataclasses import dataclass, fields
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,24 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, Evaluate, render_sphere, sphere_likeness, sphere_normals
-from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.output.export.openpbr import Color, OpenPBR
 from dsbrdf.version import __version__
 
 __all__ = ["FittedSurface", "fit_openpbr", "materialx_document"]
 
 Array = NDArray[np.float64]
 
+_DOCUMENT = """\
+<?xml version="1.0"?>
+<materialx version="1.39" colorspace="lin_rec709">
+  <open_pbr_surface name="dsbrdf_surface" type="surfaceshader" doc="{doc}">
+{inputs}
+  </open_pbr_surface>
+  <surfacematerial name="dsbrdf_material" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="dsbrdf_surface" />
+  </surfacematerial>
+</materialx>
+"""
 _FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of the spheres that are fitted
 _STATED_SIZE = 128  # of those whose PSNR is stated
 _BRIGHTEST = 1e100
@@ -75,17 +85,14 @@ def materialx_document(model: DSBRDF) -> str:
         f"The OpenPBR surface nearest to a Directional Statistics BRDF model, written by dsbrdf {__version__}. "
         f"PSNR of a lit sphere against the model: {error}."
     )
-    root = ElementTree.Element("materialx", version="1.39", colorspace="lin_rec709")
-    shader = ElementTree.SubElement(root, "open_pbr_surface", name="dsbrdf_surface", type="surfaceshader", doc=doc)
-    for field in fields(OpenPBR):
-        value = getattr(fitted.surface, field.name)
-        numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
-        text = ", ".join(f"{number:.6g}" for number in numbers)
-        ElementTree.SubElement(shader, "input", name=field.name, type=kind, value=text)
-    material = ElementTree.SubElement(root, "surfacematerial", name="dsbrdf_material", type="material")
-    ElementTree.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename="dsbrdf_surface")
-    ElementTree.indent(root)
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    inputs = [_input(field.name, getattr(fitted.surface, field.name)) for field in fields(OpenPBR)]
+    return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs))
+
+
+def _input(name: str, value: float | Color) -> str:
+    numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
+    text = ", ".join(f"{number:.6g}" for number in numbers)
+    return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
 def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
