@@ -18,4 +18,4 @@ async def values() -> dict[str, list[list[float]]]:
 
 
 if __name__ == "__main__":
-    uvicorn.run(app, port=0, http="h11", loop="asyncio", ws="none", access_log=False, server_header=False)
+    uvicorn.run(app, port=0, http="httptools", loop="asyncio", ws="none", access_log=False, server_header=False)

@@ -1,7 +1,7 @@
 """Light load on a server: many requests on a few connections, large bodies at once, and a process's memory meanwhile.
 
 Requests are sent by ``wrk`` where it is installed (Debian has it), else by a program of raw sockets in a process of its
-own: ``python -m benchmarks.http_load URL CONNECTIONS SECONDS``.
+own: ``python -m benchmarks.http_load URL CONNECTIONS SECONDS KEY``.
 """
 
 import asyncio
@@ -40,15 +40,16 @@ def load_generator() -> str:
     return "wrk" if shutil.which("wrk") else "raw sockets"
 
 
-def get_repeatedly(url: str, connections: int, seconds: float) -> Rate:
+def get_repeatedly(url: str, connections: int, seconds: float, key: str = "") -> Rate:
     """Ask for a page again and again on so many connections; every answer has to be 200."""
     if shutil.which("wrk"):
         command = ["wrk", "--latency", "-t1", f"-c{connections}", f"-d{max(round(seconds), 1)}s", url]
+        command += ["-H", f"Authorization: {key}"] if key else []
         text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         if "Non-2xx" in text or "Socket errors" in text:
             raise SystemExit(f"{url} did not answer every request with 200:\n{text}")
         return _read_wrk(text)
-    program = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds)]
+    program = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds), key]
     return Rate(*json.loads(subprocess.run(program, check=True, capture_output=True, text=True).stdout))
 
 
@@ -63,9 +64,10 @@ def _read_wrk(text: str) -> Rate:
     return Rate(float(per_second[1]), latency("50"), latency("99"))
 
 
-async def _get_from_here(url: str, connections: int, seconds: float) -> Rate:
+async def _get_from_here(url: str, connections: int, seconds: float, key: str) -> Rate:
     parts = urlsplit(url)
-    head = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: {parts.netloc}\r\n\r\n".encode()
+    authorization = f"Authorization: {key}\r\n" if key else ""
+    head = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: {parts.netloc}\r\n{authorization}\r\n".encode()
     loop = asyncio.get_running_loop()
     end = loop.time() + seconds
     times: list[float] = []
@@ -159,5 +161,5 @@ def program(command: Sequence[str], log: Path) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    figures = asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3])))
+    figures = asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]))
     print(json.dumps([figures.per_second, figures.p50, figures.p99]))

@@ -28,7 +28,7 @@ from service.http.limits import connection_class
 from service.operations import logging as logs
 from service.operations.memory import return_freed_memory
 from service.routes.dependencies import Context
-from service.settings import Settings, unknown_settings
+from service.settings import FLAGS, Settings, unknown_settings
 from service.storage.database import own_folder
 from service.storage.store import Store
 
@@ -138,12 +138,14 @@ def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
         prog="dsbrdf serve",
         description="Run the HTTP service. Further settings are environment variables that begin with DSBRDF_.",
     )
-    for name in ("host", "port", "data_dir", "workers"):
+    for name in FLAGS:
         setting = Settings.model_fields[name]
-        default = "one for each core" if name == "workers" else setting.default
-        parser.add_argument(f"--{name.replace('_', '-')}", help=f"{setting.description} Default: {default}.")
-    insecure = Settings.model_fields["insecure"].description
-    parser.add_argument("--insecure", action="store_true", default=None, help=insecure)
+        flag = f"--{name.replace('_', '-')}"
+        if setting.annotation is bool:
+            parser.add_argument(flag, action="store_true", default=None, help=setting.description)
+        else:
+            default = "one for each core" if name == "workers" else setting.default
+            parser.add_argument(flag, help=f"{setting.description} Default: {default}.")
     return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
 
 

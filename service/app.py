@@ -3,8 +3,9 @@
 import asyncio
 import logging
 import sqlite3
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -25,7 +26,7 @@ from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
-from service.operations.memory import trim_regularly
+from service.operations.memory import trim
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.routes import about, brdf, fits, measurements
@@ -82,7 +83,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await engine.start()
         await jobs.start()
         regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
-        regular.append(asyncio.create_task(trim_regularly()))
+        regular.append(asyncio.create_task(_every_minute(trim)))
+        regular.append(asyncio.create_task(_every_minute(partial(keys.write_uses, store.database))))
         try:
             yield
         finally:
@@ -91,8 +93,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             await asyncio.gather(*regular, return_exceptions=True)
             await jobs.close()
             await engine.close()
+            await run_in_threadpool(keys.write_uses, store.database)
     finally:
         store.close()
+
+
+async def _every_minute(call: Callable[[], None]) -> None:
+    """Call it in a thread until cancelled."""
+    while True:
+        await asyncio.sleep(60.0)
+        await asyncio.to_thread(call)
 
 
 async def _follow_changes(database: Database, keys: Keys, models: ModelCache) -> None:

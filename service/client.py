@@ -11,6 +11,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BufferedReader, BytesIO
@@ -23,6 +24,7 @@ from dsbrdf import DSBRDF, FitError, FitOptions, FitReport, InvalidArgumentError
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.output.serialize import from_json
 from service.wire.fit_options import from_wire, to_wire
+from service.wire.names import check_name
 
 Source = str | os.PathLike[str] | bytes | Measurement
 
@@ -71,6 +73,7 @@ class Fit:
     status: str
     progress: float  # finished share, 0 to 1
     measurement: str  # its sha256
+    name: str | None
     options: FitOptions
     metrics: dict[str, float | None] | None  # as in the library's report, once the fit has succeeded
     error: dict[str, str] | None  # origin, type and message if it has failed
@@ -136,6 +139,7 @@ class Client:
         measurement: Source,
         options: FitOptions | None = None,
         *,
+        name: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Fit:
         """Fit a measurement and return when the fit has succeeded.
@@ -146,6 +150,8 @@ class Client:
             A MERL file, its bytes, or a measurement. It is sent only if the service does not have it.
         options : FitOptions, optional
             Defaults to ``FitOptions()``.
+        name : str, optional
+            What the service calls the measurement and the fit; by default the name that they have, or the file's.
         progress : callable, optional
             Called with the finished share, 0 to 1, about twice a second.
 
@@ -156,7 +162,7 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        fit = self.submit(measurement, options)
+        fit = self.submit(measurement, options, name=name)
         while not fit.ended:
             if progress is not None:
                 progress(fit.progress)
@@ -170,19 +176,20 @@ class Client:
             raise FitError(error["message"])
         raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
 
-    def submit(self, measurement: Source, options: FitOptions | None = None) -> Fit:
+    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        document = {"measurement": self.upload(measurement), "options": to_wire(options or FitOptions())}
-        answer = self._call("POST", "/v1/fits", json=document, headers={"Prefer": "respond-async"})
+        document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
+        asynchronous = {"Prefer": "respond-async"}
+        answer = self._call("POST", "/v1/fits", json=document, headers=asynchronous, params=_query(name))
         return self._fit(answer.json())
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
         return self._fit(self._call("GET", f"/v1/fits/{fit_id}", params={"wait": wait}).json())
 
-    def fits(self) -> Iterator[Fit]:
-        """Yield the service's fits, newest first."""
-        url: str | None = "/v1/fits"
+    def fits(self, *, name: str | None = None) -> Iterator[Fit]:
+        """Yield the service's fits, or those of one name, newest first."""
+        url: str | None = str(httpx.URL("/v1/fits", params=_query(name)))
         while url is not None:
             answer = self._call("GET", url)
             for document in answer.json()["items"]:
@@ -193,8 +200,12 @@ class Client:
         """Cancel an unfinished fit, or delete one that has ended."""
         self._call("DELETE", f"/v1/fits/{fit_id}")
 
-    def upload(self, measurement: Source) -> str:
-        """Make sure that the service has a measurement, and return its sha256; errors as `fit`."""
+    def upload(self, measurement: Source, *, name: str | None = None) -> str:
+        """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
+
+        One that is sent gets the `name`, by default its own.
+        """
+        own_name = _own_name(measurement)
         if isinstance(measurement, Measurement):
             measurement = encode_merl(measurement)
         with _opened(measurement) as file:
@@ -205,7 +216,8 @@ class Client:
         if probe.status_code != 404:
             raise _error(probe)
         with _opened(measurement) as file:
-            self._call("POST", "/v1/measurements", content=file, headers={"Content-Type": _RAW})
+            raw = {"Content-Type": _RAW}
+            self._call("POST", "/v1/measurements", content=file, headers=raw, params=_query(name or own_name))
         return sha256
 
     def measurement(self, sha256: str) -> Measurement:
@@ -245,7 +257,7 @@ class Client:
         raise _error(answer)
 
     def _fit(self, document: Mapping[str, Any]) -> Fit:
-        names = ("id", "status", "progress", "measurement", "metrics", "error")
+        names = ("id", "name", "status", "progress", "measurement", "metrics", "error")
         plain = {name: document[name] for name in names}
         return Fit(**plain, options=from_wire(document["options"]), _export=self._export)
 
@@ -269,6 +281,20 @@ def _error(answer: httpx.Response) -> Exception:
         seconds = answer.headers.get("retry-after", "")
         return LimitError(problem, float(seconds) if seconds.isdecimal() else None)
     return ServiceError(problem)
+
+
+def _own_name(measurement: Source) -> str | None:
+    """Return the name of a measurement or of its file, if the service would take it."""
+    if isinstance(measurement, bytes):
+        return None
+    name = measurement.name if isinstance(measurement, Measurement) else Path(measurement).stem
+    with suppress(InvalidArgumentError):
+        return check_name(name)
+    return None
+
+
+def _query(name: str | None) -> dict[str, str]:
+    return {} if name is None else {"name": name}
 
 
 def _opened(measurement: str | os.PathLike[str] | bytes) -> BytesIO | BufferedReader:

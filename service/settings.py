@@ -12,7 +12,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from dsbrdf.process_settings import core_count
 from service import DEFAULT_DATA_DIR
 
-_PREFIX = "DSBRDF_"
+PREFIX = "DSBRDF_"
+FLAGS = ("host", "port", "data_dir", "workers", "insecure")
+"""Settings that the command line takes too."""
 # Of the client and the tests.
 _OTHER_VARIABLES = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_SEED", "DSBRDF_SOAK"))
 
@@ -20,7 +22,7 @@ _OTHER_VARIABLES = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCH
 class Settings(BaseSettings):
     """Settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
 
-    model_config = SettingsConfigDict(env_prefix=_PREFIX, env_ignore_empty=True, frozen=True)
+    model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, frozen=True)
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
@@ -67,7 +69,7 @@ class Settings(BaseSettings):
         default=256, ge=0, description="Free disk space below which the service is not ready [MB]."
     )
 
-    limit_concurrency: int = Field(default=512, ge=1, description="Connections served at once; further ones get 503.")
+    limit_concurrency: int = Field(default=512, ge=1, description="Requests answered at once; further ones get 503.")
     header_timeout: float = Field(default=10.0, gt=0, description="Time that a request's head may take to arrive [s].")
     idle_timeout: float = Field(
         default=30.0, gt=0, description="Time without a byte after which a slow sender or reader is given up [s]."
@@ -92,10 +94,10 @@ class Settings(BaseSettings):
 
 def unknown_settings() -> list[str]:
     """Return a sentence for each variable of the environment that looks like a setting and is none."""
-    known = {_PREFIX + name.upper() for name in Settings.model_fields}
+    known = {PREFIX + name.upper() for name in Settings.model_fields}
     sentences = []
     for name in sorted(os.environ):
-        if name.upper().startswith(_PREFIX) and name.upper() not in known | _OTHER_VARIABLES:
+        if name.upper().startswith(PREFIX) and name.upper() not in known | _OTHER_VARIABLES:
             similar = get_close_matches(name.upper(), known, 1)
             meant = f"; did you mean {similar[0]}?" if similar else "."
             sentences.append(f"The environment variable {name[:80]} is no setting and has no effect{meant}")

@@ -8,13 +8,16 @@ is the BRDF in 1/sr; a negative value marks a node without a measurement.
 `parse_merl` and `read_merl` use the same code.
 """
 
+import mmap
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl_validation import (
     FILE_SIZE,
@@ -36,6 +39,7 @@ __all__ = [
     "check_header",
     "check_length",
     "encode_merl",
+    "map_merl",
     "parse_merl",
     "read_merl",
     "write_merl",
@@ -100,6 +104,36 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
         # One byte more than needed shows whether the file has grown since.
         data = file.read(FILE_SIZE + 1)
     return parse_merl(data, source.stem)
+
+
+def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
+    """Return a measurement whose file has been checked before: it is mapped, neither read whole nor checked again.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its stem becomes the measurement's name. It must not change as long as the measurement is used.
+    sha256 : str
+        Hexadecimal digest of its bytes.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    OSError
+        If the file does not exist or cannot be read.
+    ValueError
+        If the file is shorter than a measurement.
+    """
+    source = Path(path)
+    with source.open("rb") as file:
+        data = mmap.mmap(file.fileno(), FILE_SIZE, access=mmap.ACCESS_READ)
+    stored = np.frombuffer(data, dtype="<f8", offset=HEADER_SIZE).reshape(len(SCALE), *GRID_SHAPE)
+    valid = nodes_above_horizon() & (stored >= 0.0).all(axis=0)
+    valid.flags.writeable = False
+    return Measurement(stored=stored, scale=SCALE, valid=valid, name=source.stem, sha256=sha256)
 
 
 def encode_merl(measurement: Measurement | ArrayLike, valid: ArrayLike | None = None) -> bytes:

@@ -52,11 +52,14 @@ class FitTask:
     path : Path
         The measurement's file.
     options : FitOptions
+    sha256 : str or None
+        Digest of the file if it has been checked before, so that it need not be checked again.
     """
 
     fit_id: str
     path: Path
     options: FitOptions
+    sha256: str | None = None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from dsbrdf.data.merl import read_merl
+from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
@@ -74,7 +74,7 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
 
 def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit the measurement of a task in one step."""
-    measurement = read_merl(task.path)
+    measurement = read_merl(task.path) if task.sha256 is None else map_merl(task.path, task.sha256)
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
         return _fitted(fit(measurement, task.options, progress=on_progress))
 

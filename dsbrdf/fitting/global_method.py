@@ -21,10 +21,10 @@ from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, mini
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import Slices
-from dsbrdf.fitting.structure import GAMMA_BOUNDS, KAPPA_BOUNDS, Structure, change_knots
+from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure, change_knots
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import half_width
+from dsbrdf.model.lobes import half_width, width_of_reach
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
     rounds = _ROBUST_ROUNDS if options.robust else _ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
-        problem = MixtureProblem(data, mixture.structure)
+        problem = MixtureProblem(data if number else data.take_bins(_SEARCH_BINS), mixture.structure)
         if number > 0:
             exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
             if options.robust:
@@ -183,8 +183,8 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
 
 def _model(structure: Structure, unknowns: Array) -> DSBRDF:
     """Model of the unknowns, its lobes from narrow to wide, rings last."""
-    amplitude, shape, elongation = structure.split(unknowns)
-    k = structure.n_lobes
+    amplitude, _, elongation = structure.split(unknowns)
+    shape, k = structure.lobe_shapes(unknowns), structure.n_lobes
     kappa, gamma = np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k])
     center = np.zeros_like(kappa)
     center[:, list(structure.rings)] = shape[:, 2 * k :]
@@ -206,9 +206,9 @@ def _model(structure: Structure, unknowns: Array) -> DSBRDF:
 
 def _bounds_hit(model: DSBRDF) -> bool:
     """Whether a lobe is as narrow or as steep as the bounds allow."""
-    return bool(
-        np.any(model.kappa >= KAPPA_BOUNDS[1] * (1 - 1e-9)) or np.any(model.gamma >= GAMMA_BOUNDS[1] * (1 - 1e-9))
-    )
+    narrowest = width_of_reach(np.array(REACH_BOUNDS[0]), model.lobe) * (1 + 1e-9)
+    width = half_width(model.kappa, model.gamma, model.lobe)
+    return bool(np.any(model.kappa >= KAPPA_BOUNDS[1] * (1 - 1e-9)) or np.any(width <= narrowest))
 
 
 class _TryCounter:

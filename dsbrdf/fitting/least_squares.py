@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dposv as posv
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
@@ -42,6 +42,8 @@ SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _LARGEST_DAMPING = 1e8
+_LIMIT_PASSES = 5
+_SMALLEST_CHANGE = 1e-9
 _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the tolerance
 
 
@@ -111,38 +113,36 @@ class MixtureProblem:
         amplitude, shape, elongation = self.row_parameters(unknowns)
         return np.einsum("crk,krnp->crnp", amplitude, self._values(shape, elongation), optimize=True)
 
-    def cost(self, unknowns: Array) -> float:
-        """Weighted squared error plus smoothing."""
-        residual = self.values(unknowns) - self.data.mean
-        return float(np.einsum("crnp,crnp,crnp->", self.data.weight, residual, residual)) + self._pull(unknowns)
-
     def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
-        amplitude, shape, elongation = self.structure.split(unknowns)
+        amplitude, _, elongation = self.structure.split(unknowns)
+        shape = self.structure.lobe_shapes(unknowns)
         k = self.structure.n_lobes
         logs = (self.bases[0] @ amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
         return np.exp(logs), self.bases[1] @ shape, self.bases[2] @ elongation
 
-    def linearize(self, unknowns: Array) -> tuple[float, Array, Array]:
-        """Cost, Gauss-Newton matrix (U, U) and half the gradient (U,)."""
+    def evaluate(self, unknowns: Array) -> "Evaluation":
+        """Cost, and what its derivatives are put together from."""
         amplitude, shape, elongation = self.row_parameters(unknowns)
-        k = self.structure.n_lobes
-        n_rows = len(self.data.rows)
         curves = self._derivatives(shape, elongation)
-        curves = np.ascontiguousarray(curves.reshape(len(curves), n_rows, -1).transpose(1, 0, 2))
+        curves = np.ascontiguousarray(curves.reshape(*curves.shape[:2], -1).transpose(1, 0, 2))
+        values = amplitude.transpose(1, 0, 2) @ curves[:, : self.structure.n_lobes]
+        residual = values.transpose(1, 0, 2) - self.data.mean.reshape(3, len(values), -1)
+        cost = np.einsum("crn,crn,crn->", self.data.weight.reshape(residual.shape), residual, residual)
+        return Evaluation(unknowns, float(cost) + self._pull(unknowns), amplitude, curves, residual)
+
+    def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
+        """Gauss-Newton matrix (U, U) and half the gradient (U,) of the cost."""
+        k, n_rows = self.structure.n_lobes, len(self.data.rows)
         rings = np.flatnonzero(self.structure.rings)
         lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
         within, across, shared = _empty_blocks(n_rows, k, lobe_of.size)
         by_amplitude, by_shared = np.zeros((n_rows, 3, k)), np.zeros((n_rows, lobe_of.size))
-        cost = 0.0
         for channel in range(3):
-            height, weight = amplitude[channel], self.data.weight[channel].reshape(n_rows, 1, -1)
-            residual = np.einsum("rk,rkn->rn", height, curves[:, :k]) - self.data.mean[channel].reshape(n_rows, -1)
-            weighted = curves * weight
-            product = weighted @ curves.transpose(0, 2, 1)
-            slope = np.einsum("rmn,rn->rm", weighted, residual)
-            cost += float(np.einsum("rn,rn,rn->", weight[:, 0], residual, residual))
-            scale = height[:, lobe_of]
+            height, scale = at.amplitude[channel], at.amplitude[channel][:, lobe_of]
+            weighted = at.curves * self.data.weight[channel].reshape(n_rows, 1, -1)
+            product = weighted @ at.curves.transpose(0, 2, 1)
+            slope = (weighted @ at.residual[channel][..., None])[..., 0]
             within[:, channel, :, channel] = product[:, :k, :k] * height[:, :, None] * height[:, None, :]
             across[:, channel] = product[:, :k, k:] * height[:, :, None] * scale[:, None, :]
             shared += product[:, k:, k:] * scale[:, :, None] * scale[:, None, :]
@@ -151,8 +151,9 @@ class MixtureProblem:
         rows = _join_rows(within.reshape(n_rows, 3 * k, 3 * k), across.reshape(n_rows, 3 * k, -1), shared)
         gradient_rows = np.concatenate([by_amplitude.reshape(n_rows, -1), by_shared], axis=1)
         matrix, gradient = self._assemble(rows, gradient_rows)
-        self._add_pull(unknowns, matrix, gradient)
-        return cost + self._pull(unknowns), matrix, gradient
+        self.structure.chain(at.unknowns, matrix, gradient)
+        self._add_pull(at.unknowns, matrix, gradient)
+        return matrix, gradient
 
     def _assemble(self, rows: Array, gradient_rows: Array) -> tuple[Array, Array]:
         """Normal equations of the unknowns from those of each row's parameters."""
@@ -213,6 +214,29 @@ class MixtureProblem:
 
 
 @dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A mixture on its data.
+
+    Attributes
+    ----------
+    unknowns : ndarray, shape (U,)
+    cost : float
+        Weighted squared error plus the pull towards smooth parameters.
+    amplitude : ndarray, shape (3, R, K)
+    curves : ndarray, shape (R, K + P, N * 9)
+        Lobes of height 1, then their derivatives in the P parameters that the channels share.
+    residual : ndarray, shape (3, R, N * 9)
+        Mixture less data.
+    """
+
+    unknowns: Array
+    cost: float
+    amplitude: Array
+    curves: Array
+    residual: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Outcome of `minimize`.
 
@@ -260,47 +284,66 @@ def minimize(
     -------
     Solution
     """
-    low, high = problem.structure.bounds()
-    unknowns = problem.structure.limit(start)
-    cost, matrix, gradient = problem.linearize(unknowns)
+    at = problem.evaluate(problem.structure.limit(start))
+    matrix, gradient = problem.linearize(at)
     damping, growth, stalled = 1e-3, 2.0, 0
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)
-        held = ((unknowns <= low) & (gradient > 0)) | ((unknowns >= high) & (gradient < 0))
-        if fixed is not None:
-            held |= fixed
-        step = _step(matrix, gradient, damping, held)
-        proposed = problem.structure.limit(unknowns + step)
-        step = proposed - unknowns
+        step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed)
         predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
-        new_cost = problem.cost(proposed) if predicted > 0.0 else np.inf
-        gain = (cost - new_cost) / predicted if predicted > 0.0 else -1.0
+        proposed = problem.evaluate(at.unknowns + step) if predicted > 0.0 else at
+        gain = (at.cost - proposed.cost) / predicted if predicted > 0.0 else -1.0
         if gain > 0.0:
-            stalled = stalled + 1 if cost - new_cost < tolerance * cost else 0
-            unknowns, damping, growth = proposed, damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+            stalled = stalled + 1 if at.cost - proposed.cost < tolerance * at.cost else 0
+            at, damping, growth = proposed, damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
             if stalled >= _STALLED_STEPS:
-                return Solution(unknowns, new_cost, True, number)
-            cost, matrix, gradient = problem.linearize(unknowns)
+                return Solution(at.unknowns, at.cost, True, number)
+            matrix, gradient = problem.linearize(at)
         else:
             damping, growth = damping * growth, growth * 2.0
             if damping > _LARGEST_DAMPING:
-                return Solution(unknowns, cost, True, number)
-    return Solution(unknowns, cost, False, iterations)
+                return Solution(at.unknowns, at.cost, True, number)
+    return Solution(at.unknowns, at.cost, False, iterations)
 
 
-def _step(matrix: Array, gradient: Array, damping: float, held: NDArray[np.bool_]) -> Array:
-    """Damped Gauss-Newton step of the unknowns that are not held; 0 for the others."""
-    free = np.flatnonzero(~held)
+def _step(
+    structure: Structure,
+    unknowns: Array,
+    matrix: Array,
+    gradient: Array,
+    damping: float,
+    fixed: NDArray[np.bool_] | None,
+) -> Array:
+    """Damped Gauss-Newton step within the limits of the structure.
+
+    Unknowns that a limit stops short are given the step that is left to them, and the others are solved for anew: else
+    these would answer to steps that are not made.
+    """
+    # First those that stand at a limit and are pushed outwards.
+    pushed = structure.limit(unknowns - _SMALLEST_CHANGE * np.sign(gradient))
+    free = np.abs(pushed - unknowns) > 0.5 * _SMALLEST_CHANGE
+    if fixed is not None:
+        free &= ~fixed
     scale = np.diag(matrix)
-    scale = scale + 1e-12 * scale.max()
-    damped = matrix[np.ix_(free, free)] + np.diag(damping * scale[free])
+    damped = matrix + np.diag(damping * (scale + 1e-12 * scale.max()))
     step = np.zeros_like(gradient)
-    try:
-        factor = cho_factor(damped, overwrite_a=True, check_finite=False)
-    except LinAlgError:  # singular to rounding: no step, so that the damping grows
-        return step
-    step[free] = np.clip(-cho_solve(factor, gradient[free], check_finite=False), -_LARGEST_STEP, _LARGEST_STEP)
+    for _ in range(_LIMIT_PASSES):
+        index = np.flatnonzero(free)
+        if not index.size:
+            break
+        slope = (gradient + matrix @ step)[index]
+        _, solved, failed = posv(damped[np.ix_(index, index)], -slope, overwrite_a=True)
+        if failed:  # singular to rounding: no step, so that the damping grows
+            return np.zeros_like(gradient)
+        wanted = np.where(free, 0.0, step)
+        wanted[index] = solved
+        step = structure.limit(unknowns + np.clip(wanted, -_LARGEST_STEP, _LARGEST_STEP)) - unknowns
+        stopped = free & (np.abs(step - wanted) > _SMALLEST_CHANGE)
+        if not stopped.any():
+            break
+        free &= ~stopped
+        step = np.where(free, 0.0, step)
     return step
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Structure
-from dsbrdf.model.lobes import gamma_factor, gamma_of_half_width, half_width, lobe_values, log_cosine, stretch
+from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
 from dsbrdf.model.splines import roughness
 
 Array = NDArray[np.float64]
@@ -31,8 +31,8 @@ MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
 PAYS = 0.04
 """Share of the error on the rows held out by which a lobe has to lower it."""
-NEGLIGIBLE = 1e-6
-"""... and share of the weighted squared signal: errors below 0.1 % are nobody's material."""
+NEGLIGIBLE = 1e-5
+"""... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
 NOISE_CORRELATION = 0.25
 """Correlation of neighbouring residuals below which they count as noise: 0 for noise of single samples, above 0.3 as a
 rule where a mixture misses the shape of a material."""
@@ -47,9 +47,11 @@ _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: one that starts too faint has no derivative to grow by
 _START_SMOOTHING = 3e-2
-_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 12, 1e-3
+_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 6, 9, 1e-3
 _LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
 _MOST_PLAIN_LOBES = 4  # lobes about the normal that are tried in the place of rings
+_NEARLY_NOISE = 0.9  # correlation below which a mixture is fitted on before it is judged
+_LAST_ITERATIONS, _LAST_TOLERANCE = 20, 2e-2
 _PATIENCE = 2  # lobes that do not pay before the next one may: two can need each other
 
 
@@ -90,10 +92,6 @@ class _Candidate:
     @property
     def is_ring(self) -> bool:
         return self.center != 0.0
-
-    def gamma(self, family: str) -> Array:
-        """Shape of a lobe that starts with the half width."""
-        return gamma_of_half_width(np.array(self.width), np.array(_START_KAPPA), family)
 
 
 def grow(
@@ -190,7 +188,8 @@ def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     log_cos = log_cosine(THETA_DIFF[data.rows])[:, None, None]
     at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent
     center = np.array(candidate.center) if candidate.is_ring else None
-    values = lobe_values(at, np.array(_START_KAPPA), candidate.gamma(family), center, family)
+    kappa = np.array(_START_KAPPA)
+    values = lobe_values(at, kappa, gamma_of_half_width(np.array(candidate.width), kappa, family), center, family)
     return np.ascontiguousarray(values.reshape(len(data.rows), -1))
 
 
@@ -223,20 +222,23 @@ def _fit(data: FitData, start: Mixture) -> Mixture:
     return _minimize(data, start, _ITERATIONS)
 
 
-def _minimize(data: FitData, start: Mixture, iterations: int, fixed: NDArray[np.bool_] | None = None) -> Mixture:
+def _minimize(
+    data: FitData,
+    start: Mixture,
+    iterations: int,
+    fixed: NDArray[np.bool_] | None = None,
+    tolerance: float = _TOLERANCE,
+) -> Mixture:
     problem = MixtureProblem(data, start.structure)
-    found = minimize(problem, start.unknowns, tolerance=_TOLERANCE, iterations=iterations, fixed=fixed)
+    found = minimize(problem, start.unknowns, tolerance=tolerance, iterations=iterations, fixed=fixed)
     return Mixture(start.structure, found.unknowns)
 
 
 def _restart_kappa(mixture: Mixture) -> Mixture:
     """Set every kappa to that of a new lobe, at the same half widths."""
-    structure, unknowns = mixture.structure, mixture.unknowns.copy()
-    k, shape = structure.n_lobes, structure.split(unknowns)[1]
-    factor = gamma_factor(np.exp(shape[:, :k]), np.array(_START_KAPPA), structure.family)
-    shape[:, k : 2 * k] += np.log(factor)
-    shape[:, :k] = np.log(_START_KAPPA)
-    return Mixture(structure, unknowns)
+    unknowns = mixture.unknowns.copy()
+    unknowns[mixture.structure.is_kappa()] = np.log(_START_KAPPA)
+    return Mixture(mixture.structure, unknowns)
 
 
 def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
@@ -250,9 +252,17 @@ def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
     """
     structure = mixture.structure
     if 0 < structure.n_rings and structure.n_lobes <= _MOST_PLAIN_LOBES:
-        plain = _minimize(data, _fit(data, _restart_kappa(_about_normal(mixture))), _ITERATIONS)
-        if _correlation(data, plain) < NOISE_CORRELATION:
+        plain, only_noise = _settle(data, _fit(data, _restart_kappa(_about_normal(mixture))))
+        if only_noise:
             return plain, True
+    return _settle(data, mixture)
+
+
+def _settle(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
+    """Fit on where the residual is nearly noise, and tell whether it is."""
+    if _correlation(data, mixture) > _NEARLY_NOISE:
+        return mixture, False
+    mixture = _minimize(data, mixture, _LAST_ITERATIONS, tolerance=_LAST_TOLERANCE)
     return mixture, _correlation(data, mixture) < NOISE_CORRELATION
 
 
@@ -261,11 +271,11 @@ def _about_normal(mixture: Mixture) -> Mixture:
     old = mixture.structure
     amplitude, shape, elongation = old.split(mixture.unknowns)
     k, plain = old.n_lobes, old.n_lobes - old.n_rings
-    kappa, gamma, center = np.exp(shape[:, plain:k]), np.exp(shape[:, k + plain : 2 * k]), shape[:, 2 * k :]
-    width = half_width(kappa, gamma, old.family)
-    reach = np.clip(width + center, 0.3 * width, 1.5)
+    center = old.lobe_shapes(mixture.unknowns)[:, 2 * k :]
+    width = width_of_reach(np.exp(shape[:, k + plain : 2 * k]), old.family)
+    width = np.clip(width + center, 0.3 * width, 1.5)
     shape = shape[:, : 2 * k].copy()
-    shape[:, k + plain :] = np.log(gamma_of_half_width(reach, kappa, old.family))
+    shape[:, k + plain :] = np.log(reach_of_width(width, old.family))
     unknowns = np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
     return Mixture(replace(old, rings=(False,) * k), unknowns)
 
@@ -322,7 +332,8 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
         shapes[:, others], shapes[:, [k + lobe for lobe in others]] = old_shapes[:, :n], old_shapes[:, n : 2 * n]
         shapes[:, 2 * k : 2 * k + old.n_rings] = old_shapes[:, 2 * n :]
         elongations[:, others] = old_elongations
-    shapes[:, place], shapes[:, k + place] = np.log(_START_KAPPA), np.log(candidate.gamma(old.family))
+    shapes[:, place] = np.log(_START_KAPPA)
+    shapes[:, k + place] = np.log(reach_of_width(np.array(candidate.width), old.family))
     elongations[:, place] = _START_ELONGATION * candidate.elongation
     if candidate.is_ring:
         shapes[:, -1] = candidate.center

@@ -171,21 +171,20 @@ def _add_row(
     sums: SampleErrors, samples: Array, fit: Array, used: NDArray[np.bool_], cosine: Array, rows: NDArray[np.intp]
 ) -> None:
     count = used.sum(axis=1)
-    mean = np.sum(samples * used, axis=2) / np.maximum(count, 1)
+    samples = samples * used
+    mean = np.sum(samples, axis=2) / np.maximum(count, 1)
     # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material.
     partner = (PHI_DIFF.size - np.arange(PHI_DIFF.size)) % PHI_DIFF.size
-    both = used & used[:, partner]
-    folded = np.where(both, 0.5 * (samples + samples[:, :, partner]), samples)
-    positive = np.where(used, cosine, 0.0)
-    difference = np.log1p(np.where(used, samples, 0.0) * positive) - np.log1p(fit * positive)
+    half_step = np.where(used & used[:, partner], 0.5 * (samples - samples[:, :, partner]), 0.0)
+    fit = fit * used
     for total, part in (
-        (sums.power, samples**2),
-        (sums.error, (samples - fit) ** 2),
-        (sums.scatter, (samples - mean[:, :, None]) ** 2),
-        (sums.asymmetry, (samples - folded) ** 2),
-        (sums.log_error, np.abs(difference)),
+        (sums.power, samples),
+        (sums.error, samples - fit),
+        (sums.scatter, (samples - mean[:, :, None]) * used),
+        (sums.asymmetry, half_step),
     ):
-        total[:, rows] += np.sum(part * used, axis=2)
+        total[:, rows] += np.einsum("crp,crp->cr", part, part)
+    sums.log_error[:, rows] += np.sum(np.abs(np.log((1.0 + samples * cosine) / (1.0 + fit * cosine))), axis=2)
     sums.count[:, rows] += count
 
 

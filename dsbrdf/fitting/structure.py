@@ -1,12 +1,23 @@
-"""Which lobes a mixture has, how its unknowns lie in one array, and where they may lie."""
+"""Which lobes a mixture has, how its unknowns lie in one array, and where they may lie.
+
+Gamma and center are not unknowns themselves, but
+
+    log reach = log fall_to_half(kappa) - log gamma,
+    center = offset where positive, else limit * expm1(offset / limit),
+
+where a lobe falls to half its height and how far its peak lies from the normal.  So kappa, which trades against gamma,
+changes while the half width stays, and each bound concerns one unknown.  The limit of a negative center, a cusp, is the
+half width, and at most `WIDEST_CUSP`: a cusp stays about as steep as the lobe itself.
+"""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.model.lobes import gamma_of_half_width, half_width
+from dsbrdf.model.lobes import fall_to_half, reach_of_width, slope_of_fall, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 Array = NDArray[np.float64]
@@ -14,14 +25,16 @@ Array = NDArray[np.float64]
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 """From nothing to the largest value that a measurement may have."""
 KAPPA_BOUNDS = (1e-2, 10.0)
-GAMMA_BOUNDS = (1e-2, 5e4)
-"""From flat to a sixth of a degree, about the narrowest peak that the grid resolves."""
-CENTER_BOUNDS = (-0.25, float(np.pi / 2))
+REACH_BOUNDS = (4e-6, 70.0)
+"""From a sixth of a degree, about the narrowest peak that the grid resolves, to flat."""
+OFFSET_BOUNDS = (-1.0, float(np.pi / 2))
+"""From a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 2.0)
 RESOLVED = 1.0
 """A half width is at least this many times the spacing of the data at the center of the lobe."""
-CUSP_WIDTHS = 1.0
-"""A negative center is at most this many half widths: a cusp stays about as steep as the lobe itself."""
+WIDEST_CUSP = 0.25
+"""A center is at most so far below 0 [rad]."""
+_SATURATED = 2.5  # limits of a cusp beyond which an offset changes the center by less than a twelfth of the limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +75,7 @@ class Structure:
         """How many numbers describe the mixture."""
         return sum(rows * columns for rows, columns in self._blocks)
 
-    @property
+    @cached_property
     def _blocks(self) -> tuple[tuple[int, int], ...]:
         """Control values and parameters of amplitudes, shapes and elongations."""
         count = [n_control_values(k.size) for k in (self.amplitude_knots, self.shape_knots, self.elongation_knots)]
@@ -77,12 +90,12 @@ class Structure:
         amplitude : ndarray, shape (D, 3 K)
             Logarithms, channel by channel.
         shape : ndarray, shape (S, 2 K + rings)
-            log kappa, log gamma, center of the ring lobes.
+            log kappa, log reach, offset of the ring lobes.
         elongation : ndarray, shape (E, K)
         """
-        ends = np.cumsum([rows * columns for rows, columns in self._blocks])
-        parts = np.split(unknowns, ends[:-1])
-        amplitude, shape, elongation = (p.reshape(block) for p, block in zip(parts, self._blocks, strict=True))
+        (d, p), (s, q), (e, r) = self._blocks
+        amplitude, rest = unknowns[: d * p].reshape(d, p), unknowns[d * p :]
+        shape, elongation = rest[: s * q].reshape(s, q), rest[s * q :].reshape(e, r)
         return amplitude, shape, elongation
 
     def is_kappa(self) -> NDArray[np.bool_]:
@@ -91,6 +104,7 @@ class Structure:
         self.split(found)[1][:, : self.n_lobes] = 1.0
         return found > 0.0
 
+    @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of the unknowns, shape (n_unknowns,) each."""
         sides = []
@@ -99,38 +113,90 @@ class Structure:
             amplitude, shape, elongation = self.split(bound)
             k = self.n_lobes
             amplitude[...] = LOG_AMPLITUDE_BOUNDS[side]
-            shape[:, :k], shape[:, k : 2 * k] = np.log(KAPPA_BOUNDS[side]), np.log(GAMMA_BOUNDS[side])
-            shape[:, 2 * k :], elongation[...] = CENTER_BOUNDS[side], ELONGATION_BOUNDS[side]
+            shape[:, :k], shape[:, k : 2 * k] = np.log(KAPPA_BOUNDS[side]), np.log(REACH_BOUNDS[side])
+            shape[:, 2 * k :], elongation[...] = OFFSET_BOUNDS[side], ELONGATION_BOUNDS[side]
             sides.append(bound)
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Unknowns within the bounds, no lobe narrower than the data can tell and no cusp steeper than its lobe.
+        """Unknowns within the bounds, and no lobe narrower than the data can tell.
 
-        A half width is at least `RESOLVED` times the spacing of the data at the lobe's center, and a negative center at
-        most `CUSP_WIDTHS` half widths.
+        A half width is at least `RESOLVED` times the spacing of the data at the lobe's center, and an offset not so far
+        below 0 that it has no effect.
         """
-        limited = np.clip(unknowns, *self.bounds())
+        limited = np.clip(unknowns, *self.bounds)
         shape, k = self.split(limited)[1], self.n_lobes
-        center = np.zeros((len(shape), k))
-        center[:, list(self.rings)] = np.maximum(shape[:, 2 * k :], 0.0)
+        np.maximum(shape[:, 2 * k :], -_SATURATED * self._cusp_limit(shape)[0], out=shape[:, 2 * k :])
         if self.theta_half.size > 1:
+            center = np.zeros((len(shape), k))
+            center[:, list(self.rings)] = np.maximum(shape[:, 2 * k :], 0.0)
             middle = 0.5 * (self.theta_half[1:] + self.theta_half[:-1])
             narrowest = RESOLVED * np.interp(center, middle, np.diff(self.theta_half))
-            steepest = gamma_of_half_width(np.minimum(narrowest, 1.0), np.exp(shape[:, :k]), self.family)
-            np.minimum(shape[:, k : 2 * k], np.log(steepest), out=shape[:, k : 2 * k])
-        width = half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]), self.family)[:, list(self.rings)]
-        np.maximum(shape[:, 2 * k :], -CUSP_WIDTHS * width, out=shape[:, 2 * k :])
+            least = np.log(reach_of_width(np.minimum(narrowest, 1.0), self.family))
+            np.maximum(shape[:, k : 2 * k], least, out=shape[:, k : 2 * k])
         return limited
+
+    def lobe_shapes(self, unknowns: Array) -> Array:
+        """Control values of log kappa, log gamma and, for ring lobes, center, shape (S, 2 K + rings)."""
+        shape, k = self.split(unknowns)[1].copy(), self.n_lobes
+        limit, _ = self._cusp_limit(shape)
+        shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
+        offset = shape[:, 2 * k :]
+        shape[:, 2 * k :] = np.maximum(offset, 0.0) + limit * np.expm1(np.minimum(offset, 0.0) / limit)
+        return shape
+
+    def join(self, amplitude: Array, lobe_shapes: Array, elongation: Array) -> Array:
+        """Unknowns of control values; the inverse of `split` and `lobe_shapes`."""
+        shape, k = lobe_shapes.copy(), self.n_lobes
+        shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
+        limit, _ = self._cusp_limit(shape)
+        center = shape[:, 2 * k :]
+        negative = np.maximum(np.minimum(center, 0.0) / limit, np.expm1(-_SATURATED))
+        shape[:, 2 * k :] = np.maximum(center, 0.0) + limit * np.log1p(negative)
+        return np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
+
+    def chain(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
+        """Turn derivatives in control values, as `lobe_shapes` has them, into those in the unknowns, in place."""
+        shape, k = self.split(unknowns)[1], self.n_lobes
+        places = self.split(np.arange(float(self.n_unknowns)))[1].astype(np.intp)
+        kappa, reach, offset = places[:, :k].ravel(), places[:, k : 2 * k].ravel(), places[:, 2 * k :].ravel()
+        ring_reach = places[:, k : 2 * k][:, list(self.rings)].ravel()
+        by_kappa = slope_of_fall(np.exp(shape[:, :k]), self.family).ravel()
+        limit, slope = self._cusp_limit(shape)
+        saturation = np.minimum(shape[:, 2 * k :], 0.0) / limit
+        by_offset = np.exp(saturation).ravel()
+        by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation))).ravel()
+        for rows in (gradient, matrix, matrix.T):  # rows of the matrix, then its columns
+            tail = (slice(None),) + (None,) * (rows.ndim - 1)
+            rows[kappa] += by_kappa[tail] * rows[reach]
+            rows[reach] *= -1.0
+            rows[ring_reach] += by_reach[tail] * rows[offset]
+            rows[offset] *= by_offset[tail]
+
+    def _cusp_limit(self, shape: Array) -> tuple[Array, Array]:
+        """How far a center can be negative [rad], and the derivative in log reach; each of shape (S, rings)."""
+        k = self.n_lobes
+        reach = np.exp(shape[:, k : 2 * k][:, list(self.rings)])
+        width = width_of_reach(reach, self.family)
+        tangent = np.tan(width)
+        slope = reach / tangent if self.family == "hemi_epd" else 0.5 * tangent / (1.0 + tangent**2)
+        narrow = width < WIDEST_CUSP
+        return np.where(narrow, width, WIDEST_CUSP), np.where(narrow, slope, 0.0)
 
 
 def change_knots(old: Structure, unknowns: Array, new: Structure) -> Array:
     """Unknowns of the same mixture on other knots: exact where the old knots are among the new ones."""
-    changed = np.empty(new.n_unknowns)
-    knots = ("amplitude_knots", "shape_knots", "elongation_knots")
-    for name, part, into in zip(knots, old.split(unknowns), new.split(changed), strict=True):
-        first, last = getattr(new, name)[[0, -1]]
-        angles = np.linspace(first, last, 8 * len(into))
-        values = spline_basis(getattr(old, name), angles) @ part
-        into[...] = np.linalg.lstsq(spline_basis(getattr(new, name), angles), values, rcond=None)[0]
-    return changed
+    amplitude, _, elongation = old.split(unknowns)
+    parts = (amplitude, old.lobe_shapes(unknowns), elongation)
+    return new.join(
+        *(
+            _change(part, getattr(old, knots), getattr(new, knots))
+            for part, knots in zip(parts, ("amplitude_knots", "shape_knots", "elongation_knots"), strict=True)
+        )
+    )
+
+
+def _change(control_values: Array, old_knots: Array, new_knots: Array) -> Array:
+    angles = np.linspace(new_knots[0], new_knots[-1], 8 * n_control_values(new_knots.size))
+    values = spline_basis(old_knots, angles) @ control_values
+    return np.asarray(np.linalg.lstsq(spline_basis(new_knots, angles), values, rcond=None)[0])

@@ -78,23 +78,40 @@ def log_cosine(theta_diff: Array) -> Array:
 
 def half_width(kappa: Array, gamma: Array, family: str) -> Array:
     """Angle from the center at which a lobe has half its height [rad]."""
-    squared = _fall_to_half(kappa, family) / gamma
-    if family == "hemi_epd":
-        squared = np.expm1(np.minimum(2.0 * squared, -_LOWEST_LOG))
-    return np.asarray(np.arctan(np.sqrt(squared)))
+    return width_of_reach(fall_to_half(kappa, family) / gamma, family)
 
 
 def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
     """Gamma of a lobe that has half its height at an angle from the center [rad]."""
+    return fall_to_half(kappa, family) / reach_of_width(width, family)
+
+
+def fall_to_half(kappa: Array, family: str) -> Array:
+    """Gamma times the reach at which a lobe has half its height."""
+    if family == "student":
+        return np.expm1(np.log(2.0) / kappa)
+    return np.log(kappa / np.log1p(0.5 * np.expm1(kappa)))
+
+
+def slope_of_fall(kappa: Array, family: str) -> Array:
+    """Derivative of the logarithm of `fall_to_half` in log kappa."""
+    if family == "student":
+        power = np.log(2.0) / kappa
+        return -power / -np.expm1(-power)
+    half = 0.5 * np.expm1(kappa)
+    return (1.0 - kappa * (half + 0.5) / ((1.0 + half) * np.log1p(half))) / fall_to_half(kappa, family)
+
+
+def reach_of_width(width: Array, family: str) -> Array:
+    """-log(cos(width)) for "hemi_epd", tan(width)**2 for "student": what gamma is multiplied by."""
     squared = np.tan(width) ** 2
-    if family == "hemi_epd":
-        squared = 0.5 * np.log1p(squared)
-    return np.asarray(_fall_to_half(kappa, family) / squared)
+    return np.asarray(squared if family == "student" else 0.5 * np.log1p(squared))
 
 
-def gamma_factor(kappa: Array, new_kappa: Array, family: str) -> Array:
-    """What gamma has to be multiplied by so that a lobe keeps its half width when kappa changes."""
-    return _fall_to_half(new_kappa, family) / _fall_to_half(kappa, family)
+def width_of_reach(reach: Array, family: str) -> Array:
+    """Inverse of `reach_of_width` [rad]."""
+    squared = reach if family == "student" else np.expm1(np.minimum(2.0 * reach, -_LOWEST_LOG))
+    return np.asarray(np.arctan(np.sqrt(squared)))
 
 
 def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elongation: Array) -> Stretch:
@@ -204,13 +221,6 @@ def _student_derivatives(
     by_top = value * kappa * gamma / (1.0 + top) * 2.0 * tangent_top * (1.0 + tangent_top**2)
     by_offset = by_square if tangent is None else by_square * 2.0 * tangent * (1.0 + square)
     return value, value * fall, by_log_gamma, by_offset, by_top
-
-
-def _fall_to_half(kappa: Array, family: str) -> Array:
-    """Gamma times tan**2 ("student") or -log(cos) ("hemi_epd") of the half width."""
-    if family == "student":
-        return np.expm1(np.log(2.0) / kappa)
-    return np.log(kappa / np.log1p(0.5 * np.expm1(kappa)))
 
 
 def _tangent(squared_tangent: Array, center: Array, largest: float = _LARGEST_TANGENT) -> Array:

@@ -6,8 +6,10 @@ be guessed from it, so nothing slower is needed. The id is public, and it is the
 
 import hashlib
 import hmac
+import logging
 import re
 import secrets
+import sqlite3
 import time
 from contextlib import closing
 from dataclasses import astuple, dataclass
@@ -27,6 +29,8 @@ _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1_000_000
 _BURST_SECONDS = 5.0
 
+logger = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class KeyLimits:
@@ -39,11 +43,12 @@ class KeyLimits:
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A key without its secret; times are seconds since 1970."""
+    """A key without its secret; times are seconds since 1970, `used` is to the minute."""
 
     id: str
     name: str
     created: float
+    used: float | None
     revoked: float | None
     limits: KeyLimits
     metrics: bool
@@ -54,7 +59,10 @@ def add_key(database: Database, name: str, limits: KeyLimits, *, metrics: bool =
 
     With `metrics` it may read ``/metrics``, which has the totals of all keys.
     """
-    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), None, limits, metrics), secrets.token_urlsafe(32)
+    row, secret = (
+        KeyRow(secrets.token_hex(6), name, time.time(), None, None, limits, metrics),
+        secrets.token_urlsafe(32),
+    )
     values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), metrics, *astuple(limits))
     with database.transaction() as db:
         db.execute(
@@ -66,10 +74,10 @@ def add_key(database: Database, name: str, limits: KeyLimits, *, metrics: bool =
 
 def all_keys(database: Database) -> list[KeyRow]:
     """Return every key, in the order in which they were made."""
-    rows = database.rows(f"SELECT id, name, created, revoked, metrics, {_LIMITS} FROM keys ORDER BY rowid")  # noqa: S608
+    query = f"SELECT id, name, created, used, revoked, metrics, {_LIMITS} FROM keys ORDER BY rowid"  # noqa: S608
     return [
-        KeyRow(key_id, name, created, revoked, KeyLimits(*limits), bool(metrics))
-        for key_id, name, created, revoked, metrics, *limits in rows
+        KeyRow(key_id, name, created, used, revoked, KeyLimits(*limits), bool(metrics))
+        for key_id, name, created, used, revoked, metrics, *limits in database.rows(query)
     ]
 
 
@@ -125,6 +133,7 @@ class Keys:
     def __init__(self, settings: "Settings") -> None:
         self._settings = settings
         self._active: dict[str, ActiveKey] = {}
+        self._used: dict[str, float] = {}  # when, of those that were used since that was written
 
     def load(self, database: Database) -> None:
         """Read the keys again; the requests that a key has made still count."""
@@ -139,7 +148,23 @@ class Keys:
         key = self._active.get(parts[1].decode())
         expected = _NO_SECRET if key is None else key.secret_sha256
         right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
-        return key if right else None
+        if key is None or not right:
+            return None
+        self._used[key.caller.owner] = time.time()
+        return key
+
+    def write_uses(self, database: Database) -> None:
+        """Write when keys were used last, all at once: a write for each request would cost more than most of them."""
+        used, self._used = self._used, {}
+        rows = [(when, key_id) for key_id, when in tuple(used.items())]
+        if not rows:
+            return
+        try:
+            with database.transaction() as db:
+                db.executemany("UPDATE keys SET used = ? WHERE id = ?", rows)
+        except (sqlite3.Error, OSError) as error:
+            self._used = used | self._used
+            logger.warning("when keys were used could not be written: %s", error)
 
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""

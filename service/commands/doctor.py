@@ -48,12 +48,12 @@ def _examine(folder: Path, *, json: bool) -> int:
 def _database(folder: Path) -> str:
     ((version,),) = _rows(folder, "PRAGMA user_version")
     if version != VERSION:
-        raise CheckFailedError(f"schema version {version} is of another release; this one knows {VERSION}")
+        raise CheckFailedError("another release made it, with other tables: use that release")
     faults = [fault for (fault,) in _rows(folder, "PRAGMA integrity_check(3)")]
     if faults != ["ok"]:
         raise CheckFailedError(f"{'; '.join(faults)}: restore the folder from a copy")
     ((fits,),) = _rows(folder, "SELECT count(*) FROM fits")
-    return f"intact, schema version {version}, {fits} fits"
+    return f"intact, {fits} fits"
 
 
 def _measurements(folder: Path) -> str:

@@ -48,10 +48,11 @@ def _list(database: Database, arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"items": [_document(row) for row in rows]})
         return 0
-    print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
+    print(f"{'id':<14}{'created':<18}{'used':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
     for row in rows:
         rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in astuple(row.limits))
-        print(f"{row.id:<14}{_day(row.created):<18}{_day(row.revoked):<18}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
+        times = "".join(f"{_day(seconds):<18}" for seconds in (row.created, row.used, row.revoked))
+        print(f"{row.id:<14}{times}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
     return 0
 
 
@@ -63,16 +64,10 @@ def _revoke(database: Database, arguments: argparse.Namespace) -> int:
 
 
 def _document(row: KeyRow) -> dict[str, object]:
-    created = _time(row.created).isoformat()
-    revoked = None if row.revoked is None else _time(row.revoked).isoformat()
-    return {
-        "id": row.id,
-        "name": row.name,
-        "created": created,
-        "revoked": revoked,
-        "metrics": row.metrics,
-        **asdict(row.limits),
-    }
+    document = asdict(row)
+    for name in ("created", "used", "revoked"):
+        document[name] = None if document[name] is None else _time(document[name]).isoformat()
+    return document | document.pop("limits")
 
 
 def _time(seconds: float) -> datetime:

@@ -20,6 +20,7 @@ from service.http.responses import with_security_headers
 from service.settings import Settings
 
 _CLOSE = {"Connection": "close"}
+_READ_SIZE = 1 << 16
 _MAX_HEAD = 1 << 16  # bytes of a request's head, and of what frames its body
 _MAX_FRAMING = 16  # bytes for each byte of a body that is sent in chunks
 
@@ -39,6 +40,8 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timer of the first request's head."""
         super().connection_made(transport)
+        if hasattr(transport, "max_size"):  # bytes that asyncio reads at a time, each of many connections
+            transport.max_size = _READ_SIZE
         self._excess = len(self.connections) > self.max_connections
         self._update_header_timer()
 

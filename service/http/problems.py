@@ -55,7 +55,7 @@ KINDS: dict[str, Kind] = {
     "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9."),
     "fit-impossible": Kind(422, "The measurement cannot be fitted with these options", "No sample is left to fit."),
     "rate-limited": Kind(429, "Too many requests", "This key may make 100 requests per second; ask again in 0.2 s."),
-    "too-many-at-once": Kind(429, "Too many requests of the caller at once", "64 requests are in progress.", 1),
+    "too-many-at-once": Kind(429, "Too many requests of the caller at once", "64 requests are in progress.", 5),
     "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished.", 5),
     "internal": Kind(500, "The service failed", _BROKEN),
     "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later.", 10),

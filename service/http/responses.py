@@ -18,6 +18,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
+from service.wire.schemas import Page
 
 JSON = "application/json"
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
@@ -87,7 +88,6 @@ class OpenFileResponse(FileResponse):
             f"/dev/fd/{number}",
             headers=headers,
             media_type=media_type,
-            filename=path.name,
             stat_result=os.fstat(number),
         )
 
@@ -115,11 +115,12 @@ def check_range(request: Request, size: int) -> None:
         raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
 
 
-def next_page(request: Request, limit: int, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
+def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
     """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
-    if len(rows) <= limit:
+    if len(rows) <= page.limit:
         return {}
-    query = urlencode({"limit": limit, "cursor": rows[limit - 1].seq})
+    names = {} if page.name is None else {"name": page.name}
+    query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
     return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
 
 

@@ -95,14 +95,14 @@ class Jobs:
             logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
     async def submit(
-        self, caller: Caller, measurement: str | UploadBody, options: dict[str, Any]
+        self, caller: Caller, measurement: str | UploadBody, options: dict[str, Any], name: str | None = None
     ) -> tuple[FitRow, bool]:
         """Accept a fit of a stored measurement, or of one that is stored first, or find the same one.
 
         `options` are all options in their wire form. Return the fit's row, which is durable, and whether it is computed
-        because of this call.
+        because of this call. It gets the `name`, if there is one.
         """
-        add = partial(self._store.add_fit, caller, options=options, queue_limit=self._settings.queue_limit)
+        add = partial(self._store.add_fit, caller, options=options, queue_limit=self._settings.queue_limit, name=name)
         if isinstance(measurement, str):
             row, new = await in_write_thread(add, measurement)
         else:
@@ -219,7 +219,8 @@ class Jobs:
         while True:
             damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
             try:
-                task = FitTask(str(row.key), self._store.blobs.path(row.measurement), from_wire(row.options))
+                path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
+                task = FitTask(str(row.key), path, options, row.measurement)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
                 found = await damage
             except OSError as error:

@@ -1,11 +1,9 @@
 """The memory that the C library keeps when it is freed, returned to the system; only glibc's does as asked here."""
 
-import asyncio
 import ctypes
 from contextlib import suppress
 
-_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # glibc's M_MMAP_THRESHOLD and M_ARENA_MAX
-_TRIM_PERIOD = 60.0  # seconds; it takes some milliseconds
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
 
 
 def return_freed_memory() -> None:
@@ -18,17 +16,11 @@ def return_freed_memory() -> None:
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(_MMAP_THRESHOLD, 1 << 20)
+        library.mallopt(_TRIM_THRESHOLD, 2 << 20)  # otherwise each large buffer is taken from the system anew
         library.mallopt(_ARENA_MAX, 2)
 
 
 def trim() -> None:
-    """Return what is free between small buffers, which the C library keeps for ever by itself."""
+    """Return what is free between small buffers, which the C library keeps for ever; takes some milliseconds."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
-
-
-async def trim_regularly() -> None:
-    """Call `trim` once a minute until cancelled."""
-    while True:
-        await asyncio.sleep(_TRIM_PERIOD)
-        await asyncio.to_thread(trim)

@@ -17,6 +17,7 @@ from service.settings import Settings
 from service.storage.schema import Caller, FitKey
 from service.storage.store import Store
 from service.wire import examples
+from service.wire.names import given_name
 from service.wire.schemas import FIT_ID, SHA256
 
 _HEARTBEAT = 1.0  # seconds between looks at whether the key of a request that waits has been revoked
@@ -61,14 +62,25 @@ async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
 TheFit = Annotated[FitKey, Depends(fit_key)]
 
 
-async def no_query(request: Request) -> None:
-    """Refuse a query where none has a meaning, rather than ignoring what may have been misspelled."""
+def name_of(request: Request) -> str | None:
+    """Return the name that a request gives to what it sends."""
+    return given_name(request.query_params.getlist("name"), request.headers.get("content-disposition", ""))
+
+
+async def no_query(request: Request, *known: str) -> None:
+    """Refuse a query parameter that has no meaning here, rather than ignoring what may have been misspelled."""
     if request.scope["query_string"]:
-        name = next(iter(request.query_params), "")
-        raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; there is none here.")
+        unknown = [name for name in request.query_params if name not in known]
+        if unknown or not request.query_params:
+            there_is = f"known is {', '.join(known)}" if known else "there is none here"
+            raise InvalidArgumentError(f"Unknown query parameter {''.join(unknown[:1])[:60]!r}; {there_is}.")
 
 
-NO_QUERY = [Depends(no_query)]
+async def _no_query(request: Request) -> None:
+    await no_query(request)
+
+
+NO_QUERY = [Depends(_no_query)]
 
 
 async def revocation(keys: Keys, caller: Caller) -> None:

@@ -21,12 +21,13 @@ from service.http import openapi
 from service.http.openapi import BINARY, JSON
 from service.http.request_body import media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
-from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, revocation
+from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
 from service.wire.merl_stream import merl_parts
+from service.wire.names import MAX_LENGTH, content_disposition
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
@@ -54,6 +55,18 @@ def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     return {"name": name, "in": "query", **explained, "schema": schema}
 
 
+NAMES = [
+    {
+        "name": "name",
+        "in": "query",
+        "description": "Name of the measurement and of the fit; exports are called after it.",
+        "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
+        "example": "nickel",
+    },
+    openapi.header_parameter(
+        "Content-Disposition", "The file's name, where no `name` is given.", 'attachment; filename="nickel.binary"'
+    ),
+]
 _OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
 _SUBMISSION_BODY = openapi.body(
     "A MERL file, or a reference to a stored measurement.",
@@ -73,7 +86,7 @@ _SUBMISSION_BODY = openapi.body(
     | _submitted_as("The same request was made before; its fit has ended.", examples.FIT, headers=["Location"])
     | _submitted_as("The fit has not ended.", examples.RUNNING_FIT, status=202, headers=["Location", "Retry-After"])
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
-    openapi_extra={"parameters": [*_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
+    openapi_extra={"parameters": [*NAMES, *_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Fit the MERL file that is the body, or a stored measurement.
@@ -84,16 +97,18 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Location` tells where to ask again.
     """
     measurement: str | UploadBody
+    name = name_of(request)
+    given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
     if media_type_of(request, BINARY, JSON) == BINARY:
         measurement = upload_body(request)
-        options = canonical(from_query(request.query_params.multi_items()))
+        options = canonical(from_query(given))
     else:
-        if request.query_params:
+        if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
         body = await receive_body(request, _MAX_JSON, context.store.blobs.temporary)
         document = schemas.parse_document(schemas.FitRequest, bytes(body))
         measurement, options = document.measurement, canonical(from_wire(document.options))
-    row, new = await context.jobs.submit(caller, measurement, options)
+    row, new = await context.jobs.submit(caller, measurement, options, name)
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
@@ -114,12 +129,11 @@ async def list_fits(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[schemas.Page, Query()]
 ) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
-    before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, before)
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, page.name)
     items = [
         schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows[: page.limit]
     ]
-    return json_reply(schemas.FitList(items=items), headers=next_page(request, page.limit, rows))
+    return json_reply(schemas.FitList(items=items), headers=next_page(request, page, rows))
 
 
 @router.get(
@@ -193,11 +207,16 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes some seconds.
     """
     model = await context.models.component(fit, wanted.component)
-    name = "-".join(part for part in (fit.id, wanted.component) if part)
-    headers = {"Content-Disposition": f'attachment; filename="{name}.{FORMATS[wanted.format].suffix}"'}
+    row = await run_in_threadpool(context.store.fit, fit)
+    if row is None:
+        raise FitNotFoundError(fit.id)
+    name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
+    headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(merl_parts(model), 200, headers, FORMATS[wanted.format].media_type)
+        return StreamingResponse(
+            merl_parts(model, context.store.blobs.temporary), 200, headers, FORMATS[wanted.format].media_type
+        )
     report = (await context.models.get(fit)).report if wanted.component is None else None
     content = await run_in_threadpool(export_model, model, wanted.format, report)
     return Response(content, 200, headers, FORMATS[wanted.format].media_type)

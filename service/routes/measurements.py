@@ -13,11 +13,12 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
 from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
-from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext
-from service.routes.fits import CONTENT_ENCODING
+from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, name_of, no_query
+from service.routes.fits import CONTENT_ENCODING, NAMES
 from service.storage.schema import Caller, MeasurementRow
 from service.storage.uploads import in_write_thread
 from service.wire import examples
+from service.wire.names import content_disposition
 from service.wire.schemas import MeasurementDocument, MeasurementList, Page, from_row
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
@@ -35,23 +36,23 @@ _RANGE = openapi.header_parameter(
 
 @router.post(
     "",
-    dependencies=NO_QUERY,
     status_code=201,
     response_model=MeasurementDocument,
     summary="Upload a measurement",
     responses=_uploaded_as("The measurement is stored.", examples.MEASUREMENT, status=201)
     | _uploaded_as("The measurement was stored before.", examples.MEASUREMENT)
-    | openapi.problems(*openapi.UPLOAD_PROBLEMS),
+    | openapi.problems("invalid-argument", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={
-        "parameters": [CONTENT_ENCODING],
+        "parameters": [*NAMES, CONTENT_ENCODING],
         **openapi.body("A MERL file.", {BINARY: openapi.file(BINARY, maxLength=FILE_SIZE)}),
     },
 )
 async def upload_measurement(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
     media_type_of(request, BINARY)
+    await no_query(request, "name")
+    add = partial(context.store.add_measurement, caller, name=name_of(request))
     with context.metrics.timing("upload"):
-        add = partial(context.store.add_measurement, caller)
         row, new = await context.store.uploads.receive(caller, upload_body(request), add)
     headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
@@ -70,10 +71,9 @@ async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
-    before = None if page.cursor is None else int(page.cursor)
-    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, before)
+    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
     items = [from_row(MeasurementDocument, row) for row in rows[: page.limit]]
-    return json_reply(MeasurementList(items=items), headers=next_page(request, page.limit, rows))
+    return json_reply(MeasurementList(items=items), headers=next_page(request, page, rows))
 
 
 @router.get(
@@ -103,6 +103,7 @@ async def download_measurement(
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     check_range(request, row.size)
+    headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}.binary")
     try:
         return await run_in_threadpool(OpenFileResponse, context.store.blobs.path(sha256), headers, BINARY)
     except FileNotFoundError:  # deleted since its row was read

@@ -35,12 +35,9 @@ class Incoming:
         self._digest.update(data)
         self.size += len(data)
 
-    def pieces(self, size: int) -> Iterator[memoryview]:
-        """Yield what has been written, in pieces of at most `size` bytes, each only until the next one."""
-        buffer = memoryview(bytearray(size))
-        with self.path.open("rb", buffering=0) as file:
-            while length := file.readinto(buffer):
-                yield buffer[:length]
+    def read(self, start: int, size: int) -> bytes:
+        """Return at most `size` bytes of what has been written."""
+        return os.pread(self._file.fileno(), size, start)
 
     def close(self) -> str:
         """Make the content durable and return its sha256."""

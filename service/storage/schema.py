@@ -1,27 +1,28 @@
 """The tables of the database, and their rows as frozen dataclasses; times are seconds since 1970.
 
-``PRAGMA user_version`` holds the version of the tables, so that another release does not misread them.
+``PRAGMA user_version`` holds a hash of the tables' definition, so that no release misreads another one's.
 """
 
 import json
 import sqlite3
+import zlib
 from dataclasses import dataclass, fields
 from typing import Any, Literal, NamedTuple
 
 from service.errors import DataFolderError
 
-VERSION = 1
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
 # does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
 _TABLES = """
     CREATE TABLE measurements (
-        owner TEXT NOT NULL, seq INTEGER NOT NULL, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
         valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
         UNIQUE (owner, sha256), UNIQUE (owner, seq)
     ) STRICT;
     CREATE INDEX measurements_by_sha256 ON measurements (sha256);
+    CREATE INDEX measurements_by_name ON measurements (owner, name, seq);
     CREATE TABLE fits (
-        owner TEXT NOT NULL, seq INTEGER NOT NULL, id TEXT NOT NULL, measurement TEXT NOT NULL,
+        owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, id TEXT NOT NULL, measurement TEXT NOT NULL,
         options TEXT NOT NULL, algorithm TEXT NOT NULL, library TEXT NOT NULL,
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
         attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
@@ -32,13 +33,15 @@ _TABLES = """
     ) STRICT;
     CREATE INDEX fits_by_status ON fits (status, owner);
     CREATE INDEX fits_by_measurement ON fits (measurement, owner);
+    CREATE INDEX fits_by_name ON fits (owner, name, seq);
     CREATE INDEX fits_by_size ON fits (owner, size);
     CREATE TABLE keys (
         id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
-        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
+        used REAL, revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
         metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """
+VERSION = zlib.crc32(_TABLES.encode()) >> 1  # another one whenever the tables are; SQLite keeps 31 bits of it
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
@@ -63,8 +66,8 @@ def create_tables(connection: sqlite3.Connection) -> None:
         )
     if version not in (0, VERSION):
         raise DataFolderError(
-            f"the database has schema version {version}, but this release knows version {VERSION}; "
-            "run the release that wrote it"
+            "the database was made by another release, which has other tables; serve it with that release, or give "
+            "a data folder that is new or empty"
         )
     if version == VERSION:
         return
@@ -102,6 +105,7 @@ class MeasurementRow:
 
     owner: str
     seq: int
+    name: str | None
     sha256: str
     size: int
     valid_nodes: int
@@ -118,6 +122,7 @@ class FitRow:
 
     owner: str
     seq: int
+    name: str | None
     id: str
     measurement: str
     status: Status

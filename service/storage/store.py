@@ -27,12 +27,17 @@ _REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = atte
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 _INSERT_FIT = (
-    "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created)"  # noqa: S608
-    f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
+    "INSERT INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
+    f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
 )
 _INSERT_MEASUREMENT = (
-    "INSERT INTO measurements (seq, owner, sha256, size, valid_nodes, created)"  # noqa: S608
-    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?) RETURNING {columns(MeasurementRow)}"
+    "INSERT INTO measurements (seq, owner, sha256, name, size, valid_nodes, created)"  # noqa: S608
+    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?, ?) RETURNING {columns(MeasurementRow)}"
+)
+_RENAME_FIT = f"UPDATE fits SET name = coalesce(?, name) {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
+_RENAME_MEASUREMENT = (
+    "UPDATE measurements SET name = coalesce(?, name) WHERE owner = ? AND sha256 = ?"  # noqa: S608
+    f" RETURNING {columns(MeasurementRow)}"
 )
 
 
@@ -68,23 +73,27 @@ class Store:
         """Release the folder."""
         self.database.close()
 
-    def add_measurement(self, caller: Caller, received: Received) -> tuple[MeasurementRow, bool]:
-        """Store a received file; the flag says whether it is new to the caller.
+    def add_measurement(
+        self, caller: Caller, received: Received, name: str | None = None
+    ) -> tuple[MeasurementRow, bool]:
+        """Store a received file; the flag says whether it is new to the caller. A known one gets the new name, if any.
 
         Raises ProblemError if the caller would have stored more than it may.
         """
         incoming, sha256, valid_nodes = received
         found = self.measurement(caller.owner, sha256)
-        if found is not None and self.blobs.damage(sha256) is None:  # nothing has to be written
+        renamed = name is not None and found is not None and name != found.name
+        if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
             return found, False
         with self.database.transaction() as db:
             query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
-            row = known
-            if row is None:
+            if known is None:
                 check_storage(db, caller, incoming.size)
-                values = (caller.owner, caller.owner, sha256, incoming.size, valid_nodes, time.time())
+                values = (caller.owner, caller.owner, sha256, name, incoming.size, valid_nodes, time.time())
                 (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
+            else:
+                (row,) = db.execute(_RENAME_MEASUREMENT, (name, caller.owner, sha256)).fetchall()
             # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
             self.blobs.place(incoming, sha256)
         return MeasurementRow(*row), known is None
@@ -94,9 +103,9 @@ class Store:
         query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
         return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
 
-    def measurements(self, owner: str, limit: int, before: int | None) -> list[MeasurementRow]:
-        """Return up to `limit` measurements, newest first, older than the row number `before`."""
-        return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before)
+    def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
+        """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
+        return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before, name)
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, its finished fits stay; return whether there was one.
@@ -125,31 +134,41 @@ class Store:
         return removed
 
     def add_fit(
-        self, caller: Caller, measurement: str | Received, options: Mapping[str, Any], queue_limit: int
+        self,
+        caller: Caller,
+        measurement: str | Received,
+        options: Mapping[str, Any],
+        queue_limit: int,
+        name: str | None = None,
     ) -> tuple[FitRow, bool]:
         """Accept a fit, or find the same one; the flag says whether it has to be computed.
 
         `measurement` is the sha256 of a stored one, or a received file, which is stored first and stays stored even if
-        the fit is refused. `options` are in their wire form; at most `queue_limit` fits may be waiting.
+        the fit is refused. `options` are in their wire form; at most `queue_limit` fits may be waiting. The fit and a
+        received file get the `name`; a fit without any has that of its measurement.
 
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
         if isinstance(measurement, Received):
-            self.add_measurement(caller, measurement)
+            self.add_measurement(caller, measurement, name)
             measurement = measurement.sha256
         key = FitKey(caller.owner, fit_identity(measurement, options))
         found = self.fit(key)
-        if found is not None and not found.repeatable:  # nothing has to be written
+        if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         with self.database.transaction() as db:
             values = db.execute(f"{_SELECT_FIT} {_WHERE_FIT}", key).fetchone()
             known = None if values is None else FitRow.from_values(values)
             if known is not None and not known.repeatable:
-                return known, False
-            stored = "SELECT 1 FROM measurements WHERE owner = ? AND sha256 = ?"
-            if db.execute(stored, (caller.owner, measurement)).fetchone() is None:
+                (values,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
+                return FitRow.from_values(values), False
+            stored = db.execute(
+                "SELECT name FROM measurements WHERE owner = ? AND sha256 = ?", (caller.owner, measurement)
+            ).fetchone()
+            if stored is None:
                 raise MeasurementNotFoundError(measurement)
+            name = name or (known and known.name) or stored[0]
             check_queue(db, caller)
             check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
@@ -160,7 +179,7 @@ class Store:
                 )
             # A fit that runs again is a new row, at the head of the list.
             db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608
-            new = (caller.owner, *key, measurement, json.dumps(options), *versions, time.time())
+            new = (caller.owner, *key, name, measurement, json.dumps(options), *versions, time.time())
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
@@ -168,9 +187,9 @@ class Store:
         """Return a fit's row."""
         return self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
 
-    def fits(self, owner: str, limit: int, before: int | None) -> list[FitRow]:
-        """Return up to `limit` fits, newest first, older than the row number `before`."""
-        return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before)
+    def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
+        """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
+        return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
 
     def result(self, key: FitKey) -> str | None:
         """Return the document of a fit that succeeded."""
@@ -246,10 +265,19 @@ class Store:
         return make(rows[0]) if rows else None
 
     def _page(
-        self, make: Callable[[tuple[Any, ...]], _Row], query: str, owner: str, limit: int, before: int | None
+        self,
+        make: Callable[[tuple[Any, ...]], _Row],
+        query: str,
+        owner: str,
+        limit: int,
+        before: int | None,
+        name: str | None,
     ) -> list[_Row]:
-        older, values = ("", (owner, limit)) if before is None else (" AND seq < ?", (owner, before, limit))
-        rows = self.database.rows(f"{query} WHERE owner = ?{older} ORDER BY seq DESC LIMIT ?", *values)
+        conditions = {"owner = ?": owner, "seq < ?": before, "name = ?": name}
+        given = {condition: value for condition, value in conditions.items() if value is not None}
+        rows = self.database.rows(
+            f"{query} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?", *given.values(), limit
+        )
         return [make(row) for row in rows]
 
     def _remove_orphans(self) -> None:

@@ -24,7 +24,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Sink = Callable[[bytes], object]
 
-_PIECE = 1 << 16  # bytes that are worth a switch to another thread, and small enough for many uploads at once
+_PIECE = 1 << 18  # bytes that are worth a switch to another thread
+_SMALL_PIECE = 1 << 16  # of many uploads at once
+_BLOCK = 1 << 20  # bytes that are checked at a time, read back from the file: many waiting ones would take memory
+_CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
 # Few threads for all uploads: each that has ever worked keeps memory for its next piece.
 _threads = CapacityLimiter(4)
 # Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
@@ -82,13 +85,8 @@ class Uploads:
         if body.length not in (None, FILE_SIZE):
             await _refuse_early(body.parts, body.length or 0)
         async with self.incoming(caller) as incoming:
-            await _write(body, incoming)
-            # The disk and the processor have work of their own here, and neither waits for the other.
-            closing = asyncio.ensure_future(in_thread(incoming.close))
-            try:
-                valid_nodes = await in_thread(_valid_nodes, incoming)
-            finally:
-                sha256 = await closing
+            valid_nodes = await _write(body, incoming, at_once=self._in_progress.total() <= _CHECKED_AT_ONCE)
+            sha256 = await in_thread(incoming.close)
             return await in_thread(store, Received(incoming, sha256, valid_nodes))
 
     @asynccontextmanager
@@ -132,9 +130,13 @@ async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwarg
     return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
 
 
-async def _write(body: UploadBody, incoming: Incoming) -> None:
-    """Write what the body decodes to, each piece while the next one arrives; header and length are checked."""
+async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
+    """Write what the body decodes to, each piece while the next one arrives; return the number of valid nodes.
+
+    Its values are checked `at_once` or at the end: a check takes memory that many uploads should not have together.
+    """
     header, n_received = b"", 0
+    checker: MerlChecker | None = None
 
     def write(data: bytes) -> None:
         nonlocal header
@@ -144,13 +146,22 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
                 check_header(header)
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
+        if at_once and incoming.size - (checker.n_bytes if checker else 0) >= _BLOCK:
+            check()
+
+    def check() -> MerlChecker:
+        nonlocal checker
+        checker = checker or MerlChecker()
+        while block := incoming.read(checker.n_bytes, _BLOCK):
+            checker.update(block)
+        return checker
 
     decoder = None if body.decoder is None else body.decoder(write)
     feed = write if decoder is None else decoder.feed
     writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     writing.set_result(None)
     try:
-        async for piece in _pieces(body.parts):
+        async for piece in _pieces(body.parts, _PIECE if at_once else _SMALL_PIECE):
             await writing
             n_received += len(piece)
             if n_received > _MAX_ENCODED:
@@ -162,35 +173,25 @@ async def _write(body: UploadBody, incoming: Incoming) -> None:
         await writing
         if decoder is not None:
             await in_thread(decoder.finish)
+        return await in_thread(lambda: int(check().finish().sum()))
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 
 
-async def _pieces(parts: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+async def _pieces(parts: AsyncIterator[bytes], least: int) -> AsyncIterator[bytes]:
     """Yield the body in pieces that are worth a switch to another thread."""
     waiting: list[bytes] = []
     size = 0
     async for part in parts:
         waiting.append(part)
         size += len(part)
-        if size >= _PIECE:
+        if size >= least:
             piece = part if size == len(part) else b"".join(waiting)
             waiting.clear()
             size = 0
             yield piece
     if size:
         yield b"".join(waiting)
-
-
-def _valid_nodes(incoming: Incoming) -> int:
-    """Check the values of a file and return the number of its valid nodes.
-
-    They are checked when all are there, since a check takes memory that many uploads should not have at the same time.
-    """
-    checker = MerlChecker()
-    for piece in incoming.pieces(4 * _PIECE):
-        checker.update(piece)
-    return int(checker.finish().sum())
 
 
 async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:

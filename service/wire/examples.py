@@ -15,7 +15,13 @@ FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 _CREATED, _STARTED, _FINISHED = (f"2026-11-21T09:30:{second}Z" for second in ("01.000000", "01.100000", "02.500000"))
 
-MEASUREMENT: dict[str, Any] = {"sha256": SHA256, "size": 34_992_012, "valid_nodes": 1_005_210, "created": _CREATED}
+MEASUREMENT: dict[str, Any] = {
+    "sha256": SHA256,
+    "name": "nickel",
+    "size": 34_992_012,
+    "valid_nodes": 1_005_210,
+    "created": _CREATED,
+}
 MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
@@ -24,6 +30,7 @@ COMPONENTS: dict[str, Any] = {"items": [component_document(component) for compon
 
 _SUMMARY: dict[str, Any] = {
     "id": FIT_ID,
+    "name": "nickel",
     "status": "succeeded",
     "progress": 1.0,
     "measurement": SHA256,

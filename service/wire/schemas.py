@@ -21,6 +21,7 @@ SHA256 = r"^[0-9a-f]{64}$"
 Share = Annotated[float, Field(ge=0, le=1)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
+Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
@@ -87,6 +88,12 @@ class Page(_Input):
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None
+    name: Annotated[str | None, Field(description="Only what has this name.")] = None
+
+    @property
+    def before(self) -> int | None:
+        """Number of the row from which the page goes on."""
+        return None if self.cursor is None else int(self.cursor)
 
 
 class Waiting(_Input):
@@ -146,6 +153,7 @@ class FitSummary(BaseModel):
     """A fit without its lobes."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
+    name: Name
     status: Status
     progress: Share
     measurement: Annotated[str, Field(pattern=SHA256)]
@@ -176,6 +184,7 @@ class MeasurementDocument(BaseModel):
     """A stored measurement."""
 
     sha256: Annotated[str, Field(pattern=SHA256, description="Its identity: the sha256 of the file's bytes.")]
+    name: Name
     size: Annotated[int, Field(description="Length of the file [bytes].")]
     valid_nodes: Annotated[int, Field(description="Grid nodes with a value in all channels, above the horizon.")]
     created: datetime

@@ -2,14 +2,17 @@
 
 Importing the service or Dask takes more than a second of processor time, which dozens of servers and workers would
 each take again. What runs in the fork is the ``main`` of the program, with arguments, environment and log of its own.
+The process from which it forks its workers is a fork, too, which it uses once: a second one is started as usual.
 """
 
 import atexit
+import fcntl
 import json
 import os
 import queue
 import selectors
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -18,8 +21,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from multiprocessing import util
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,6 +122,7 @@ def _serve_requests(program: str) -> None:
         for command in ("scheduler", "worker"):
             import_module(f"distributed.cli.dask_{command}")
         import_module("dsbrdf.engines.fit_steps")  # for what workers run
+    import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
@@ -177,8 +182,53 @@ def _become(program: str, request: dict[str, Any]) -> None:
         import_module("dask.config").refresh()  # it takes settings from the environment
     if not request["fits"]:
         vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
+    else:
+        _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]
     sys.exit(import_module(f"{program}.__main__").main())
+
+
+def _prepare_fork_server() -> None:
+    """Fork the process that becomes the server of this one's workers when it is asked for."""
+    ours, its = socket.socketpair()
+    pid = os.fork()
+    if pid == 0:
+        ours.close()
+        _become_fork_server(its)
+    its.close()
+    start = util.spawnv_passfds
+
+    def use_prepared(path: bytes, arguments: Sequence[str], descriptors: Sequence[int]) -> int:
+        command = os.fsdecode(arguments[-1])
+        if "forkserver" not in command or ours.fileno() < 0:
+            return start(path, arguments, descriptors)
+        request = {"command": command, "environment": dict(os.environ), "descriptors": list(descriptors)}
+        socket.send_fds(ours, [json.dumps(request).encode()], descriptors)
+        ours.close()
+        return pid
+
+    vars(util)["spawnv_passfds"] = use_prepared
+
+
+def _become_fork_server(requests: socket.socket) -> NoReturn:
+    """Run the command of a fork server in this process, if it comes before the one that it is for has ended."""
+    Path("/proc/self/comm").write_text("forkserver")  # for who looks for it: the command line is not its own
+    message, received, _, _ = socket.recv_fds(requests, 1 << 16, 8)
+    while part := requests.recv(1 << 16):
+        message += part
+    requests.close()
+    if not message:
+        os._exit(0)
+    request = json.loads(message)
+    aside = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, 256) for descriptor in received]
+    os.closerange(3, 256)
+    for descriptor, number in zip(aside, request["descriptors"], strict=True):
+        os.dup2(descriptor, number)
+        os.close(descriptor)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    exec(request["command"])
+    sys.exit(0)
 
 
 if __name__ == "__main__":

@@ -29,9 +29,9 @@ def children(parent: int) -> list[int]:
 
 
 def command(pid: int) -> bytes:
-    """Command line of a process; empty if it has ended."""
+    """Command line of a process and the name that it has given itself; empty if it has ended."""
     try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
+        return Path(f"/proc/{pid}/cmdline").read_bytes() + Path(f"/proc/{pid}/comm").read_bytes()
     except (FileNotFoundError, ProcessLookupError):
         return b""
 
@@ -53,7 +53,7 @@ def free_port() -> int:
             return port
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
+def wait_until(condition: Callable[[], bool], seconds: float = 300.0) -> float:
     """Return how long it took until the condition held."""
     start = time.monotonic()
     while not condition():

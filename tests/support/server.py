@@ -12,7 +12,7 @@ import httpx
 
 from service.client import Client
 from tests.support.launcher import ForkedProcess, launcher
-from tests.support.processes import children, command, wait_until
+from tests.support.processes import children, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
 # not have to hurry.
@@ -27,8 +27,8 @@ class Server:
     """One service process; `stop` and `start` keep its data folder.
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
-    ``python -m service`` starts. Where nothing is fitted, it is spared the process from which fits are forked, whose
-    imports take longer than most tests.
+    ``python -m service`` starts. So is the process from which fits are forked; where nothing is fitted, the service is
+    spared it.
     """
 
     own_interpreter = False
@@ -108,7 +108,7 @@ class Server:
 
     def helpers(self) -> set[int]:
         """Process ids of what runs beside the server as long as it does."""
-        return {pid for pid in children(self.process.pid) if b"multiprocessing" in command(pid)}
+        return set(children(self.process.pid))
 
     def workers(self) -> set[int]:
         """Process ids of the fits that are being computed."""

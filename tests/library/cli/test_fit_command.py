@@ -16,6 +16,7 @@ from dsbrdf.cli import fit_command
 from dsbrdf.cli import main as cli
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.engines import batch, local, worker_process
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, load
 from tests.support.command_line import FEW_LOBES, QUICK, Capture, document, sentence
@@ -32,10 +33,10 @@ def damaged_file(plastic_file: Path, tmp_path: Path) -> Path:
 # fit
 
 
-def test_fit_prints_metrics_and_lobes(plastic_file: Path, plastic: Measurement, capsys: Capture) -> None:
+def test_fit_prints_metrics_and_lobes(plastic_file: Path, two_lobe_fit: FitResult, capsys: Capture) -> None:
     assert cli.main(["fit", str(plastic_file), *FEW_LOBES]) == 0
     out = capsys.readouterr().out
-    result = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2, ring_lobes=0))
+    result = two_lobe_fit
     assert out.startswith("plastic: 2 lobes; ")
     for name in ("relative_rms", "excess", "albedo_error", "psnr"):
         assert f"{name} {result.report.metrics[name]:.4g}" in out

@@ -12,7 +12,7 @@ import pytest
 import dsbrdf
 from dsbrdf.cli import main as cli
 from dsbrdf.cli import model_commands
-from dsbrdf.data.measurement import Measurement
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, from_npz, load
 from tests.support.command_line import FEW_LOBES, Capture, document, exit_code, sentence
@@ -25,11 +25,10 @@ def model_file(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder / "plastic.json"
 
 
-def test_fit_writes_what_the_library_would_save(model_file: Path, plastic: Measurement) -> None:
+def test_fit_writes_what_the_library_would_save(model_file: Path, two_lobe_fit: FitResult) -> None:
     stored = dsbrdf.load_result(model_file)
-    expected = dsbrdf.fit(plastic, dsbrdf.FitOptions(n_lobes=2, ring_lobes=0))
-    assert stored.model == expected.model
-    assert replace(stored.report, timings={}) == replace(expected.report, timings={})
+    assert stored.model == two_lobe_fit.model
+    assert replace(stored.report, timings={}) == replace(two_lobe_fit.report, timings={})
 
 
 # models

@@ -12,6 +12,7 @@ from dsbrdf.data.merl import (
     FILE_SIZE,
     SCALE,
     encode_merl,
+    map_merl,
     parse_merl,
     read_merl,
     write_merl,
@@ -121,3 +122,17 @@ def test_valid_needs_all_channels_and_the_horizon(data: bytes) -> None:
     for index in range(1, 4):
         expected[index, index, index] = False
     np.testing.assert_array_equal(measurement.valid, expected)
+
+
+def test_mapped_file_is_what_is_read(plastic_file: Path, tmp_path: Path) -> None:
+    read = read_merl(plastic_file)
+    mapped = map_merl(plastic_file, read.sha256)
+    np.testing.assert_array_equal(mapped.stored, read.stored)
+    np.testing.assert_array_equal(mapped.valid, read.valid)
+    assert (mapped.name, mapped.sha256) == (read.name, read.sha256)
+    assert not mapped.stored.flags.writeable
+    assert not mapped.valid.flags.writeable
+    short = tmp_path / "short.binary"
+    short.write_bytes(plastic_file.read_bytes()[:-8])
+    with pytest.raises(ValueError, match="length"):
+        map_merl(short, read.sha256)

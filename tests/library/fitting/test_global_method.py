@@ -20,7 +20,7 @@ from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.fitting.structure import GAMMA_BOUNDS, KAPPA_BOUNDS, Structure
+from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
@@ -28,16 +28,6 @@ from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, num
 Array = NDArray[np.float64]
 
 TWO = FitOptions(n_lobes=2, ring_lobes=0)
-
-
-@pytest.fixture(scope="module")
-def plastic_profiles(plastic: Measurement) -> Profiles:
-    return profiles(plastic)
-
-
-@pytest.fixture(scope="module")
-def fitted(plastic: Measurement) -> FitResult:
-    return fit(plastic)
 
 
 # Recovery
@@ -76,7 +66,8 @@ def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> No
     data = FitData.select(folded, folded.weight, rows, columns)
     knot = np.zeros(1)
     structure = Structure((False,), knot, knot, knot, "hemi_epd")
-    unknowns = np.concatenate([np.full(3, np.log(30.0)), [0.0, np.log(40.0)], [1.0]])
+    lobe = np.array([[0.0, np.log(40.0)]])
+    unknowns = structure.join(np.full((1, 3), np.log(30.0)), lobe, np.ones((1, 1)))
     problem = MixtureProblem(data, structure)
     hidden = global_method._lost_in_bins(problem, unknowns)
     seen = data.weight > 0
@@ -114,9 +105,11 @@ def test_elongation_goes_below_the_bivariate_floor() -> None:
     assert symmetric < result.report.metrics.relative_rms < 1.5 * symmetric  # type: ignore[operator]
 
 
-def test_default_beats_the_paper_and_looks_right(measurements: tuple[Measurement, ...]) -> None:
-    for measurement in measurements:
-        ours = fit(measurement).report.metrics
+def test_default_beats_the_paper_and_looks_right(
+    measurements: tuple[Measurement, ...], default_fits: tuple[FitResult, ...]
+) -> None:
+    for measurement, result in zip(measurements, default_fits, strict=True):
+        ours = result.report.metrics
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             papers = fit(measurement, FitOptions(method="paper", n_lobes=3)).report.metrics
@@ -148,9 +141,12 @@ def test_knots_are_used(plastic_profiles: Profiles) -> None:
 
 
 @pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
-def test_weighting_decides_what_is_met_best(plastic: Measurement, weighting: str) -> None:
-    balanced, other = (fit(plastic, dataclasses.replace(TWO, weighting=name)) for name in (None, weighting))  # type: ignore[arg-type]
-    assert other.model != balanced.model
+def test_weighting_decides_what_is_met_best(
+    plastic_profiles: Profiles, two_lobe_fit: FitResult, weighting: str
+) -> None:
+    assert two_lobe_fit.report.options == TWO  # whose weighting is "balanced"
+    other = fit(plastic_profiles, dataclasses.replace(TWO, weighting=weighting))  # type: ignore[arg-type]
+    assert other.model != two_lobe_fit.model
     assert other.report.options.weighting == weighting
 
 
@@ -164,15 +160,14 @@ def test_plain_is_best_where_plain_is_measured_and_log_where_log_is() -> None:
     assert log["male"] < plain["male"]  # type: ignore[operator]
 
 
-def test_same_measurement_same_model(plastic_profiles: Profiles) -> None:
-    first, second = (fit(plastic_profiles, TWO).model for _ in range(2))
-    assert first == second
+def test_same_measurement_same_model(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
+    assert fit(plastic_profiles, TWO).model == two_lobe_fit.model
 
 
-def test_fitted_model_is_positive_and_finite_everywhere(fitted: FitResult) -> None:
+def test_fitted_model_is_positive_and_finite_everywhere(plastic_fit: FitResult) -> None:
     half, diff = np.radians(np.linspace(0.0, 89.99, 181)), np.radians(np.linspace(0.0, 90.0, 181))[:, None]
     for phi in np.radians([0.0, 45.0, 90.0]).tolist():
-        values = fitted.model.evaluate_unmasked(*flat(half, diff, np.array(phi)))
+        values = plastic_fit.model.evaluate_unmasked(*flat(half, diff, np.array(phi)))
         assert np.isfinite(values).all()
         assert values.min() > 0.0
 
@@ -214,8 +209,8 @@ def test_warning_only_where_the_bound_on_iterations_was_met(
     assert np.all(np.array(result.report.slices.iterations) == 1)
 
 
-def test_report_is_complete_and_plain(fitted: FitResult) -> None:
-    report, model = fitted.report, fitted.model
+def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
+    report, model = plastic_fit.report, plastic_fit.model
     shape = (3, model.theta_diff.size)
     assert json.loads(json.dumps(report.to_dict(), allow_nan=False)) == report.to_dict()
     slices = report.slices
@@ -237,11 +232,11 @@ def test_report_is_complete_and_plain(fitted: FitResult) -> None:
     assert report.versions == versions()
 
 
-def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, fitted: FitResult) -> None:
+def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, plastic_fit: FitResult) -> None:
     result = fit(plastic_profiles)
-    assert result.model == fitted.model
+    assert result.model == plastic_fit.model
     assert result.report.metrics == Metrics()
-    assert dataclasses.replace(fitted.report, timings={}).growth == result.report.growth
+    assert dataclasses.replace(plastic_fit.report, timings={}).growth == result.report.growth
 
 
 def test_lobe_at_a_bound_is_said() -> None:
@@ -251,4 +246,4 @@ def test_lobe_at_a_bound_is_said() -> None:
 
     assert not hit(1.0, 50.0)
     assert hit(KAPPA_BOUNDS[1], 50.0)
-    assert hit(1.0, GAMMA_BOUNDS[1])
+    assert hit(1.0, 0.5 / REACH_BOUNDS[0])

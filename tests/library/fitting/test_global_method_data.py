@@ -44,57 +44,47 @@ def edited(measurement: Measurement, change: Any) -> Measurement:
     return Measurement.from_values(values, valid, "edited")
 
 
-@pytest.fixture(scope="module")
-def plastic_profiles(plastic: Measurement) -> Profiles:
-    return profiles(plastic)
-
-
-@pytest.fixture(scope="module")
-def fitted(plastic: Measurement) -> FitResult:
-    return fit(plastic)
-
-
 # Beyond the data
 
 
-def test_calm_up_to_the_horizon(fitted: FitResult, plastic_profiles: Profiles) -> None:
-    assert calm_ratio(fitted.model, plastic_profiles) < 2.0
+def test_calm_up_to_the_horizon(plastic_fit: FitResult, plastic_profiles: Profiles) -> None:
+    assert calm_ratio(plastic_fit.model, plastic_profiles) < 2.0
 
 
 @pytest.mark.parametrize("cutoff", [30.0, 60.0, None])
-def test_calm_with_another_cutoff(plastic: Measurement, cutoff: float | None) -> None:
+def test_calm_with_another_cutoff(plastic: Measurement, plastic_profiles: Profiles, cutoff: float | None) -> None:
     options = FitOptions(horizon_cutoff=None if cutoff is None else float(np.radians(cutoff)))
     result = fit(plastic, options)
-    assert calm_ratio(result.model, profiles(plastic)) < 3.0
+    assert calm_ratio(result.model, plastic_profiles) < 3.0
     assert result.report.metrics.excess < 1.2  # type: ignore[operator]
 
 
-def test_calm_in_missing_regions(plastic: Measurement) -> None:
+def test_calm_in_missing_regions(plastic: Measurement, plastic_profiles: Profiles, plastic_fit: FitResult) -> None:
     def remove(_: Array, valid: Array) -> None:
         valid[:, 25:60] = 0  # a band of theta_diff
         valid[20:50, :20] = 0  # and of theta_half
 
     result = fit(edited(plastic, remove))
-    assert calm_ratio(result.model, profiles(plastic)) < 3.0
+    assert calm_ratio(result.model, plastic_profiles) < 3.0
     # What was taken away is met nearly as well: knots on both sides hold the spline.
-    assert relative_rms(result.model, plastic) < 1.3 * relative_rms(fit(plastic).model, plastic)
+    assert relative_rms(result.model, plastic) < 1.3 * relative_rms(plastic_fit.model, plastic)
 
 
 # Outliers and weights
 
 
-def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, fitted: FitResult) -> None:
+def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, plastic_fit: FitResult) -> None:
     def spoil(values: Array, valid: Array) -> None:
         hit = np.random.default_rng(5).uniform(size=values.shape) < 0.01
         values[hit & (np.asarray(valid) > 0)] *= 100.0
 
-    spoiled, reference = edited(plastic, spoil), relative_rms(fitted.model, plastic)
+    spoiled, reference = edited(plastic, spoil), relative_rms(plastic_fit.model, plastic)
     options = FitOptions(n_lobes=2, ring_lobes=0)
     assert relative_rms(fit(spoiled, replace(options, robust=True)).model, plastic) < 1.5 * reference
     assert relative_rms(fit(spoiled, options).model, plastic) > 2.0 * reference
 
 
-def test_outliers_over_theta_half_are_weighted_down(plastic: Measurement) -> None:
+def test_outliers_over_theta_half_are_weighted_down(plastic: Measurement, plastic_profiles: Profiles) -> None:
     data = profiles(plastic, robust=True)
     hit = np.random.default_rng(2).uniform(size=data.folded.mean.shape[:3]) < 0.01
     mean = np.where(hit[..., None], 3.0 * data.folded.mean + 1.0, data.folded.mean)
@@ -102,7 +92,7 @@ def test_outliers_over_theta_half_are_weighted_down(plastic: Measurement) -> Non
     options = FitOptions(n_lobes=2, ring_lobes=0, robust=True)
     reference, robust = (fit(d, options).model for d in (data, spoiled))
     fragile = fit(replace(spoiled, robust=False), replace(options, robust=False)).model
-    error = [curve_error(model, reference, profiles(plastic)) for model in (robust, fragile)]
+    error = [curve_error(model, reference, plastic_profiles) for model in (robust, fragile)]
     assert error[0] < 0.5 * error[1]
 
 
@@ -131,13 +121,13 @@ def test_nothing_left_is_said(plastic_profiles: Profiles) -> None:
 # Little or odd data
 
 
-def test_every_eighth_theta_half(plastic: Measurement) -> None:
+def test_every_eighth_theta_half(plastic: Measurement, plastic_profiles: Profiles) -> None:
     def thin(_: Array, valid: Array) -> None:
         valid[np.arange(90) % 8 != 3] = 0
 
     result = fit(edited(plastic, thin))
     assert relative_rms(result.model, plastic) < 0.06
-    assert calm_ratio(result.model, profiles(plastic)) < 4.0
+    assert calm_ratio(result.model, plastic_profiles) < 4.0
 
 
 def test_red_only_material(plastic: Measurement) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,14 +10,13 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import profiles
+from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import em
 from dsbrdf.fitting.lobe_selection import BACKGROUND, SelectionStep, choose_n_lobes, expected_negative_log_probability
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.report import FitReport
 from dsbrdf.fitting.williams_test import bic, williams_test
 
 Array = NDArray[np.float64]
@@ -96,21 +96,20 @@ def test_true_density_has_the_least() -> None:
     assert black.tolist() == [0.0] * len(mean)
 
 
-@pytest.fixture(scope="module")
-def report(plastic: Measurement) -> FitReport:
+def test_papers_method_chooses_and_says_so(plastic_profiles: Profiles) -> None:
+    options = FitOptions(method="paper", em_iterations=10)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        return fit(profiles(plastic), method="paper").report
-
-
-def test_papers_method_chooses_and_says_so(plastic: Measurement, report: FitReport) -> None:
+        chosen = fit(plastic_profiles, options)
+    report = chosen.report
     assert [row.n_lobes for row in report.selection] == [1, 2, 3, 4, 5]
     assert report.options.n_lobes == "auto"
     worse = [row.significant for row in report.selection]
     n_lobes = worse.index(False) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        result = fit(profiles(plastic), method="paper", n_lobes=n_lobes)
+        result = fit(plastic_profiles, replace(options, n_lobes=n_lobes))
+    assert chosen.model == result.model
     assert report.n_numbers == result.model.n_numbers
     assert result.report.selection == ()
     json.dumps(report.to_dict(), allow_nan=False)

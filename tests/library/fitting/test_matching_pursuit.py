@@ -93,7 +93,7 @@ def test_one_lobe_is_found_where_it_is(width: float, family: str) -> None:
 def test_lobes_are_found_at_their_widths(lobes: list[tuple[float, float, float]]) -> None:
     mixture = grown(lobes_of(*lobes), len(lobes), 0, noise=0.02)
     k = len(lobes)
-    shape = mixture.structure.split(mixture.unknowns)[1]
+    shape = mixture.structure.lobe_shapes(mixture.unknowns)
     widths = np.sort(np.degrees(half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]))).mean(axis=0))
     np.testing.assert_allclose(widths, [width for _, width, _ in lobes], rtol=0.2)
 
@@ -116,7 +116,7 @@ def test_ring_is_found(center: float) -> None:
 def test_asked_for_numbers_are_given_rings_last(n_lobes: int, ring_lobes: int) -> None:
     mixture = grown(lobes_of((3.0, 8.0, 0.0), (0.3, 50.0, 0.0)), n_lobes, ring_lobes, noise=0.02)
     assert mixture.structure.rings == (False,) * n_lobes + (True,) * ring_lobes
-    low, high = mixture.structure.bounds()
+    low, high = mixture.structure.bounds
     assert np.all((low <= mixture.unknowns) & (mixture.unknowns <= high))
 
 

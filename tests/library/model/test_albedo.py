@@ -38,15 +38,16 @@ def brute_force(evaluate: Evaluate, theta_out: float, n_azimuth: int = 360, n_po
     out = np.array([np.sin(theta_out), 0.0, np.cos(theta_out)])
     mirror, across = out * [-1.0, 0.0, 1.0], np.array([np.cos(theta_out), 0.0, np.sin(theta_out)])
     total = np.zeros(3)
-    for angle, weight in zip(polar.tolist(), (polar_weight * np.sin(polar)).tolist(), strict=True):
+    for part in np.array_split(np.arange(polar.size), 20):
+        angle, weight = polar[part][:, None, None], (polar_weight * np.sin(polar))[part]
         omega_in = np.cos(angle) * mirror + np.sin(angle) * np.cos(azimuth)[:, None] * across
-        omega_in[:, 1] = np.sin(angle) * np.sin(azimuth)
-        omega_in = omega_in[omega_in[:, 2] > 0.0]
-        if omega_in.size == 0:
-            continue
+        omega_in[..., 1] = np.sin(polar[part])[:, None] * np.sin(azimuth)
+        above = omega_in[..., 2] > 0.0
+        omega_in = omega_in[above]
         theta_half, theta_diff, phi_diff = half_difference(omega_in, out)
         values = evaluate(np.minimum(theta_half, np.pi / 2), np.minimum(theta_diff, np.pi / 2), phi_diff)
-        total += weight * 2.0 * np.pi / n_azimuth * (omega_in[:, 2] @ values)
+        shares = np.broadcast_to(weight[:, None], above.shape)[above] * omega_in[:, 2]
+        total += 2.0 * np.pi / n_azimuth * (shares @ values)
     return total
 
 

@@ -13,13 +13,16 @@ from dsbrdf.model.lobes import (
     FAMILIES,
     GRAZING_COSINE,
     LobeDerivatives,
-    gamma_factor,
+    fall_to_half,
     gamma_of_half_width,
     half_width,
     lobe_derivatives,
     lobe_values,
     log_cosine,
+    reach_of_width,
+    slope_of_fall,
     stretch,
+    width_of_reach,
 )
 
 Array = NDArray[np.float64]
@@ -178,8 +181,14 @@ def test_half_width_is_where_a_lobe_has_half_its_height_and_gamma_follows_from_i
         value = lobe_values(np.tan(width) ** 2, np.array(kappa), np.array(gamma), None, family)
         assert value == pytest.approx(0.5, rel=1e-9)
         assert gamma_of_half_width(width, np.array(kappa), family) == pytest.approx(gamma, rel=1e-9)
-        changed = gamma * gamma_factor(np.array(kappa), np.array(2.0), family)
-        assert half_width(np.array(2.0), changed, family) == pytest.approx(float(width), rel=1e-9)
+        assert width_of_reach(reach_of_width(width, family), family) == pytest.approx(float(width), rel=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_slope_of_the_fall_agrees_with_finite_differences(family: str) -> None:
+    kappa, step = np.array([0.01, 0.3, 1.0, 4.0, 10.0]), 1e-6
+    ahead, behind = (np.log(fall_to_half(kappa * np.exp(side * step), family)) for side in (1.0, -1.0))
+    np.testing.assert_allclose(slope_of_fall(kappa, family), (ahead - behind) / (2.0 * step), rtol=1e-6, atol=1e-8)
 
 
 def test_stretch_of_no_elongation_and_at_normal_incidence_is_none() -> None:

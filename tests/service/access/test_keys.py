@@ -1,10 +1,13 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
+import sqlite3
+import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from service.access.keys import KeyLimits, Keys, add_key, revoke_key
+from service.access.keys import KeyLimits, Keys, add_key, all_keys, revoke_key
 from service.settings import Settings
 from service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command
@@ -81,3 +84,30 @@ def test_damaged_or_locked_database_is_reported_in_one_sentence(
 def test_new_data_folder_is_private(tmp_path: Path) -> None:
     Database(tmp_path / "data").close()
     assert (tmp_path / "data").stat().st_mode & 0o777 == 0o700
+
+
+def test_last_use_of_a_key_is_written_but_not_at_each_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    database = Database(tmp_path)
+    (used, key), (unused, _) = add_key(database, "a", KeyLimits()), add_key(database, "b", KeyLimits())
+    keys = Keys(Settings())
+    keys.load(database)
+    assert keys.find(key[:-1].encode() + b"?") is None
+    keys.write_uses(database)
+    assert [row.used for row in all_keys(database)] == [None, None]
+    for _ in range(3):
+        assert keys.find(key.encode()) is not None
+    writes: list[str] = []
+    transaction = database.transaction
+
+    def counted() -> AbstractContextManager[sqlite3.Connection]:
+        writes.append("one")
+        return transaction()
+
+    monkeypatch.setattr(database, "transaction", counted)
+    keys.write_uses(database)
+    keys.write_uses(database)
+    assert writes == ["one"]
+    times = {row.id: row.used for row in all_keys(database)}
+    assert times[unused.id] is None
+    assert abs((times[used.id] or 0.0) - time.time()) < 60.0
+    database.close()

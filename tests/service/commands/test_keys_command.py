@@ -36,6 +36,7 @@ def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guar
     assert {name: document[name] for name in document if name != "created"} == {
         "id": key_id,
         "name": "carol's laptop",
+        "used": None,
         "revoked": None,
         "metrics": False,
         "requests_per_second": 7.0,

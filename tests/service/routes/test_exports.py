@@ -1,18 +1,26 @@
 """Exports hold the fitted model without loss."""
 
+import asyncio
 import json
+from collections.abc import Iterator
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import dsbrdf
+from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export import FORMATS, export_model, merl_table
 from dsbrdf.output.serialize import from_json, from_npz
 from service.wire import schemas
+from service.wire.merl_stream import merl_parts
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
+
+Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="session")
@@ -58,3 +66,21 @@ def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> Non
     assert "format" in assert_problem(server.http.get(url), 422, "invalid-argument")
     query = {"format": "json", "component": "ring"}
     assert "'diffuse'" in assert_problem(server.http.get(url, params=query), 422, "invalid-argument")
+
+
+def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected, computed = merl_table(model), []
+    grid = dsbrdf.DSBRDF.evaluate_grid
+
+    def counted(self: dsbrdf.DSBRDF, theta_half: Array, *rest: Array) -> Iterator[Array]:
+        computed.extend(theta_half.tolist())
+        return grid(self, theta_half, *rest)
+
+    monkeypatch.setattr(dsbrdf.DSBRDF, "evaluate_grid", counted)
+
+    async def content() -> bytes:
+        return b"".join([part async for part in merl_parts(model, tmp_path)])
+
+    assert asyncio.run(content()) == expected
+    assert computed == THETA_HALF.tolist()
+    assert not list(tmp_path.iterdir())

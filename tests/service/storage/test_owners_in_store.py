@@ -1,23 +1,30 @@
 """Owners in the database: what is not yours does not exist, and results count as stored."""
 
 import sqlite3
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from service.errors import DataFolderError, ProblemError
-from service.storage.schema import VERSION, Caller, FitKey
+from service.storage.database import Database
+from service.storage.schema import Caller, FitKey
 from service.storage.store import Store, fit_identity
 from service.storage.uploads import Received
 
 
-def test_database_of_another_release_is_refused(tmp_path: Path) -> None:
+def test_database_with_other_tables_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     Store(tmp_path).close()
-    database = sqlite3.connect(tmp_path / "dsbrdf.sqlite", isolation_level=None)
-    database.execute(f"PRAGMA user_version = {VERSION + 1}")
+    file = tmp_path / "dsbrdf.sqlite"
+    database = sqlite3.connect(file, isolation_level=None)
+    database.execute("ALTER TABLE keys DROP COLUMN metrics")
+    database.execute("PRAGMA user_version = 1")  # as an older release has numbered it
     database.close()
-    with pytest.raises(DataFolderError, match=f"schema version {VERSION + 1}"):
-        Store(tmp_path)
+    before = file.read_bytes()
+    for open_folder in (Store, partial(Database, exclusive=False)):
+        with pytest.raises(DataFolderError, match=r"made by another release.* serve it with that release, or give"):
+            open_folder(tmp_path)
+    assert file.read_bytes() == before
 
 
 def place(store: Store, owner: str, content: bytes) -> str:

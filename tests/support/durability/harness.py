@@ -1,5 +1,6 @@
 """What the durability series share: a folder and a server, and what can be observed of it from outside."""
 
+import json
 import os
 import random
 import sqlite3
@@ -9,8 +10,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -75,9 +77,16 @@ class Harness:
 
     def models(self, *choices: dict[str, Any]) -> list[dsbrdf.DSBRDF]:
         """Return the models that the library fits to the measurement, with options in their HTTP form."""
-        os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return list(pool.map(_model, [self.measurement] * len(choices), choices))
+        return list(_models(self.measurement, json.dumps(choices)))
+
+
+@cache
+def _models(measurement: Path, choices: str) -> tuple[dsbrdf.DSBRDF, ...]:
+    """Return models that several series ask for, fitted once."""
+    options = json.loads(choices)
+    os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return tuple(pool.map(_model, [measurement] * len(options), options))
 
 
 def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
@@ -102,16 +111,12 @@ def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
 
 
 def processes(server: Server) -> set[int]:
-    """Return the process ids of a server and of all processes that it has started, orphans included."""
-    mark = f"TMPDIR={server.environment['TMPDIR']}\0".encode()
-    found = {server.process.pid} if alive(server.process.pid) else set()
+    """Return the process ids of a server and of all that it has started, orphans included: its log is their stderr."""
+    found = set()
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            ours = mark in (folder / "environ").read_bytes()
-        except OSError:
-            continue
-        if ours and alive(int(folder.name)):
-            found.add(int(folder.name))
+        with suppress(OSError):  # it has ended meanwhile
+            if (folder / "fd/2").readlink() == server.log and alive(int(folder.name)):
+                found.add(int(folder.name))
     return found
 
 

@@ -1,0 +1,90 @@
+"""Names: given with what is sent, shown and filtered by in lists, and the names of the files that are downloaded."""
+
+import pytest
+
+from service.client import Client
+from service.wire.names import content_disposition, given_name
+from tests.support.server import QUICK, Server, assert_problem
+
+
+@pytest.fixture(scope="module")
+def other(data: bytes) -> bytes:
+    """A measurement that no other test sends."""
+    return data[:-8] + b"\0" * 7 + b"\xc0"
+
+
+def names_of(server: Server, noun: str, **query: str) -> list[str | None]:
+    return [item["name"] for item in server.http.get(f"/v1/{noun}", params=query).json()["items"]]
+
+
+def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: bytes) -> None:
+    fit = server.http.post("/v1/fits", params={**QUICK, "name": "Näckel 1"}, content=other).json()
+    assert fit["name"] == "Näckel 1"
+    assert (
+        names_of(server, "fits", name="Näckel 1") == names_of(server, "measurements", name="Näckel 1") == ["Näckel 1"]
+    )
+    assert names_of(server, "fits", name="nobody's") == []
+    file = server.http.get(f"/v1/measurements/{fit['measurement']}")
+    assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
+
+    # The same again is renamed, not fitted; without a name it keeps the one that it has.
+    named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
+    again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
+    assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
+    assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
+    assert names_of(server, "measurements", name="nickel") == ["nickel"]
+    for query, name in (("format=json&component=diffuse", "nickel-diffuse.json"), ("format=merl", "nickel.binary")):
+        export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")
+        assert export.headers["content-disposition"] == f'attachment; filename="{name}"'
+
+    # A fit of a stored measurement has its name, or one of its own.
+    document = {"measurement": fit["measurement"], "options": {**QUICK, "em_iterations": 4}}
+    assert server.http.post("/v1/fits", json=document).json()["name"] == "nickel"
+    assert server.http.post("/v1/fits", json=document, params={"name": "b"}).json()["name"] == "b"
+    page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
+    assert page.links == {}
+    with Client(str(server.http.base_url)) as client:
+        assert [fit.name for fit in client.fits(name="b")] == ["b"]
+        assert client.upload(other) == fit["measurement"]
+
+
+def test_next_page_has_the_same_name(server: Server, fitted: str) -> None:
+    sha256 = server.http.get(f"/v1/fits/{fitted}").json()["measurement"]
+    for iterations in (5, 6):
+        document = {"measurement": sha256, "options": {**QUICK, "em_iterations": iterations}}
+        server.http.post("/v1/fits", json=document, params={"name": "a&b"})
+    page = server.http.get("/v1/fits", params={"name": "a&b", "limit": 1})
+    rest = server.http.get(page.links["next"]["url"])
+    assert [item["name"] for item in rest.json()["items"]] == ["a&b"]
+    assert rest.links == {}
+
+
+@pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
+def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: str) -> None:
+    before = server.files()
+    for noun in ("fits", "measurements"):
+        answer = server.http.post(f"/v1/{noun}", params={"name": name}, content=b"not even a measurement")
+        assert "A name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
+    assert server.files() == before
+
+
+def test_a_second_name_is_refused(server: Server) -> None:
+    answer = server.http.post("/v1/fits?name=a&name=b", content=b"")
+    assert "more than once" in assert_problem(answer, 422, "invalid-argument")
+
+
+@pytest.mark.parametrize(
+    ("header", "name"),
+    [
+        ("", None),
+        ("inline", None),
+        ("attachment; filename=nickel.binary", "nickel"),
+        ('attachment; filename="a \\"b\\".binary"', 'a "b"'),
+        ('attachment; filename="C:\\\\data\\\\nickel.binary"', "nickel"),
+        ("attachment; filename=\"x\"; filename*=UTF-8''N%C3%A4ckel.binary", "Näckel"),
+        ("attachment; filename=" + "Näckel".encode().decode("latin-1"), "Näckel"),
+        (content_disposition('ä;"'), 'ä;"'),
+    ],
+)
+def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
+    assert given_name([], header) == name
