@@ -204,7 +204,8 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
     `glsl` a function for shaders, `brdf` the same for Disney's BRDF Explorer; `csv` a table of the parameters; `bsdf`
-    a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes some seconds.
+    a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface
+    that looks most like the model, which takes some seconds.
     """
     model = await context.models.component(fit, wanted.component)
     row = await run_in_threadpool(context.store.fit, fit)
