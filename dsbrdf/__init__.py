@@ -16,12 +16,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dsbrdf.data.measurement import Measurement
+    from dsbrdf.data.measurement_files import read_measurement
     from dsbrdf.data.merl import parse_merl, read_merl, write_merl
     from dsbrdf.data.reduction import Profiles, profiles
+    from dsbrdf.data.scattered_samples import ScatteredSamples
     from dsbrdf.errors import (
         ConvergenceWarning,
         DSBRDFError,
         FitError,
+        ImageFormatError,
         InvalidArgumentError,
         MeasurementFormatError,
         ModelFormatError,
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.decomposition import Component, Decomposition, decompose
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.model.environment import EnvironmentMap, read_environment
     from dsbrdf.model.furnace import FurnaceReport, white_furnace
     from dsbrdf.model.render import render_sphere
     from dsbrdf.output.serialize import load, load_result, save
@@ -43,16 +47,19 @@ __all__ = [
     "ConvergenceWarning",
     "DSBRDFError",
     "Decomposition",
+    "EnvironmentMap",
     "FitError",
     "FitOptions",
     "FitReport",
     "FitResult",
     "FurnaceReport",
+    "ImageFormatError",
     "InvalidArgumentError",
     "Measurement",
     "MeasurementFormatError",
     "ModelFormatError",
     "Profiles",
+    "ScatteredSamples",
     "__version__",
     "decompose",
     "fit",
@@ -60,6 +67,8 @@ __all__ = [
     "load_result",
     "parse_merl",
     "profiles",
+    "read_environment",
+    "read_measurement",
     "read_merl",
     "render_sphere",
     "save",
@@ -71,12 +80,15 @@ __all__ = [
 # commands that compute nothing do not wait for NumPy and SciPy.
 _DEFINED_IN = {
     "dsbrdf.data.measurement": ("Measurement",),
+    "dsbrdf.data.measurement_files": ("read_measurement",),
     "dsbrdf.data.merl": ("parse_merl", "read_merl", "write_merl"),
     "dsbrdf.data.reduction": ("Profiles", "profiles"),
+    "dsbrdf.data.scattered_samples": ("ScatteredSamples",),
     "dsbrdf.errors": (
         "ConvergenceWarning",
         "DSBRDFError",
         "FitError",
+        "ImageFormatError",
         "InvalidArgumentError",
         "MeasurementFormatError",
         "ModelFormatError",
@@ -86,6 +98,7 @@ _DEFINED_IN = {
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
+    "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
     "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
     "dsbrdf.model.render": ("render_sphere",),
     "dsbrdf.output.serialize": ("load", "load_result", "save"),

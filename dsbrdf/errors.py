@@ -4,6 +4,7 @@ DSBRDFError
 ├── MeasurementFormatError   a file or array is not an acceptable measurement
 ├── InvalidArgumentError     an option, angle, direction or label is not acceptable
 ├── ModelFormatError         a stored model cannot be read
+├── ImageFormatError         a picture of an environment cannot be read
 └── FitError                 an acceptable measurement cannot be fitted with these options
 
 ConvergenceWarning           a fit stopped before it converged; the result is usable
@@ -27,6 +28,10 @@ class InvalidArgumentError(DSBRDFError, ValueError):
 
 class ModelFormatError(DSBRDFError, ValueError):
     """A stored model is damaged, has another format, or a version that this release cannot read."""
+
+
+class ImageFormatError(DSBRDFError, ValueError):
+    """A picture of radiance is damaged, of another kind, or not one of all directions."""
 
 
 class FitError(DSBRDFError):

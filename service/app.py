@@ -29,7 +29,7 @@ from service.jobs.model_cache import ModelCache
 from service.operations.memory import trim
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.routes import about, brdf, fits, measurements
+from service.routes import about, brdf, figures, fits, measurements
 from service.routes.dependencies import Context
 from service.settings import Settings
 from service.storage.database import Database
@@ -151,7 +151,8 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
     # Routes are tried in this order, so the fast ones come first.
-    routers = (brdf.router, fits.router, brdf.components, fits.exports, measurements.router, about.router, about.page)
+    of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
+    routers = (*of_fits, measurements.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:  # a resource that can be had can be asked for

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf demo``: everything over HTTP, from a measurement to lobes and a figure.
+"""The command ``dsbrdf demo``: from a measurement over HTTP to lobes, and a figure that ends with lit spheres.
 
 The service runs in a process of its own, as for any other client; the demo uses it through httpx only.
 """
@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -25,11 +26,12 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.extras import require
 from dsbrdf.fitting.report import FitReport
-from dsbrdf.model.decomposition import LABELS
+from dsbrdf.model.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, overview_figure
-from dsbrdf.output.report_text import bands_table, components_table, growth_table, metrics_line, parameters_table
+from dsbrdf.output.report_text import components_table, metrics_line
 from dsbrdf.output.serialize import from_json
+from dsbrdf.output.sphere_panels import compare_spheres
 
 if TYPE_CHECKING:
     import httpx
@@ -38,7 +40,8 @@ Array = NDArray[np.float64]
 
 START_TIMEOUT = 60.0  # seconds
 STOP_TIMEOUT = 10.0  # seconds
-SHOWN_NODES, SHOWN_ROWS = (10, 20, 30, 60), (0, 30, 60)  # of theta_half and theta_diff, for the table of values
+SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 30, 60)  # of theta_half and theta_diff, for the table of values
+SHOWN_THETA_DIFF = 30.0  # of the parameters [degrees]
 
 
 def configure(parser: argparse.ArgumentParser, _: str) -> None:
@@ -75,21 +78,22 @@ def run_demo(folder: Path) -> None:
 
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="dsbrdf-demo-") as scratch, running_service(Path(scratch)) as url:
-        _title(f"Service on {url}, ready after {time.perf_counter() - begin:.1f} s")
+        print(f"service on {url}, ready after {time.perf_counter() - begin:.1f} s")
         measurement = _red_paint()
-        summary = profiles(measurement)
         with httpx.Client(base_url=url, timeout=60.0) as client:
             fit = _fit_twice(client, measurement)
             model, report = from_json(_get(client, fit, "export", format="json").text)
-            _show_lobes(_get(client, fit, "lobes").json()["items"], model)
+            _show_components(client, fit)
+            _show_lobes(model)
             _show_metrics(report)
             _show_values(client, fit, measurement)
-            _show_components(client, fit)
     folder.mkdir(parents=True, exist_ok=True)
     figure = folder / "demo.png"
-    write_atomically(figure, [encode_figure(overview_figure(summary, model))])
-    _title(f"Figure of measured profiles, fit and lobes: {figure}")
-    print(f"Done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data is removed.")
+    spheres = compare_spheres(measurement, model, lighting="environment", size=256)
+    overview = overview_figure(profiles(measurement), model, spheres=spheres)
+    write_atomically(figure, [encode_figure(overview)])
+    print(f"\n{figure}: profiles, fit and lobes; lit spheres of measurement, fit and components")
+    print(f"done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data is removed")
 
 
 @contextmanager
@@ -152,7 +156,7 @@ def _red_paint() -> Measurement:
     """Return the measurement of a red paint with a glossy coat, with the noise of an instrument."""
     return synthetic_measurement(
         roughness=0.06,
-        diffuse=(0.40, 0.16, 0.10),
+        diffuse=(0.42, 0.08, 0.05),
         specular=(0.04, 0.04, 0.04),
         noise=0.02,
         name="generated red paint with a glossy coat",
@@ -162,14 +166,14 @@ def _red_paint() -> Measurement:
 def _fit_twice(client: "httpx.Client", measurement: Measurement) -> dict[str, Any]:
     """Submit the measurement twice; the second time the service finds the fit and computes nothing."""
     content = encode_merl(measurement)
-    _title(f"POST /v1/fits with {len(content):,} bytes: {measurement.name}")
+    print(f"POST /v1/fits with {len(content):,} bytes, {measurement.name}, twice:")
     for _ in range(2):
         begin = time.perf_counter()
         response = client.post("/v1/fits", content=content, headers={"Content-Type": "application/octet-stream"})
         response.raise_for_status()
         fit: dict[str, Any] = response.json()
         seconds = time.perf_counter() - begin
-        print(f"{response.status_code} {response.reason_phrase}, fit {fit['id']} {fit['status']}, {seconds:.2f} s")
+        print(f"  {response.status_code} {response.reason_phrase}, fit {fit['id']} {fit['status']}, {seconds:.2f} s")
     if fit["status"] != "succeeded":
         raise RuntimeError(f"the fit has {fit['status']}: {fit['error']}")
     return fit
@@ -185,49 +189,50 @@ def _values(client: "httpx.Client", fit: dict[str, Any], path: str, theta_half: 
     return np.array(_get(client, fit, path, **query).json()["values"])
 
 
-def _show_lobes(components: list[dict[str, Any]], model: DSBRDF) -> None:
-    _title("Lobes, by component")
-    _print(*components_table(components), "", *parameters_table(model))
+def _show_components(client: "httpx.Client", fit: dict[str, Any]) -> None:
+    """Print the components, and whether their values add up to those of the fit."""
+    _print("", *components_table(_get(client, fit, "lobes").json()["items"]))
+    point = np.array([2.0]), np.array([30.0])
+    parts = [_values(client, fit, f"lobes/{label}/brdf", *point)[0] for label in LABELS]
+    whole = _values(client, fit, "brdf", *point)[0]
+    print(f"largest difference between their sum and the fit: {np.abs(np.sum(parts, axis=0) - whole).max():.1e} /sr")
+
+
+def _show_lobes(model: DSBRDF) -> None:
+    """Print the parameters of each lobe at one theta_diff, in one line."""
+    found = {name: values[0] for name, values in model.parameters_at([np.radians(SHOWN_THETA_DIFF)]).items()}
+    head = f"lobes at theta_diff {SHOWN_THETA_DIFF:.0f}°"
+    print(
+        f"\n{head:<24}{'amplitude red, green, blue [1/sr]':>34}{'kappa':>9}{'gamma':>9}{'center':>9}{'elongation':>12}"
+    )
+    for lobe in range(model.n_lobes):
+        label = next(part.label for part in decompose(model) if lobe in part.lobes)
+        colour = "".join(f"{value:>11.4g}" for value in found["amplitude"][:, lobe])
+        kappa, gamma = found["kappa"][0, lobe], found["gamma"][0, lobe]
+        center = f"{np.degrees(found['center'][0, lobe]):.2f}°"
+        print(f"{lobe}, {label:<21}{colour:>34}{kappa:>9.4g}{gamma:>9.4g}{center:>9}{found['elongation'][lobe]:>12.3f}")
 
 
 def _show_metrics(report: FitReport | None) -> None:
-    """Print which lobes were tried, and the errors of the fit."""
+    """Print how many lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
-    _title("Lobes tried one after the other")
-    _print(*growth_table(report))
-    _title("Metrics")
-    _print(metrics_line(report.metrics), "", *bands_table(report))
+    tried = [f"{step.n_lobes}+{step.ring_lobes}{'' if step.pays else ' no'}" for step in report.growth]
+    _print("", f"lobes + ring lobes tried on held-out rows: {', '.join(tried)}")
+    _print(*textwrap.wrap(metrics_line(report.metrics), 100))
 
 
 def _show_values(client: "httpx.Client", fit: dict[str, Any], measurement: Measurement) -> None:
     """Print measured values beside those of the service."""
-    _title("Measured and fitted values at phi_diff 90° [1/sr]")
     nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
     theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
     measured = measurement.values[:, nodes[:, 0], nodes[:, 1], 90].T
     fitted = _values(client, fit, "brdf", theta_half, theta_diff)
     names = "".join(f"{channel + ' measured, fitted':>23}" for channel in CHANNELS)
-    print(f"{'theta_half':>10}{'theta_diff':>12}{names}")
+    print(f"\n{'theta_half':>10}{'theta_diff':>12}{names}   [1/sr]")
     for angles, pairs in zip(zip(theta_half, theta_diff, strict=True), np.stack([measured, fitted], -1), strict=True):
         cells = "".join(f"{data:>12.4f} {value:>10.4f}" for data, value in pairs)
         print(f"{angles[0]:>9.1f}°{angles[1]:>11.0f}°{cells}")
-
-
-def _show_components(client: "httpx.Client", fit: dict[str, Any]) -> None:
-    """Print the values of the components, and their sum beside the values of the fit."""
-    _title("Components at theta_half 2°, theta_diff 30° [1/sr]")
-    point = np.array([2.0]), np.array([30.0])
-    parts = {label: _values(client, fit, f"lobes/{label}/brdf", *point)[0] for label in LABELS}
-    whole = _values(client, fit, "brdf", *point)[0]
-    total = np.sum(list(parts.values()), axis=0)
-    for label, value in (*parts.items(), ("sum", total), ("fit", whole)):
-        print(f"{label:<16}" + "".join(f"{number:>14.8f}" for number in value))
-    print(f"largest difference between sum and fit: {np.abs(total - whole).max():.1e}")
-
-
-def _title(text: str) -> None:
-    print(f"\n{text}")
 
 
 def _print(*lines: str) -> None:

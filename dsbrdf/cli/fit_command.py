@@ -17,7 +17,13 @@ from dsbrdf.process_settings import keep_freed_memory
 def configure(parser: argparse.ArgumentParser, _: str) -> None:
     """Add the arguments of the command to its parser."""
     parser.set_defaults(run=run)
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a MERL .binary file, or a folder of them")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="a MERL .binary file, a folder of them, an RGL .bsdf file, or a .csv table of scattered samples",
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write NAME.json into this folder")
     parser.add_argument("--jobs", type=whole_number, metavar="N", help="fits at once (default: one for each core)")
     parser.add_argument(

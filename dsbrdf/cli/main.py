@@ -22,11 +22,12 @@ INTERRUPTED = 130
 
 # command -> (module whose function ``configure`` completes its parser, what the command does)
 _COMMANDS = {
-    "fit": ("dsbrdf.cli.fit_command", "fit models to MERL .binary files"),
+    "fit": ("dsbrdf.cli.fit_command", "fit models to measurements"),
     "eval": ("dsbrdf.cli.model_commands", "print values of a model"),
     "show": ("dsbrdf.cli.model_commands", "print the report of a fit again"),
     "decompose": ("dsbrdf.cli.model_commands", "print the specular spike, specular lobe and diffuse part"),
     "export": ("dsbrdf.cli.model_commands", "write a model for other programs"),
+    "schema": ("dsbrdf.cli.schema_command", "print the JSON Schema of stored models"),
     "render": ("dsbrdf.cli.render_command", "draw a lit sphere of a model or a measurement"),
     "convert": ("dsbrdf.cli.convert_command", "write a measurement as another kind of file"),
     "demo": ("dsbrdf.cli.demo", "start the service, fit a generated measurement, save a figure"),

@@ -1,17 +1,15 @@
 """Commands that read a stored model: ``dsbrdf eval``, ``show``, ``decompose`` and ``export``."""
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from dsbrdf.cli.arguments import add_json_option, print_json
 from dsbrdf.cli.point_arguments import add_point_options, given_points
+from dsbrdf.cli.source_files import named_in_errors
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -55,7 +53,7 @@ def _configure_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _eval(arguments: argparse.Namespace) -> int:
-    with _file_named_in_errors(arguments.model):
+    with named_in_errors(arguments.model):
         model = _component(load(arguments.model), arguments.component)
     points = given_points(arguments)
     if "omega_in" in points:
@@ -73,7 +71,7 @@ def _eval(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    with _file_named_in_errors(arguments.model):
+    with named_in_errors(arguments.model):
         model, report = read_model_file(arguments.model)
     if arguments.json:
         print_json(result_document(model, report))
@@ -85,7 +83,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _decompose(arguments: argparse.Namespace) -> int:
-    with _file_named_in_errors(arguments.model):
+    with named_in_errors(arguments.model):
         model = load(arguments.model)
     if arguments.json:
         print_json({"items": component_documents(model)})
@@ -95,7 +93,7 @@ def _decompose(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    with _file_named_in_errors(arguments.model):
+    with named_in_errors(arguments.model):
         model, report = read_model_file(arguments.model)
     whole = arguments.component is None
     content = export_model(_component(model, arguments.component), arguments.format, report if whole else None)
@@ -107,12 +105,3 @@ def _export(arguments: argparse.Namespace) -> int:
 
 def _component(model: DSBRDF, label: str | None) -> DSBRDF:
     return model if label is None else decompose(model)[label].model
-
-
-@contextmanager
-def _file_named_in_errors(path: Path) -> Iterator[None]:
-    """Put the name of a file in front of the message of an error."""
-    try:
-        yield
-    except DSBRDFError as error:
-        raise type(error)(f"{path}: {error}") from error

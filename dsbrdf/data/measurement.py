@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.merl_validation import SCALE, checked_values, encode_values
+from dsbrdf.data.merl_encoding import encode_values
+from dsbrdf.data.merl_validation import SCALE, checked_values
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl_encoding import encode_stored, encode_values
 from dsbrdf.data.merl_validation import (
     FILE_SIZE,
     HEADER_SIZE,
@@ -27,8 +28,6 @@ from dsbrdf.data.merl_validation import (
     check_header,
     check_length,
     checked_values,
-    encode_stored,
-    encode_values,
 )
 from dsbrdf.errors import MeasurementFormatError
 

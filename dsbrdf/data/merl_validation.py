@@ -1,4 +1,4 @@
-"""Validation of a MERL ``.binary`` file piece by piece while it arrives, and encoding of values.
+"""Validation of a MERL ``.binary`` file piece by piece while it arrives.
 
 Whatever the pieces, the header is checked before the length and the length before the values, so that the same
 file always gives the same error message. `dsbrdf.data.merl` describes the format.
@@ -6,11 +6,11 @@ file always gives the same error message. `dsbrdf.data.merl` describes the forma
 
 import hashlib
 import struct
-from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.errors import MeasurementFormatError
 
@@ -20,13 +20,12 @@ __all__ = [
     "HEADER_SIZE",
     "LARGEST_VALUE",
     "SCALE",
+    "SHAPE",
     "SMALLEST_VALID_SHARE",
     "MerlChecker",
     "check_header",
     "check_length",
     "checked_values",
-    "encode_stored",
-    "encode_values",
 ]
 
 HEADER = struct.pack("<3i", *GRID_SHAPE)
@@ -39,22 +38,8 @@ LARGEST_VALUE = 1e8  # [1/sr]; far larger than any BRDF value
 SMALLEST_VALID_SHARE = 0.01
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
-_SHAPE = (len(CHANNELS), *GRID_SHAPE)
+SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_SIZE = 1 << 20
-# What is sent in place of a measurement, by its first bytes, of which no MERL file has any.
-_OTHER_FORMATS = {
-    b"\x89PNG": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"v/1\x01": "an OpenEXR image",
-    b"#?": "a Radiance image",
-    b"PK\x03\x04": "a ZIP archive or an .npz file",
-    b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
-    b"\x28\xb5\x2f\xfd": "zstd, without the header Content-Encoding: zstd if it was sent over HTTP",
-    b"\x93NUMPY": "a .npy array",
-    b"\x89HDF": "an HDF5 file",
-    b"{": "JSON, or another text",
-    b"<": "HTML or XML",
-}
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 
 
@@ -72,11 +57,8 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
         If there are fewer than 12 bytes or a dimension is not that of the MERL grid.
     """
     start = bytes(header[:HEADER_SIZE])
-    for magic, kind in _OTHER_FORMATS.items():
-        if start.startswith(magic):
-            raise MeasurementFormatError(
-                f"The data is {kind}; a MERL measurement is a .binary file of {FILE_SIZE} bytes."
-            )
+    if (kind := known_kind(start)) is not None:
+        raise MeasurementFormatError(f"The data is {kind}; a MERL measurement is a .binary file of {FILE_SIZE} bytes.")
     if len(start) < HEADER_SIZE:
         check_length(len(start))
     if start == HEADER:
@@ -303,51 +285,5 @@ def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArr
         digest.update(piece)
     valid = checker.finish()
     valid.flags.writeable = False
-    stored = np.frombuffer(view, dtype="<f8", offset=HEADER_SIZE).reshape(_SHAPE)
+    stored = np.frombuffer(view, dtype="<f8", offset=HEADER_SIZE).reshape(SHAPE)
     return stored, valid, digest.hexdigest()
-
-
-def encode_values(values: ArrayLike, valid: ArrayLike | None = None) -> Iterator[bytes | memoryview]:
-    """Yield the bytes of the file with the given values [1/sr], in pieces.
-
-    Parameters
-    ----------
-    values : array_like, shape (3, 90, 90, 180)
-        The BRDF in 1/sr; negative means no value.
-    valid : array_like of bool, shape (90, 90, 180), optional
-        Nodes that have a value; the others are stored as -1.
-
-    Raises
-    ------
-    MeasurementFormatError
-        If a shape is wrong or a value is NaN or infinite.
-    """
-    return encode_stored(_stored(values, valid))
-
-
-def encode_stored(stored: NDArray[np.float64]) -> Iterator[bytes | memoryview]:
-    """Yield the bytes of the file with the given stored numbers, shape (3, 90, 90, 180), in pieces."""
-    yield HEADER
-    for channel in stored:
-        yield np.ascontiguousarray(channel, dtype="<f8").data.cast("B")
-
-
-def _stored(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
-    """Return the numbers to store: values [1/sr] divided by the scale, -1 where there is no value."""
-    try:
-        brdf = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MeasurementFormatError(f"The values must be real numbers of the shape {_SHAPE}.") from None
-    if brdf.shape != _SHAPE:
-        raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {_SHAPE}.")
-    stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]
-    if valid is not None:
-        mask = np.asarray(valid, dtype=np.bool_)
-        if mask.shape != GRID_SHAPE:
-            raise MeasurementFormatError(f"The valid nodes have the shape {mask.shape}; it must be {GRID_SHAPE}.")
-        stored[:, ~mask] = -1.0
-    if not np.isfinite(stored).all():
-        count = int((~np.isfinite(stored)).sum())
-        are = "is" if count == 1 else "are"
-        raise MeasurementFormatError(f"{count} of the values {are} NaN or infinite; every value must be finite.")
-    return stored

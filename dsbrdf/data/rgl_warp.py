@@ -5,12 +5,14 @@ row first, by its marginal, then the column within it.  Dupuy and Jakob, "An ada
 material acquisition and rendering", 2018, section 4.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Warp", "bilinear"]
+__all__ = ["Warp", "WarpStack", "bilinear"]
 
 Array = NDArray[np.float64]
 
@@ -60,15 +62,70 @@ class Warp:
         return (column + across) / (width - 1), (row + down) / (height - 1)
 
 
-def bilinear(table: Array, x: Array, y: Array) -> Array:
-    """Values of a table (..., H, W) between its nodes at points (n,) of the unit square, x along the columns."""
-    height, width = table.shape[-2:]
-    column = np.clip((x * (width - 1)).astype(np.intp), 0, width - 2)
-    row = np.clip((y * (height - 1)).astype(np.intp), 0, height - 2)
-    across, down = x * (width - 1) - column, y * (height - 1) - row
-    upper = (1.0 - across) * table[..., row, column] + across * table[..., row, column + 1]
-    lower = (1.0 - across) * table[..., row + 1, column] + across * table[..., row + 1, column + 1]
+@dataclass(frozen=True, eq=False)
+class WarpStack:
+    """Warps with one parameter, linear between T of them.
+
+    Attributes
+    ----------
+    density, conditional : ndarray, shape (T, H, W)
+    marginal : ndarray, shape (T, H)
+        Those of the warps.
+    """
+
+    density: Array
+    conditional: Array
+    marginal: Array
+
+    @classmethod
+    def of(cls, warps: Sequence[Warp]) -> "WarpStack":
+        """Return the stack of warps of one shape."""
+        return cls(*(np.stack([getattr(warp, field.name) for warp in warps]) for field in fields(cls)))
+
+    def invert(self, lower: NDArray[np.intp], share: Array, x: Array, y: Array) -> tuple[Array, Array]:
+        """Uniform samples (columns, rows) that are mapped to points (x, y); all of shape (n,).
+
+        The point n belongs to the warp that lies a ``share`` of the way from the warp ``lower`` to the next.
+        """
+        upper = np.minimum(lower + 1, len(self.density) - 1)
+        height, width = self.density.shape[1:]
+        row, down = _cell(y, height)
+        column, across = _cell(x, width)
+
+        def mixed(table: Array, *place: NDArray[np.intp] | int) -> Array:
+            return np.asarray((1.0 - share) * table[lower, *place] + share * table[upper, *place])
+
+        def along(i: int, j: int) -> Array:
+            return mixed(self.density, row + i, column + j)
+
+        left = (1.0 - down) * along(0, 0) + down * along(1, 0)
+        right = (1.0 - down) * along(0, 1) + down * along(1, 1)
+        before = (1.0 - down) * mixed(self.conditional, row, column) + down * mixed(self.conditional, row + 1, column)
+        ends = mixed(self.conditional, row, -1), mixed(self.conditional, row + 1, -1)
+        whole = (1.0 - down) * ends[0] + down * ends[1]
+        within = across * (left + 0.5 * across * (right - left)) / (width - 1)
+        columns = np.where(whole > 0.0, (before + within) / np.where(whole > 0.0, whole, 1.0), 0.0)
+        rows = mixed(self.marginal, row) + down * (ends[0] + 0.5 * down * (ends[1] - ends[0])) / (height - 1)
+        return np.clip(columns, 0.0, 1.0), np.clip(rows, 0.0, 1.0)
+
+
+def bilinear(table: Array, x: Array, y: Array, of: NDArray[np.intp] | None = None) -> Array:
+    """Values of a table (..., H, W) between its nodes at points (n,) of the unit square, x along the columns.
+
+    With ``of`` the first axis of the table is that of several tables, and point n is of the table ``of[n]``.
+    """
+    row, down = _cell(y, table.shape[-2])
+    column, across = _cell(x, table.shape[-1])
+    place: tuple[Any, ...] = (...,) if of is None else (of,)
+    upper = (1.0 - across) * table[*place, row, column] + across * table[*place, row, column + 1]
+    lower = (1.0 - across) * table[*place, row + 1, column] + across * table[*place, row + 1, column + 1]
     return (1.0 - down) * upper + down * lower
+
+
+def _cell(position: Array, count: int) -> tuple[NDArray[np.intp], Array]:
+    """Lower node of the cell that holds each position, 0 to 1, and the share of the upper one."""
+    lower = np.clip((position * (count - 1)).astype(np.intp), 0, count - 2)
+    return lower, position * (count - 1) - lower
 
 
 def _running(values: Array) -> Array:

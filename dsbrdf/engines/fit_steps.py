@@ -19,10 +19,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from dsbrdf.data.merl import map_merl, read_merl
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.merl import map_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
-from dsbrdf.errors import ConvergenceWarning, DSBRDFError
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
 from dsbrdf.fitting.report import FitResult
@@ -74,14 +76,14 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
 
 def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit the measurement of a task in one step."""
-    measurement = read_merl(task.path) if task.sha256 is None else map_merl(task.path, task.sha256)
+    measurement = read_measurement(task.path) if task.sha256 is None else map_merl(task.path, task.sha256)
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
         return _fitted(fit(measurement, task.options, progress=on_progress))
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
     """Reduce the measurement of a task to the payload that a fit needs: 2 MB, or 3 MB if it is robust."""
-    measurement = read_merl(task.path)
+    measurement = _grid_measurement(task)
     begin = time.perf_counter()
     profiles = profiles_for(measurement, task.options)
     payload = _Payload(profiles, time.perf_counter() - begin)
@@ -100,10 +102,17 @@ def fit_payload(payload: bytes, options: FitOptions, on_progress: OnProgress) ->
 
 def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -> Outcome:
     """Add the metrics that need the samples to the report of `fit_payload`; the file must not have changed."""
-    measurement = read_merl(task.path)
+    measurement = _grid_measurement(task)
     if measurement.sha256 != sha256:
         return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
     return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement))
+
+
+def _grid_measurement(task: FitTask) -> Measurement:
+    measurement = read_measurement(task.path)
+    if not isinstance(measurement, Measurement):
+        raise InvalidArgumentError("scattered samples are fitted on this machine only: fit them without a scheduler")
+    return measurement
 
 
 def _fitted(result: FitResult) -> Fitted:

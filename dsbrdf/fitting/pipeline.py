@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -11,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
+from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global
 from dsbrdf.fitting.lobe_selection import SelectionStep
@@ -22,13 +24,17 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import fit_slicewise
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
+from dsbrdf.fitting.sample_bins import sample_profiles, scattered_metrics
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
 
+_SAMPLE_ROUNDS = 5  # fits of scattered samples; more of them change parameters by about 1 %
+
 
 def fit(
-    measurement: Measurement | Profiles | str | PathLike[str] | NDArray[np.float64],
+    measurement: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | NDArray[np.float64],
     options: FitOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
@@ -38,10 +44,11 @@ def fit(
 
     Parameters
     ----------
-    measurement : Measurement, Profiles, path-like or ndarray
-        A path names a MERL file; an array has the shape (3, 90, 90, 180), see `Measurement.from_values`.  Profiles must
-        have been made with the options' horizon cutoff, weighting and robustness; the metrics need the samples and are
-        None then, see `add_sample_metrics`.
+    measurement : Measurement, Profiles, ScatteredSamples, path-like or ndarray
+        A path names a file that `dsbrdf.read_measurement` reads; an array has the shape (3, 90, 90, 180), see
+        `Measurement.from_values`.  Of scattered samples, which are fitted without a grid in between, only relative_rms
+        and male are known.  Profiles must have been made with the options' horizon cutoff, weighting and robustness;
+        the metrics need the samples and are None then, see `add_sample_metrics`.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
     progress : callable, optional
@@ -73,10 +80,13 @@ def fit(
     report_progress = progress if progress is not None else _ignore
     clock = _Clock()
     report_progress(0.0)
-    data = profiles_for(measurement, options)
-    clock.lap("profiles")
-    report_progress(0.1)
-    result = _fit_profiles(data, options, lambda share: report_progress(0.1 + 0.8 * share), clock)
+    if isinstance(measurement, ScatteredSamples):
+        result = _fit_samples(measurement, options, report_progress, clock)
+    else:
+        data = profiles_for(measurement, options)
+        clock.lap("profiles")
+        report_progress(0.1)
+        result = _fit_profiles(data, options, lambda share: report_progress(0.1 + 0.8 * share), clock)
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
@@ -114,6 +124,26 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
     return FitResult(model, report)
 
 
+def _fit_samples(
+    samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: "_Clock"
+) -> FitResult:
+    """Fit samples in bins, and again with the samples moved to their bins by the model found."""
+    if options.method != "global":
+        raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
+    model: DSBRDF | None = None
+    for number in range(_SAMPLE_ROUNDS):
+        data = sample_profiles(samples, options, model)
+        clock.lap("profiles")
+        result = _fit_profiles(data, options, partial(_report_round, progress, number), clock)
+        model = result.model
+    return replace(result, report=replace(result.report, metrics=scattered_metrics(result.model, samples)))
+
+
+def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:
+    """Tell how much is done of the whole when a share of one round is."""
+    progress((number + share) / _SAMPLE_ROUNDS)
+
+
 def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
     known = [field.name for field in fields(FitOptions)]
     unknown = sorted(set(choices) - set(known))
@@ -124,11 +154,13 @@ def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
     return FitOptions(**choices) if options is None else options
 
 
-def _measurement(source: Measurement | Profiles | str | PathLike[str] | NDArray[np.float64]) -> Measurement | Profiles:
-    if isinstance(source, Measurement | Profiles):
+def _measurement(
+    source: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | NDArray[np.float64],
+) -> Measurement | Profiles | ScatteredSamples:
+    if isinstance(source, Measurement | Profiles | ScatteredSamples):
         return source
     if isinstance(source, str | PathLike):
-        return read_merl(source)
+        return read_measurement(source)
     return Measurement.from_values(source)
 
 

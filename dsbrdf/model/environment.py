@@ -1,34 +1,70 @@
-"""Light from all around a sphere: what shines, and the integral over it for every pixel.
+"""What shines on a sphere: distant lights, a sky with a window above a ground, or a picture that the user gives.
 
-    radiance(normal) = integral f(omega_in, view) L(omega_in) cos(theta_in) d omega_in,
-    d omega_in = 4 cos(theta_diff) d omega_half,
-
-is taken over half vectors, with nodes that crowd towards theta_half = 0 about each normal, where a narrow lobe is.
-
-The material is isotropic: normals at one angle to the view, a ring of the sphere, see the same angles, and from normal
-to normal only the environment turns about the view.  So f is evaluated for one normal of each ring, the weighted values
-are spread over a map of directions in polar coordinates about the view, and the radiance of the whole ring is the
-circular correlation of that map with the environment's.
+The view looks along -z; x is to the right and y up.
 """
 
-from collections.abc import Callable
+import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import sparse
-from scipy.fft import irfft, rfft
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import label
 
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.hdr_image import read_hdr_image
+from dsbrdf.errors import ImageFormatError
 
-__all__ = ["EnvironmentRings", "environment_radiance", "environment_rings"]
+__all__ = [
+    "SUN",
+    "THREE_LIGHTS",
+    "EnvironmentMap",
+    "Light",
+    "environment_radiance",
+    "read_environment",
+]
 
 Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
-_SPACING = np.radians(3.5)
-"""Distance of the nodes in half vectors; with the widths below, an image agrees with that of finer nodes to 57 dB."""
-_FEWEST_AZIMUTHS = 8
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+_WIDEST = 2048  # pixels of a picture; finer ones are averaged
+_BRIGHT = 16.0  # times the mean: brighter spots are taken for distant lights,
+_SMALL = np.radians(5.0) ** 2  # if they are not larger than this [sr]
+_MOST_LIGHTS = 8
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light.
+
+    Attributes
+    ----------
+    direction : tuple of float
+        Unit vector towards the light.
+    irradiance : tuple of float
+        RGB irradiance of a surface that faces the light.
+    """
+
+    direction: tuple[float, float, float]
+    irradiance: tuple[float, float, float]
+
+
+def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
+    """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
+    polar, turn = np.radians((from_view, azimuth))
+    return _as_light(
+        np.array([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)]), np.full(3, irradiance)
+    )
+
+
+def _as_light(direction: Array, irradiance: Array) -> Light:
+    x, y, z = direction.tolist()
+    red, green, blue = irradiance.tolist()
+    return Light((x, y, z), (red, green, blue))
+
+
+THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
+"""Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
+SUN = _light(55.0, 132.0, 3.0 * np.pi)
+"""Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
 
 
 def _unit(x: float, y: float, z: float) -> Array:
@@ -81,134 +117,136 @@ def _logistic(x: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class EnvironmentRings:
-    """What the image under the environment is made of: R rings, a map of P polar angles by A azimuths.
+class EnvironmentMap:
+    """Light from all around, as a picture shows it; made by `from_pixels` or `read_environment`.
 
     Attributes
     ----------
-    angles : tuple of ndarray, shape (M,)
-        theta_half, theta_diff and phi_diff of all nodes of all rings.
-    spread : sparse array, shape (R * P * A, M)
-        Weights of the values at the nodes in the map of directions of each ring.
-    harmonics : ndarray, shape (3, P, A // 2 + 1)
-        Fourier series of the environment over the azimuth.
-    to_pixels : sparse array, shape (N, R * A)
-        Bilinear interpolation from rings to pixels.
+    pixels : ndarray, shape (height, width, 3)
+        Linear RGB radiance, without what the lights hold; see `from_pixels` for the directions.
+    lights : tuple of Light
+        The brightest spots.
     """
 
-    angles: tuple[Array, Array, Array]
-    spread: sparse.csr_array
-    harmonics: NDArray[np.complex128]
-    to_pixels: sparse.csr_array
+    pixels: Array
+    lights: tuple[Light, ...]
 
-    def radiance(self, evaluate: Evaluate) -> Array:
-        """Radiance of the N pixels, shape (N, 3), of a function of the three angles."""
-        values = evaluate(*self.angles)
-        polar, modes = self.harmonics.shape[1:]
-        azimuths = 2 * (modes - 1)
-        pixels = np.empty((self.to_pixels.shape[0], 3))
-        for channel, harmonics in enumerate(self.harmonics):
-            maps = (self.spread @ values[:, channel]).reshape(-1, polar, azimuths)
-            series = np.einsum("rpm,pm->rm", rfft(maps, axis=-1).conj(), harmonics)
-            pixels[:, channel] = self.to_pixels @ irfft(series, azimuths, axis=-1).ravel()
-        return pixels
+    @classmethod
+    def from_pixels(cls, pixels: ArrayLike) -> "EnvironmentMap":
+        """Return the environment that a panorama shows.
+
+        Parameters
+        ----------
+        pixels : array_like, shape (height, 2 height, 3)
+            Linear RGB radiance in latitude and longitude: the first row is straight up, and the middle column is what
+            the view looks at behind the sphere, so that the sphere mirrors the columns near the left and right edges.
+            Small spots brighter than 16 times the mean, such as the sun, are taken out of it as distant lights.
+
+        Returns
+        -------
+        EnvironmentMap
+
+        Raises
+        ------
+        ImageFormatError
+            If the shape is another, a value is negative or not finite, or the picture is black.
+        """
+        image = np.asarray(pixels, dtype=np.float64)
+        if image.ndim != 3 or image.shape[2] != 3 or not 0 < 2 * image.shape[0] == image.shape[1]:
+            raise ImageFormatError(
+                "A picture of an environment shows 360 by 180 degrees in RGB and is twice as wide as high, "
+                f"unlike one of the shape {image.shape}."
+            )
+        if not (np.isfinite(image).all() and (image >= 0.0).all()):
+            raise ImageFormatError("A picture of an environment has values that are finite and not negative.")
+        if not image.any():
+            raise ImageFormatError("The picture of an environment is black.")
+        return cls(*_without_lights(_at_most(image, _WIDEST)))
+
+    def at_most(self, width: int) -> "EnvironmentMap":
+        """Return the environment with at most so many columns of pixels; finer ones are averaged."""
+        return self if self.pixels.shape[1] <= width else EnvironmentMap(_at_most(self.pixels, width), self.lights)
+
+    def radiance(self, direction: Array) -> Array:
+        """Radiance (..., 3) from unit vectors (..., 3), between the pixels' centres."""
+        height, width, _ = self.pixels.shape
+        up = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
+        turn = np.arctan2(direction[..., 0], -direction[..., 2])
+        row = np.clip(up * height / np.pi - 0.5, 0.0, height - 1.0)
+        column = (turn / (2.0 * np.pi) + 0.5) * width - 0.5
+        above, left = row.astype(np.intp), np.floor(column).astype(np.intp)
+        down, right = (row - above)[..., np.newaxis], (column - left)[..., np.newaxis]
+        below = np.minimum(above + 1, height - 1)
+        upper, lower = (
+            (1.0 - right) * self.pixels[at, left % width] + right * self.pixels[at, (left + 1) % width]
+            for at in (above, below)
+        )
+        return np.asarray((1.0 - down) * upper + down * lower)
 
 
-def environment_rings(normals: Array, size: int) -> EnvironmentRings:
-    """Prepare the image of normals on a sphere.
+def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
+    """Read a panorama of an environment for `render_sphere`.
 
     Parameters
     ----------
-    normals : ndarray, shape (N, 3)
-        Unit vectors with z > 0, one for each pixel.
-    size : int
-        Pixels along a side of the image: the finer the image, the finer the rings.
+    path : path-like
+        A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
 
     Returns
     -------
-    EnvironmentRings
+    EnvironmentMap
+
+    Raises
+    ------
+    ImageFormatError
+        If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
+    MissingExtraError
+        For an OpenEXR file if the extra ``exr`` is not installed.
+    OSError
+        If the file cannot be read.
     """
-    azimuths = 128 if size <= 64 else 256
-    shape = azimuths // 2 + 1, azimuths
-    tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
-    rings = np.linspace(0.0, tilt.max(), 3 * size // 4)
-    nodes = [_ring_nodes(theta) for theta in rings]
-    ring = np.repeat(np.arange(rings.size), [node.shape[1] for node in nodes])
-    theta_half, theta_diff, phi_diff, azimuth, weight = np.concatenate(nodes, axis=1)
-    # Twice theta_diff is the angle between light and view.
-    cells, shares = _bilinear(2.0 * theta_diff * (shape[0] - 1) / np.pi, azimuth * shape[1] / (2.0 * np.pi), shape)
-    points = np.broadcast_to(np.arange(ring.size), cells.shape)
-    cells = cells + ring * shape[0] * shape[1]
-    spread = sparse.csr_array(
-        ((shares * weight).ravel(), (cells.ravel(), points.ravel())), (rings.size * shape[0] * shape[1], ring.size)
-    )
-    position = tilt / rings[-1] * (rings.size - 1), np.arctan2(normals[:, 1], normals[:, 0]) * shape[1] / (2.0 * np.pi)
-    cells, shares = _bilinear(*position, (rings.size, shape[1]))
-    pixels = np.broadcast_to(np.arange(len(normals)), cells.shape)
-    to_pixels = sparse.csr_array(
-        (shares.ravel(), (pixels.ravel(), cells.ravel())), (len(normals), rings.size * shape[1])
-    )
-    return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, _harmonics(shape), to_pixels)
+    return EnvironmentMap.from_pixels(read_hdr_image(path))
 
 
-def _harmonics(shape: tuple[int, int]) -> NDArray[np.complex128]:
-    """Fourier series of the environment over the azimuth about the view, shape (3, P, A // 2 + 1)."""
-    polar = np.linspace(0.0, np.pi, shape[0])[:, np.newaxis]
-    azimuth = np.arange(shape[1]) * 2.0 * np.pi / shape[1]
-    direction = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth]
-    radiance = environment_radiance(np.stack(direction, axis=-1))
-    return np.asarray(rfft(np.moveaxis(radiance, -1, 0), axis=-1))
+def _at_most(image: Array, width: int) -> Array:
+    """Picture with at most so many columns, of mean radiance over larger pixels."""
+    if image.shape[1] <= width:
+        return image
+    for axis, count in ((0, width // 2), (1, width)):
+        old = image.shape[axis]
+        running = np.cumsum(np.insert(image, 0, 0.0, axis=axis), axis=axis)
+        edges = np.linspace(0.0, old, count + 1)
+        lower = np.minimum(edges.astype(np.intp), old - 1)
+        share = np.expand_dims(edges - lower, [other for other in range(3) if other != axis])
+        at_edges = (1.0 - share) * running.take(lower, axis) + share * running.take(lower + 1, axis)
+        image = np.maximum(np.diff(at_edges, axis=axis), 0.0) * (count / old)
+    return image
 
 
-def _ring_nodes(tilt: float) -> Array:
-    """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)).
-
-    Returns
-    -------
-    ndarray, shape (5, nodes)
-        theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which holds the cosine and
-        the solid angle.
-    """
-    largest = 0.5 * (np.pi / 2 + tilt)  # theta_half at which omega_in is at the horizon for every azimuth
-    count = int(np.ceil(2.0 * largest / _SPACING))
-    s = (np.arange(count) + 0.5) / count
-    theta_half, step = largest * s * s, largest * 2.0 * s / count  # crowded towards 0
-    last = _last_azimuth(theta_half, tilt)
-    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _SPACING), _FEWEST_AZIMUTHS).astype(np.intp)
-    row = np.repeat(np.arange(count), number)
-    within = np.arange(row.size) - np.repeat(np.cumsum(number) - number, number)
-    around = last[row] * (2.0 * (within + 0.5) / number[row] - 1.0)
-    theta_half, area = theta_half[row], (step * np.sin(theta_half) * 2.0 * last / number)[row]
-
-    sin_tilt, cos_tilt = np.sin(tilt), np.cos(tilt)
-    # In the frame with the normal as z axis and the view in the half plane y = 0, x >= 0.
-    half = np.stack(
-        [np.sin(theta_half) * np.cos(around), np.sin(theta_half) * np.sin(around), np.cos(theta_half)], axis=-1
-    )
-    omega_out = np.array([sin_tilt, 0.0, cos_tilt])
-    cos_diff = half @ omega_out
-    omega_in = 2.0 * cos_diff[:, np.newaxis] * half - omega_out
-    _, theta_diff, phi_diff = half_difference(omega_in, omega_out)
-    # The world's x axis is the direction in which the normal is tilted.
-    world_x = sin_tilt * omega_in[:, 2] - cos_tilt * omega_in[:, 0]
-    azimuth = np.arctan2(-omega_in[:, 1], world_x)
-    weight = 4.0 * cos_diff * np.maximum(omega_in[:, 2], 0.0) * area
-    return np.stack([theta_half, theta_diff, phi_diff, azimuth, weight])
-
-
-def _last_azimuth(theta_half: Array, tilt: float) -> Array:
-    """Largest azimuth of the half vector from the view at which omega_in is above the horizon."""
-    down = np.cos(tilt) * np.cos(2.0 * theta_half)
-    across = np.sin(tilt) * np.sin(2.0 * theta_half)
-    ratio = np.where(across > np.abs(down), down / np.where(across > 0.0, across, 1.0), np.sign(down))
-    return np.asarray(np.arccos(np.clip(-ratio, -1.0, 1.0)))
-
-
-def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:
-    """Flat indices and weights of the four neighbours of each point, shapes (4, N); the columns are periodic."""
-    low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
-    left = np.floor(column).astype(np.intp)
-    down, right = row - low, column - left
-    cells = [(low + i) * shape[1] + (left + j) % shape[1] for i in (0, 1) for j in (0, 1)]
-    shares = [(down if i else 1.0 - down) * (right if j else 1.0 - right) for i in (0, 1) for j in (0, 1)]
-    return np.array(cells), np.array(shares)
+def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
+    """Cut small bright spots down to the level of what surrounds them at most; they become distant lights."""
+    height, width, _ = image.shape
+    up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
+    area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)
+    luminance = image @ _LUMINANCE
+    level = _BRIGHT * float(np.average(luminance, weights=area))
+    spots, count = label(luminance > level)
+    if not count:
+        return image, ()
+    surplus = np.maximum(1.0 - level / np.maximum(luminance, 1e-300), 0.0)
+    numbers = np.arange(1, count + 1)
+    sizes = np.bincount(spots.ravel(), area.ravel())[1:]
+    power = np.bincount(spots.ravel(), (area * surplus * luminance).ravel())[1:]
+    small = numbers[sizes <= _SMALL]
+    image, lights = image.copy(), []
+    for number in small[np.argsort(power[small - 1])[::-1][:_MOST_LIGHTS]]:
+        row, column = np.nonzero(spots == number)
+        taken = image[row, column] * surplus[row, column, np.newaxis]
+        share = area[row, column, np.newaxis] * taken
+        direction = np.stack(
+            [np.sin(up[row]) * np.sin(turn[column]), np.cos(up[row]), -np.sin(up[row]) * np.cos(turn[column])]
+        )
+        middle = direction @ (share @ _LUMINANCE)
+        lights.append(_as_light(middle / np.linalg.norm(middle), share.sum(axis=0)))
+        image[row, column] -= taken
+    return image, tuple(lights)

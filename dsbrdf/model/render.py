@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.environment import EnvironmentRings, environment_rings
+from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, environment_radiance
+from dsbrdf.model.environment_rings import EnvironmentRings, environment_rings, map_directions, map_shape
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
 __all__ = ["LIGHTINGS", "SUN", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
@@ -35,6 +35,7 @@ LIGHTINGS = ("three_lights", "environment")
 SIZES = (8, 1024)
 """Smallest and largest number of pixels along a side."""
 _VIEW = np.array([0.0, 0.0, 1.0])
+_PIXELS_AT_NODE = 4  # of a panorama, at most, for each node of the map of directions and axis
 
 
 class Reflectance(Protocol):
@@ -48,69 +49,48 @@ class Reflectance(Protocol):
 Source = Measurement | Reflectance | Evaluate
 
 
-@dataclass(frozen=True)
-class Light:
-    """A distant light.
-
-    Attributes
-    ----------
-    direction : tuple of float
-        Unit vector towards the light.
-    irradiance : tuple of float
-        RGB irradiance of a surface that faces the light.
-    """
-
-    direction: tuple[float, float, float]
-    irradiance: tuple[float, float, float]
-
-
-def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
-    """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
-    polar, turn = np.radians((from_view, azimuth))
-    direction = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)
-    return Light((float(direction[0]), float(direction[1]), float(direction[2])), (irradiance,) * 3)
-
-
-THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
-"""Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
-SUN = _light(55.0, 132.0, 3.0 * np.pi)
-"""Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
-
-
-def render_sphere(source: Source, *, lighting: str = "three_lights", size: int = 128) -> Array:
+def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lights", size: int = 128) -> Array:
     """Picture of a lit sphere.
 
     Parameters
     ----------
     source : Measurement, model or callable
         The material: a measurement, which is interpolated, an object with
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, or such a function.
-    lighting : {"three_lights", "environment"}
-        See the module.
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as a component of `decompose`, or such a
+        function.
+    lighting : {"three_lights", "environment"} or EnvironmentMap
+        Three distant lights, a sky with sun, ground and window, or what `read_environment` has read.
     size : int
         Pixels along a side, 8 to 1024; the sphere touches the border.
 
     Returns
     -------
     ndarray, shape (size, size, 3)
-        Linear RGB radiance, the first row at the top; 0 beside the sphere.
+        Linear RGB radiance, the first row at the top; 0 beside the sphere.  `dsbrdf.model.image_metrics.exposure` and
+        `displayed` turn it into what a screen shows.
 
     Raises
     ------
     InvalidArgumentError
         If the lighting is unknown, the size is out of range, or the source is none of the above.
     """
-    if lighting not in LIGHTINGS:
+    if not isinstance(lighting, EnvironmentMap) and lighting not in LIGHTINGS:
         raise InvalidArgumentError(f"lighting must be one of {', '.join(LIGHTINGS)}, not {lighting!r}")
     if not (isinstance(size, (int, np.integer)) and SIZES[0] <= size <= SIZES[1]):
         raise InvalidArgumentError(f"size must be a whole number from {SIZES[0]} to {SIZES[1]} pixels, not {size}")
     evaluate = _evaluator(source)
     image = np.zeros((size, size, 3))
     _, mask = sphere_normals(size)
-    if lighting == "three_lights":
-        image[mask] = _lit(size, THREE_LIGHTS).radiance(evaluate)
-    else:
-        image[mask] = _lit(size, (SUN,)).radiance(evaluate) + _environment(size).radiance(evaluate)
+    lights: tuple[Light, ...] = THREE_LIGHTS
+    around: Array | None = None
+    if isinstance(lighting, EnvironmentMap):
+        lights, around = lighting.lights, _map_of_picture(size, lighting)
+    elif lighting == "environment":
+        lights, around = (SUN,), _map_of_sky(size)
+    if lights:
+        image[mask] = _lit(size, lights).radiance(evaluate)
+    if around is not None:
+        image[mask] += _rings(size).radiance(evaluate, around)
     return image
 
 
@@ -173,31 +153,57 @@ class _Lit:
 @lru_cache(maxsize=4)
 def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
     normals, _ = sphere_normals(size)
-    frame = _surface_frame(normals)
-    directions = np.array([light.direction for light in lights])
-    cosine = normals @ directions.T
-    pixel, light = np.nonzero(cosine > 0.0)
-    to_surface = frame[pixel]
-    omega_in = np.einsum("nij,nj->ni", to_surface, directions[light])
-    omega_out = to_surface @ _VIEW
-    angles = half_difference(omega_in, omega_out)
-    irradiance = np.array([light.irradiance for light in lights])[light] * cosine[pixel, light][:, np.newaxis]
+    parts = [_light_angles(normals, light) for light in lights]
+    pixel = np.concatenate([lit for lit, _, _ in parts])
+    angles = np.concatenate([of_light for _, of_light, _ in parts], axis=1)
+    irradiance = np.concatenate([received for _, _, received in parts])
     point = np.arange(pixel.size)
     gather = [sparse.csr_array((irradiance[:, c], (pixel, point)), (len(normals), point.size)) for c in range(3)]
-    return _Lit(angles, tuple(gather))
+    return _Lit((angles[0], angles[1], angles[2]), tuple(gather))
 
 
-def _surface_frame(normals: Array) -> Array:
-    """Rotations from the world to frames whose z axes are the normals, shape (N, 3, 3), without a special case.
+def _light_angles(normals: Array, light: Light) -> tuple[NDArray[np.intp], Array, Array]:
+    """Pixels that a light reaches (n,), their three angles (3, n) and the irradiance that they receive (n, 3).
 
-    The rotation of the view onto the normal, about the axis at right angles to both; z > 0 for all normals.
+    Light and view are the same everywhere, and so are their half vector and theta_diff.  What is left are the polar
+    coordinates of the normal about the half vector: theta_half, and phi_diff from the plane of light and view.
     """
-    x, y, z = normals.T
-    share = 1.0 / (1.0 + z)
-    rows = [[1.0 - x * x * share, -x * y * share, -x], [-x * y * share, 1.0 - y * y * share, -y], [x, y, z]]
-    return np.moveaxis(np.array(rows), -1, 0)
+    direction = np.array(light.direction)
+    cosine = normals @ direction
+    lit = np.flatnonzero(cosine > 0.0)
+    half = (direction + _VIEW) / np.linalg.norm(direction + _VIEW)
+    cos_diff = float(direction @ half)
+    across = np.cross(_VIEW, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    # Along: towards the light, at right angles to the half vector, from where phi_diff is counted.
+    frame = np.stack([np.cross(across, half), across, half])
+    along, aside, height = frame @ normals[lit].T
+    theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
+    theta_diff = np.full(lit.size, np.arccos(min(cos_diff, 1.0)))
+    return lit, np.stack([theta_half, theta_diff, phi_diff]), cosine[lit, np.newaxis] * np.array(light.irradiance)
 
 
 @lru_cache(maxsize=2)
-def _environment(size: int) -> EnvironmentRings:
+def _rings(size: int) -> EnvironmentRings:
     return environment_rings(sphere_normals(size)[0], size)
+
+
+@lru_cache(maxsize=2)
+def _map_of_sky(size: int) -> Array:
+    """Radiance of the library's environment at the nodes of the map of directions, shape (3, P, A)."""
+    return np.moveaxis(environment_radiance(map_directions(size)), -1, 0)
+
+
+@lru_cache(maxsize=2)
+def _map_of_picture(size: int, environment: EnvironmentMap) -> Array:
+    """Mean radiance of a picture about the nodes of the map of directions, shape (3, P, A)."""
+    columns = map_shape(size)[1]
+    picture = environment.at_most(_PIXELS_AT_NODE * columns)
+    fine = -(-picture.pixels.shape[1] // columns)
+    total, weight = np.zeros((*map_shape(size), 3)), np.zeros((*map_shape(size), 1))
+    for down, right in (np.indices((fine, fine)).reshape(2, -1).T + 0.5) / fine - 0.5:
+        directions = map_directions(size, (down, right))
+        solid_angle = np.hypot(directions[..., 0], directions[..., 1])[..., np.newaxis] + 1e-12
+        total += solid_angle * picture.radiance(directions)
+        weight += solid_angle
+    return np.moveaxis(total / weight, -1, 0)

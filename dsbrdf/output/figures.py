@@ -24,6 +24,7 @@ from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.decomposition import LABELS, decompose, lobe_widths
+from dsbrdf.output.sphere_panels import draw_panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from dsbrdf.data.reduction import Profiles
     from dsbrdf.model.decomposition import Component
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.output.sphere_panels import SphereComparison
 
 Array = NDArray[np.float64]
 
@@ -47,7 +49,7 @@ DELTA_COLOUR = "#868e96"
 LINE_STYLES = ("-", "--", ":", "-.")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
-ROW_HEIGHT = 3.4  # of a row of panels, in inches
+ROW_HEIGHT, SPHERES_HEIGHT = 3.4, 2.3  # of a row of panels, in inches
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
@@ -118,18 +120,38 @@ def overview_figure(
     *,
     theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
     channel: str = "red",
+    spheres: SphereComparison | None = None,
 ) -> Figure:
-    """Both rows of Nishino 2009, Figure 1: profiles with the fit above, lobes of one channel below.
+    """Both rows of Nishino 2009, Figure 1: profiles with the fit above, lobes of one channel below; then lit spheres.
 
-    Parameters, return value and errors are those of `lobes_figure`.
+    Parameters
+    ----------
+    profiles, model, theta_diff, channel
+        As for `lobes_figure`.
+    spheres : SphereComparison, optional
+        What to draw in a third row.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgumentError, MissingExtraError
+        As `lobes_figure`.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = empty_figure(profiles.name, len(rows), height=2 * ROW_HEIGHT + 0.3)
-    (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
+    heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, SPHERES_HEIGHT]
+    figure = empty_figure(profiles.name, len(rows), height=sum(heights) + 0.3)
+    above, below, *rest = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) lobes of the {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
     _lobes_row(below, profiles, model, rows, index)
+    if spheres is not None:
+        likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
+        rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
+        draw_panels(rest[0], spheres.panels)
     return figure
 
 

@@ -238,7 +238,23 @@ class Health(BaseModel):
 class Export(_Input):
     """What to export."""
 
-    format: Annotated[Literal["json", "npz", "merl"], Field(description="Format of the file.")]
+    format: Annotated[
+        Literal["json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"],
+        Field(description="Format of the file."),
+    ]
+    component: Annotated[
+        Literal["specular_spike", "specular_lobe", "diffuse"] | None,
+        Field(description="One component instead of the whole fit."),
+    ] = None
+
+
+class Sphere(_Input):
+    """What to draw."""
+
+    lighting: Annotated[
+        Literal["three_lights", "environment"], Field(description="Three lights, or a sky with sun and window.")
+    ] = "three_lights"
+    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side.")] = 128
     component: Annotated[
         Literal["specular_spike", "specular_lobe", "diffuse"] | None,
         Field(description="One component instead of the whole fit."),

@@ -20,11 +20,14 @@ def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: p
     assert "200 OK" in out
     for word in ("specular_spike", "specular_lobe", "diffuse", "kappa", "gamma", "relative_rms", "excess", "male"):
         assert word in out
+    lines = out.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 100 + len(str(tmp_path))
     rows = re.findall(r"^ +[\d.]+° +\d+°((?: +[\d.]+){6})$", out, re.MULTILINE)
     assert len(rows) == len(demo.SHOWN_NODES) * len(demo.SHOWN_ROWS)
     peak = [float(word) for word in rows[0].split()]
     assert peak[1::2] == pytest.approx(peak[0::2], rel=0.1)  # fitted next to measured
-    difference = re.search(r"largest difference between sum and fit: (\S+)", out)
+    difference = re.search(r"largest difference between their sum and the fit: (\S+)", out)
     assert difference is not None
     assert float(difference[1]) < 1e-12
     image = imread(BytesIO((tmp_path / "out/demo.png").read_bytes()), format="png")

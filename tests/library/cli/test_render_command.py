@@ -58,6 +58,51 @@ def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path, capsys: pyte
         assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
 
 
+def test_measurement_and_fit_are_compared_under_a_panorama(
+    plastic_file: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    panorama, output = tmp_path / "even.hdr", tmp_path / "both.png"
+    panorama.write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n" + bytes([128, 128, 128, 129]) * 32)
+    command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
+    assert main([*command, "--size", "24"]) == 0
+    words = capsys.readouterr().out
+    assert "measured, fit, difference x 4, specular spike, specular lobe, diffuse" in words
+    assert main([*command, "--size", "24", "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert f"PSNR {about['psnr']:.1f} dB" in words
+    with Image.open(output) as image:
+        assert image.size == (6 * 24, 24)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["same"], "the second source must be a model"),
+        (["model", "--component", "diffuse"], "leave --component out"),
+        (["model", "model"], "one or two sources can be drawn, not 3"),
+        (["--lighting", "no.hdr"], "no.hdr: No such file"),
+        (["--lighting", "bad.exr"], "bad.exr: The file is neither a Radiance nor an OpenEXR picture"),
+    ],
+)
+def test_bad_sources_and_lightings_are_one_sentence(
+    plastic_file: Path,
+    model_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    more: list[str],
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.exr").write_text("nothing")
+    files = {"same": str(plastic_file), "model": str(model_file)}
+    assert main(["render", str(plastic_file), *(files.get(word, word) for word in more), "-o", "a.png"]) == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.count("\n") == 1
+    assert not Path("a.png").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -165,6 +165,7 @@ def test_dimensions_are_checked_one_by_one(data: bytes, dimensions: tuple[int, i
     ("start", "kind"),
     [
         (b"\x89PNG\r\n\x1a\n", "a PNG image"),
+        (b"tensor_file\0\x01\x00", "an RGL .bsdf file, which dsbrdf convert turns into a MERL file"),
         (b"v/1\x01\2\0\0\0", "an OpenEXR image"),
         (b'{"measurement": ', "JSON"),
         (b"PK\x03\x04", "a ZIP archive"),

@@ -24,6 +24,7 @@ from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.sphere_panels import compare_spheres
 
 Fitted = tuple[Profiles, DSBRDF]
 
@@ -196,3 +197,14 @@ def test_figures_are_independent_objects(fitted: Fitted) -> None:
     assert isinstance(first, Figure)
     assert first is not second
     assert encode_figure(first) == encode_figure(second)
+
+
+def test_overview_ends_with_spheres(fitted: Fitted) -> None:
+    spheres = compare_spheres(fitted[1], fitted[1], size=16)
+    figure = overview_figure(*fitted, spheres=spheres)
+    assert [ax.get_title() for ax in figure.axes[-6:]] == list(spheres.panels)
+    assert len(figure.axes) == len(overview_figure(*fitted).axes) + 6
+    shown = figure.axes[-5].images[0].get_array()
+    assert shown is not None
+    np.testing.assert_array_equal(shown[..., :3], spheres.panels["fit"])
+    assert set(np.unique(shown[..., 3])) == {0.0, 1.0}

@@ -1,0 +1,210 @@
+"""RGL ``.bsdf`` files of isotropic materials: bytes -> values at any directions -> `Measurement`.
+
+The file is a tensor file with, for each angle theta_i of the first direction, a warp ``vndf`` of the unit square and
+values ``rgb`` on a regular grid over the square that it is warped from.  With u, v the half vector in the square, and
+(x, y) what the warp takes there,
+
+    f cos(theta_out) = rgb(x, y) ndf(u, v) / (4 sigma(theta_i)),
+    theta_half = pi/2 u**2,    azimuth of the half vector from the first direction = (2 v - 1) pi
+
+(Dupuy and Jakob 2018, section 4).  Between two theta_i everything is linear, as in Mitsuba 3.
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.file_kinds import known_kind
+from dsbrdf.data.geometry import check_directions, directions
+from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.rgl_warp import Warp, WarpStack, bilinear
+from dsbrdf.data.tensor_file import parse_tensors
+from dsbrdf.errors import MeasurementFormatError
+
+__all__ = ["RglMaterial", "parse_rgl", "read_rgl"]
+
+Array = NDArray[np.float64]
+
+_AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
+_LARGEST_FILE = 1 << 28  # [bytes]; those of the data base have at most 100 MB
+_POINTS_AT_ONCE = 32768
+
+
+@dataclass(frozen=True, eq=False)
+class RglMaterial:
+    """An isotropic material of the RGL data base.
+
+    Attributes
+    ----------
+    theta_i : ndarray, shape (T,)
+        Angles of the first direction [rad], ascending.
+    ndf, sigma : ndarray, shape (H, W)
+        See the module.
+    vndf : WarpStack
+        One warp for each theta_i.
+    rgb : ndarray, shape (T, 3, H, W)
+    name : str
+    sha256 : str
+        Hexadecimal digest of the file.
+    """
+
+    theta_i: Array
+    ndf: Array
+    sigma: Array
+    vndf: WarpStack
+    rgb: Array
+    name: str
+    sha256: str
+
+    def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
+        """BRDF values.
+
+        Parameters
+        ----------
+        omega_in, omega_out : ndarray, shape (n, 3)
+            Unit vectors; the file's first direction is ``omega_in``.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            RGB [1/sr]; 0 where a direction is not above the horizon.
+        """
+        first = check_directions("omega_in", omega_in, below_horizon=True)
+        second = check_directions("omega_out", omega_out, below_horizon=True)
+        above = np.flatnonzero((first[:, 2] > 0.0) & (second[:, 2] > 0.0))
+        values = np.zeros((len(first), 3))
+        for start in range(0, above.size, _POINTS_AT_ONCE):
+            block = above[start : start + _POINTS_AT_ONCE]
+            values[block] = self._values(first[block], second[block])
+        return values
+
+    def _values(self, first: Array, second: Array) -> Array:
+        half = first + second
+        theta_i = np.arctan2(np.hypot(first[:, 0], first[:, 1]), first[:, 2])
+        theta_half = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+        azimuth = np.arctan2(half[:, 1], half[:, 0]) - np.arctan2(first[:, 1], first[:, 0])
+        u, v = np.sqrt(theta_half * 2.0 / np.pi), (azimuth / (2.0 * np.pi) + 0.5) % 1.0
+        last = self.theta_i.size - 1
+        at = np.interp(theta_i, self.theta_i, np.arange(last + 1.0))
+        lower = np.minimum(at.astype(np.intp), max(last - 1, 0))
+        share = at - lower
+        x, y = self.vndf.invert(lower, share, u, v)
+        upper = np.minimum(lower + 1, last)
+        rgb = np.stack(
+            [
+                (1.0 - share) * bilinear(self.rgb[:, channel], x, y, lower)
+                + share * bilinear(self.rgb[:, channel], x, y, upper)
+                for channel in range(3)
+            ],
+            axis=-1,
+        )
+        sigma = bilinear(self.sigma, np.sqrt(theta_i * 2.0 / np.pi), np.full_like(u, 0.5))
+        factor = bilinear(self.ndf, u, v) / (4.0 * sigma * second[:, 2])
+        return np.maximum(rgb * factor[:, np.newaxis], 0.0)
+
+    def measurement(self) -> Measurement:
+        """Return the values at the nodes of the MERL grid.
+
+        A value is the mean of both orders of the two directions, as a reciprocal material has one; beyond the last
+        ``theta_i`` only that order counts whose first direction is within it, and where none is the node is invalid.
+        """
+        above = np.argwhere(nodes_above_horizon())
+        values, valid = np.full((3, *GRID_SHAPE), -1.0), np.zeros(GRID_SHAPE, dtype=np.bool_)
+        lowest = np.cos(self.theta_i[-1]) - 1e-6
+        for start in range(0, len(above), _POINTS_AT_ONCE):
+            i, j, k = nodes = tuple(above[start : start + _POINTS_AT_ONCE].T)
+            pair = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
+            total, count = np.zeros((i.size, 3)), np.zeros(i.size)
+            for first, second in (pair, pair[::-1]):
+                inside = first[:, 2] >= lowest
+                total[inside] += self._values(first[inside], second[inside])
+                count += inside
+            values[:, *nodes] = (total / np.maximum(count, 1.0)[:, np.newaxis]).T
+            valid[nodes] = count > 0
+        return Measurement.from_values(values, valid, self.name)
+
+
+def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
+    """Read an RGL ``.bsdf`` file of an isotropic material in RGB.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its stem becomes the name.
+
+    Returns
+    -------
+    RglMaterial
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    source = Path(path)
+    with source.open("rb") as file:
+        data = file.read(_LARGEST_FILE + 1)
+    if len(data) > _LARGEST_FILE:
+        raise MeasurementFormatError(f"The file is longer than {_LARGEST_FILE} bytes, unlike any isotropic material.")
+    return parse_rgl(data, source.stem)
+
+
+def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
+    """Return the material in the bytes of a ``.bsdf`` file; errors are those of `read_rgl`."""
+    if not data.startswith(b"tensor_file") and (kind := known_kind(data[:16])) is not None:
+        raise MeasurementFormatError(f"The data is {kind}; a material of the RGL data base is a .bsdf file.")
+    fields = parse_tensors(data)
+    _check(fields)
+    tables = {key: np.asarray(fields[key], dtype=np.float64) for key in _AXES}
+    warps = [Warp.of(table) for table in tables["vndf"][0]]
+    return RglMaterial(
+        theta_i=tables["theta_i"],
+        ndf=tables["ndf"],
+        sigma=tables["sigma"],
+        vndf=WarpStack.of(warps),
+        rgb=tables["rgb"][0],
+        name=name,
+        sha256=hashlib.sha256(data).hexdigest(),
+    )
+
+
+def _check(fields: Mapping[str, NDArray[Any]]) -> None:
+    """Raise an error unless the arrays are an isotropic material in RGB."""
+    if "rgb" not in fields and "spectra" in fields:
+        raise MeasurementFormatError("The .bsdf file has spectra; use the file of the same material that ends in _rgb.")
+    for name, axes in _AXES.items():
+        if name not in fields:
+            raise MeasurementFormatError(f"The .bsdf file has no field {name!r}, as one of a material must.")
+        array = fields[name]
+        if array.ndim != axes or array.dtype.kind != "f" or 0 in array.shape:
+            raise MeasurementFormatError(f"The field {name!r} of the .bsdf file is not an array with {axes} axes.")
+        if not np.isfinite(array).all():
+            raise MeasurementFormatError(f"The field {name!r} of the .bsdf file has values that are NaN or infinite.")
+    count = fields["phi_i"].size
+    if count > 2:
+        raise MeasurementFormatError(
+            f"The material is anisotropic: it has {count} azimuths of the first direction; this model is isotropic."
+        )
+    angles, (_, n_angles, *square), (_, n_rgb, channels, *grid) = (
+        np.asarray(fields["theta_i"], dtype=np.float64),
+        fields["vndf"].shape,
+        fields["rgb"].shape,
+    )
+    smallest = min(*square, *grid, *fields["ndf"].shape, *fields["sigma"].shape)
+    if not angles.size == n_angles == n_rgb or channels != 3 or smallest < 2:
+        raise MeasurementFormatError("The fields of the .bsdf file do not fit together: it is damaged.")
+    if angles[0] < -1e-6 or angles[-1] > np.pi / 2 + 1e-6 or (np.diff(angles) <= 0.0).any():
+        raise MeasurementFormatError("The theta_i of the .bsdf file must ascend from 0 to at most 90 degrees.")
+    if fields["vndf"].min() < 0.0 or not fields["vndf"].any(axis=(2, 3)).all() or fields["sigma"].min() <= 0.0:
+        raise MeasurementFormatError("The vndf or the sigma of the .bsdf file is not positive: it is damaged.")
+    if not (fields["rgb"] > 0.0).any():
+        raise MeasurementFormatError("Every value of the .bsdf file is zero; a measurement has positive values.")

@@ -1,0 +1,197 @@
+"""The integral over light from all around, for every pixel of a sphere.
+
+    radiance(normal) = integral f(omega_in, view) L(omega_in) cos(theta_in) d omega_in,
+    d omega_in = 4 cos(theta_diff) d omega_half,
+
+is taken over half vectors, with nodes that crowd towards theta_half = 0 about each normal, where a narrow lobe is.
+
+The material is isotropic: normals at one angle to the view, a ring of the sphere, see the same angles, and from normal
+to normal only the environment turns about the view.  So f is evaluated for one normal of each ring, the weighted values
+are spread over a map of directions in polar coordinates about the view, and the radiance of the whole ring is the
+circular correlation of that map with the environment's.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.fft import irfft, rfft
+
+from dsbrdf.data.geometry import half_difference
+
+__all__ = ["EnvironmentRings", "environment_rings", "map_directions", "map_shape"]
+
+Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array, Array], Array]
+
+_SPACING = np.radians(3.5)
+"""Distance of the nodes in half vectors; with what the environment's widths are, an image agrees with that of finer
+nodes to 57 dB."""
+_FEWEST_AZIMUTHS = 8
+_RINGS_AT_ONCE = 16  # keeps their maps in the processor's cache
+
+
+def map_shape(size: int) -> tuple[int, int]:
+    """Polar angles, from 0 to pi, and azimuths of the map of directions for an image of ``size`` pixels a side."""
+    azimuths = 128 if size <= 64 else 256
+    return azimuths // 2 + 1, azimuths
+
+
+def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Directions of the nodes of the map in the world, or of points a share of their spacing away, shape (P, A, 3)."""
+    polar_angles, azimuths = map_shape(size)
+    polar = ((np.arange(polar_angles) + shift[0]) * np.pi / (polar_angles - 1))[:, np.newaxis]
+    azimuth = (np.arange(azimuths) + shift[1]) * 2.0 * np.pi / azimuths
+    parts = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth]
+    return np.stack(parts, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentRings:
+    """What the image under any environment is made of: R rings, a map of P polar angles by A azimuths.
+
+    Attributes
+    ----------
+    angles : tuple of ndarray, shape (M,)
+        theta_half, theta_diff and phi_diff of all nodes of all rings.
+    spread : tuple of sparse array
+        Weights of the values at the nodes in the maps of some rings each, shape (rings * P * A, nodes); together they
+        have all rings and all nodes, in order.
+    shape : tuple of int
+        P and A.
+    to_pixels : sparse array, shape (N, R * A)
+        Bilinear interpolation from rings to pixels.
+    """
+
+    angles: tuple[Array, Array, Array]
+    spread: tuple[sparse.csc_array, ...]
+    shape: tuple[int, int]
+    to_pixels: sparse.csr_array
+
+    def radiance(self, evaluate: Evaluate, environment: Array) -> Array:
+        """Radiance of the pixels.
+
+        Parameters
+        ----------
+        evaluate : callable
+            Values (M, 3) of the three angles.
+        environment : ndarray, shape (3, P, A)
+            Radiance of the environment at the nodes of the map.
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+        """
+        values = evaluate(*self.angles)
+        series = rfft(environment, axis=-1)
+        rings: list[Array] = []
+        start = 0
+        for spread in self.spread:
+            stop = start + spread.shape[1]
+            channels = []
+            for channel, harmonics in enumerate(series):
+                maps = (spread @ values[start:stop, channel]).reshape(-1, *self.shape)
+                products = np.einsum("rpm,pm->rm", rfft(maps, axis=-1), harmonics.conj()).conj()
+                channels.append(irfft(products, self.shape[1], axis=-1))
+            rings.append(np.stack(channels, axis=-1))
+            start = stop
+        turned = np.concatenate(rings).reshape(-1, 3)
+        return np.asarray(self.to_pixels @ turned)
+
+
+def environment_rings(normals: Array, size: int) -> EnvironmentRings:
+    """Prepare the images of normals on a sphere.
+
+    Parameters
+    ----------
+    normals : ndarray, shape (N, 3)
+        Unit vectors with z > 0, one for each pixel.
+    size : int
+        Pixels along a side of the image: the finer the image, the finer the rings.
+
+    Returns
+    -------
+    EnvironmentRings
+    """
+    shape = map_shape(size)
+    tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
+    rings = np.linspace(0.0, tilt.max(), 3 * size // 4)
+    nodes = [_ring_nodes(theta) for theta in rings]
+    theta_half, theta_diff, phi_diff = np.concatenate([node[:3] for node in nodes], axis=1)
+    groups = range(0, rings.size, _RINGS_AT_ONCE)
+    spread = tuple(_spread(nodes[start : start + _RINGS_AT_ONCE], shape) for start in groups)
+    position = tilt / rings[-1] * (rings.size - 1), np.arctan2(normals[:, 1], normals[:, 0]) * shape[1] / (2.0 * np.pi)
+    to_pixels = _gathering(*_bilinear(*position, (rings.size, shape[1])), rings.size * shape[1])
+    return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, shape, to_pixels)
+
+
+def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:
+    """Weights of the nodes of some rings in the map of each."""
+    ring = np.repeat(np.arange(len(nodes)), [node.shape[1] for node in nodes])
+    _, theta_diff, _, azimuth, weight = np.concatenate(nodes, axis=1)
+    # Twice theta_diff is the angle between light and view.
+    cells, shares = _bilinear(2.0 * theta_diff * (shape[0] - 1) / np.pi, azimuth * shape[1] / (2.0 * np.pi), shape)
+    return _gathering(cells + ring * shape[0] * shape[1], shares * weight, len(nodes) * shape[0] * shape[1]).T
+
+
+def _gathering(cells: NDArray[np.intp], shares: Array, count: int) -> sparse.csr_array:
+    """Matrix (N, count) whose row n sums the ``cells[:, n]`` with their shares."""
+    each, points = cells.shape
+    starts = np.arange(points + 1) * each
+    return sparse.csr_array((shares.T.ravel(), cells.T.ravel(), starts), (points, count))
+
+
+def _ring_nodes(tilt: float) -> Array:
+    """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)).
+
+    Returns
+    -------
+    ndarray, shape (5, nodes)
+        theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which holds the cosine and
+        the solid angle.
+    """
+    largest = 0.5 * (np.pi / 2 + tilt)  # theta_half at which omega_in is at the horizon for every azimuth
+    count = int(np.ceil(2.0 * largest / _SPACING))
+    s = (np.arange(count) + 0.5) / count
+    theta_half, step = largest * s * s, largest * 2.0 * s / count  # crowded towards 0
+    last = _last_azimuth(theta_half, tilt)
+    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _SPACING), _FEWEST_AZIMUTHS).astype(np.intp)
+    row = np.repeat(np.arange(count), number)
+    within = np.arange(row.size) - np.repeat(np.cumsum(number) - number, number)
+    around = last[row] * (2.0 * (within + 0.5) / number[row] - 1.0)
+    theta_half, area = theta_half[row], (step * np.sin(theta_half) * 2.0 * last / number)[row]
+
+    sin_tilt, cos_tilt = np.sin(tilt), np.cos(tilt)
+    # In the frame with the normal as z axis and the view in the half plane y = 0, x >= 0.
+    half = np.stack(
+        [np.sin(theta_half) * np.cos(around), np.sin(theta_half) * np.sin(around), np.cos(theta_half)], axis=-1
+    )
+    omega_out = np.array([sin_tilt, 0.0, cos_tilt])
+    cos_diff = half @ omega_out
+    omega_in = 2.0 * cos_diff[:, np.newaxis] * half - omega_out
+    _, theta_diff, phi_diff = half_difference(omega_in, omega_out)
+    # The world's x axis is the direction in which the normal is tilted.
+    world_x = sin_tilt * omega_in[:, 2] - cos_tilt * omega_in[:, 0]
+    azimuth = np.arctan2(-omega_in[:, 1], world_x)
+    weight = 4.0 * cos_diff * np.maximum(omega_in[:, 2], 0.0) * area
+    return np.stack([theta_half, theta_diff, phi_diff, azimuth, weight])
+
+
+def _last_azimuth(theta_half: Array, tilt: float) -> Array:
+    """Largest azimuth of the half vector from the view at which omega_in is above the horizon."""
+    down = np.cos(tilt) * np.cos(2.0 * theta_half)
+    across = np.sin(tilt) * np.sin(2.0 * theta_half)
+    ratio = np.where(across > np.abs(down), down / np.where(across > 0.0, across, 1.0), np.sign(down))
+    return np.asarray(np.arccos(np.clip(-ratio, -1.0, 1.0)))
+
+
+def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:
+    """Flat indices and weights of the four neighbours of each point, shapes (4, N); the columns are periodic."""
+    low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
+    left = np.floor(column).astype(np.intp)
+    down, right = row - low, column - left
+    cells = [(low + i) * shape[1] + (left + j) % shape[1] for i in (0, 1) for j in (0, 1)]
+    shares = [(down if i else 1.0 - down) * (right if j else 1.0 - right) for i in (0, 1) for j in (0, 1)]
+    return np.array(cells), np.array(shares)

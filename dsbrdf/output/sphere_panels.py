@@ -1,0 +1,100 @@
+"""Lit spheres side by side: a measurement, its fit, the difference and the components.
+
+All have one exposure, that of the measurement: its sphere's 99th percentile becomes 1.  Radiance is multiplied by it,
+clipped to [0, 1] and shown with the sRGB curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.model.decomposition import decompose
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.environment import EnvironmentMap
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
+
+if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
+__all__ = ["DIFFERENCE_GAIN", "SphereComparison", "compare_spheres", "draw_panels", "side_by_side"]
+
+Array = NDArray[np.float64]
+
+DIFFERENCE_GAIN = 4.0
+"""Differences are shown so many times as large."""
+
+
+@dataclass(frozen=True, eq=False)
+class SphereComparison:
+    """Lit spheres of a measurement and its fit.
+
+    Attributes
+    ----------
+    panels : dict of ndarray, shape (size, size, 3)
+        By title, as a screen shows them: measured, fit, difference, each component of the fit.
+    exposure : float
+        What radiance was multiplied by.
+    psnr, ssim : float
+        Likeness of measured and fit, see `dsbrdf.model.render.sphere_likeness`.
+    """
+
+    panels: dict[str, Array]
+    exposure: float
+    psnr: float
+    ssim: float
+
+
+def compare_spheres(
+    measured: Measurement | DSBRDF,
+    fit: DSBRDF,
+    *,
+    lighting: str | EnvironmentMap = "three_lights",
+    size: int = 256,
+    factor: float | None = None,
+) -> SphereComparison:
+    """Draw a measurement, or another model, beside a fit.
+
+    Parameters
+    ----------
+    measured : Measurement or DSBRDF
+    fit : DSBRDF
+    lighting, size
+        As for `dsbrdf.render_sphere`.
+    factor : float, optional
+        Exposure; by default that of the measured sphere.
+
+    Returns
+    -------
+    SphereComparison
+    """
+    reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
+    factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
+    seen, compared = displayed(reference, factor), displayed(fitted, factor)
+    difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
+    panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
+    for component in decompose(fit):
+        part = render_sphere(component.model, lighting=lighting, size=size)
+        panels[component.label.replace("_", " ")] = displayed(part, factor)
+    return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))
+
+
+def side_by_side(panels: Mapping[str, Array]) -> Array:
+    """One picture of panels of one height, from left to right."""
+    return np.concatenate(list(panels.values()), axis=1)
+
+
+def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
+    """Draw panels in one row, each with its title and transparent beside the sphere."""
+    _, mask = sphere_normals(len(next(iter(panels.values()))))
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, (title, picture) in zip(axes, panels.items(), strict=True):
+        ax.imshow(np.concatenate([picture, mask[..., np.newaxis]], axis=-1), interpolation="antialiased")
+        ax.set_title(title, fontsize=9)
+        ax.set_axis_off()
