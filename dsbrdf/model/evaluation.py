@@ -1,9 +1,10 @@
 """Values of a model: at one point in microseconds, at a million without large arrays.
 
 Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are found once for a model.  A
-few points look their coefficients up one by one, and all lobes of a kind are taken at once.  Many points are sorted, a block at a time, by the piece between knots
-that they lie in; there each coefficient is a single number, and the lobes are taken one after the other, so that what
-is computed stays in the cache.  Both ways carry out the same operations on every point.
+few points look their coefficients up one by one, and all lobes of a kind are taken at once.  Many points are sorted, a
+block at a time, by the piece between knots that they lie in; there each coefficient is a single number, and the lobes
+are taken one after the other, so that what is computed stays in the cache.  Both ways carry out the same operations on
+every point.
 """
 
 import itertools
