@@ -120,7 +120,7 @@ def test_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: b
 
 
 def test_a_fit_has_a_memory_limit(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(own_interpreter=True, fit_memory_mb="200")  # a fork of the launcher has more than that
+    server = own_server(fit_memory_mb="200")
     answer = server.http.post("/v1/fits", content=data)
     assert answer.status_code == 201
     assert answer.json()["status"] == "failed"
@@ -198,5 +198,5 @@ def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
     connection.close()
     code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(folder))
     assert code == 2
-    assert "999" in said
+    assert "made by another release" in said
     assert "Traceback" not in said
