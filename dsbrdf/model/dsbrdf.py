@@ -354,6 +354,11 @@ class DSBRDF:
         first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
         return self._sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
 
+    @property
+    def sampler(self) -> DirectionSampler:
+        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
+        return self._sampler
+
     @cached_property
     def _sampler(self) -> DirectionSampler:
         at = self.parameters_at(ANGLES)

@@ -33,6 +33,7 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
+_FILE_TYPES = sorted({file_format.media_type for name, file_format in FORMATS.items() if name != "json"})
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -189,9 +190,9 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     response_class=Response,
     summary="A fit for another program",
     responses=openapi.response(
-        "The file: JSON for `json`, bytes for the other formats.",
+        "The file: JSON for `json`, text for `glsl`, XML for `materialx`, bytes for the other formats.",
         content={
-            BINARY: openapi.file(BINARY),
+            **{media_type: openapi.file(media_type) for media_type in _FILE_TYPES},
             JSON: {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)},
         },
         headers=["Content-Disposition"],
@@ -199,9 +200,12 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
-    """Return the model, or one component, as `json` or `npz` (lossless) or as a MERL table.
+    """Return the model, or one component, for another program.
 
-    The report of the fit goes with the whole model in the lossless formats.
+    `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
+    `glsl` a function for shaders, `brdf` the same for Disney's BRDF Explorer; `csv` a table of the parameters; `bsdf`
+    a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface
+    that looks most like the model, which takes some seconds.
     """
     model = await context.models.component(fit, wanted.component)
     row = await run_in_threadpool(context.store.fit, fit)

@@ -238,7 +238,10 @@ class Health(BaseModel):
 class Export(_Input):
     """What to export."""
 
-    format: Annotated[Literal["json", "npz", "merl"], Field(description="Format of the file.")]
+    format: Annotated[
+        Literal["json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"],
+        Field(description="Format of the file."),
+    ]
     component: Annotated[
         Literal["specular_spike", "specular_lobe", "diffuse"] | None,
         Field(description="One component instead of the whole fit."),

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import merl_table
+from dsbrdf.output.export import FORMATS, export_model, merl_table
 from dsbrdf.output.serialize import from_json, from_npz
+from service.wire import schemas
 from service.wire.merl_stream import merl_parts
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
@@ -43,6 +44,20 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
 
     part = from_json(server.http.get(url, params={"format": "json", "component": "diffuse"}).text)[0]
     assert part == dsbrdf.decompose(model).diffuse.model
+
+
+@pytest.mark.parametrize("name", ["glsl", "bsdf", "materialx"])
+def test_formats_of_other_programs_are_those_of_the_library(
+    name: str, server: Server, fitted: str, model: dsbrdf.DSBRDF
+) -> None:
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params={"format": name}, timeout=60.0)
+    assert answer.headers["content-type"] == FORMATS[name].media_type
+    assert f'{fitted}.{FORMATS[name].suffix}"' in answer.headers["content-disposition"]
+    assert answer.content == export_model(model, name)
+
+
+def test_every_format_of_the_library_is_offered() -> None:
+    assert schemas.Export.model_json_schema()["properties"]["format"]["enum"] == list(FORMATS)
 
 
 def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> None:
