@@ -33,7 +33,6 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
-_GLSL, _MATERIALX = (FORMATS[name].media_type for name in ("glsl", "materialx"))
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -75,6 +74,9 @@ _SUBMISSION_BODY = openapi.body(
         JSON: {"schema": openapi.reference(schemas.FitRequest), "example": examples.SUBMISSION},
     },
 )
+
+_EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
+_EXPORTED[JSON] = {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)}
 
 
 @router.post(
@@ -189,22 +191,16 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     "/{fit_id}/export",
     response_class=Response,
     summary="A fit for another program",
-    responses=openapi.response(
-        "The file: JSON for `json`, text for `glsl`, XML for `materialx`, bytes for the other formats.",
-        content={
-            **{media_type: openapi.file(media_type) for media_type in (BINARY, _GLSL, _MATERIALX)},
-            JSON: {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)},
-        },
-        headers=["Content-Disposition"],
-    )
+    responses=openapi.response("The file.", content=_EXPORTED, headers=["Content-Disposition"])
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
     """Return the model, or one component, for another program.
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
-    `glsl` a function for shaders; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and
-    pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes some seconds.
+    `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
+    for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
+    some seconds; `csv` the parameters.
     """
     model = await context.models.component(fit, wanted.component)
     row = await run_in_threadpool(context.store.fit, fit)
@@ -218,7 +214,8 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
             merl_parts(model, context.store.blobs.temporary), 200, headers, FORMATS[wanted.format].media_type
         )
     report = (await context.models.get(fit)).report if wanted.component is None else None
-    content = await run_in_threadpool(export_model, model, wanted.format, report)
+    async with context.exporting.slot(fit.owner):
+        content = await run_in_threadpool(export_model, model, wanted.format, report)
     return Response(content, 200, headers, FORMATS[wanted.format].media_type)
 
 
