@@ -19,13 +19,13 @@ from dsbrdf.data.merl_validation import MerlChecker
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
+from dsbrdf.process_settings import trim_memory
 from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
-from service.operations.memory import trim
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.routes import about, brdf, figures, fits, measurements
@@ -82,7 +82,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await engine.start()
         await jobs.start()
         regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
-        regular.append(asyncio.create_task(_every_minute(trim)))
+        regular.append(asyncio.create_task(_every_minute(trim_memory)))
         regular.append(asyncio.create_task(_every_minute(partial(keys.write_uses, store.database))))
         try:
             yield

@@ -1,6 +1,5 @@
 """Exports hold the fitted model without loss."""
 
-import asyncio
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -14,8 +13,8 @@ import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.output.export import FORMATS, export_model, merl_table
+from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json, from_npz
-from service.wire.merl_stream import merl_parts
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
@@ -83,9 +82,6 @@ def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monke
 
     monkeypatch.setattr(dsbrdf.DSBRDF, "evaluate_grid", counted)
 
-    async def content() -> bytes:
-        return b"".join([part async for part in merl_parts(model, tmp_path)])
-
-    assert asyncio.run(content()) == expected
+    assert b"".join(merl_parts(model, tmp_path)) == expected
     assert computed == THETA_HALF.tolist()
     assert not list(tmp_path.iterdir())
