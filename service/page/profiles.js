@@ -47,7 +47,7 @@ function limits(data, series, axis, range) {
   const end = range === "peak" ? Math.min(Math.max(4 * width, 3), 90) : 90;
   const inside = curves.flatMap((one) => one.y.filter((value, i) => value > 0 && one.x[i] <= end));
   if (axis === "linear") return { end, low: 0, high: 1.06 * top };
-  const low = Math.max(Math.min(...inside.filter((value) => value > 1e-7 * top), top / 10), 1e-7 * top);
+  const low = Math.min(...inside.filter((value) => value > 1e-7 * top), top / 2);
   return { end, low: low / 1.6, high: 1.6 * top };
 }
 

@@ -17,7 +17,6 @@ _LOOKS = (
     (26.0, "differs visibly from"),
 )
 _FIT = "result = dsbrdf.fit(measurement)"
-_FITS = ((1.05, "as well as any model of this kind can"), (1.3, "nearly as well as any model of this kind can"))
 
 
 @dataclass(frozen=True)
@@ -67,17 +66,18 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
     """Return the metrics that a fit has, the most telling first."""
     found = []
     error, floor, excess, psnr = (metrics.get(name) for name in ("relative_rms", "floor", "excess", "psnr"))
+    least = metrics.get("symmetric_floor")
     if psnr is not None:
-        words = next((words for least, words in _LOOKS if psnr >= least), "differs strongly from")
+        words = next((words for level, words in _LOOKS if psnr >= level), "differs strongly from")
         found.append(Metric("psnr", f"{psnr:.1f} dB", f"A lit sphere of the fit {words} one of the measurement."))
     if error is not None:
-        words = next((words for most, words in _FITS if excess is not None and excess <= most), "")
-        well = f" That is {words}." if words else ""
-        found.append(Metric("relative_rms", _percent(error), f"Error of the values, relative to their size.{well}"))
+        found.append(Metric("relative_rms", _percent(error), "Error of the values, relative to their size."))
+    if least is not None:
+        found.append(Metric("symmetric_floor", _percent(least), "What that error is for the best reciprocal model."))
     if floor is not None:
-        found.append(Metric("floor", _percent(floor), "Part of that error which no such model can avoid."))
+        found.append(Metric("floor", _percent(floor), "What it is for the best model that ignores φ_diff."))
     if excess is not None:
-        found.append(Metric("excess", f"{excess:.3f}", "The error divided by that part; 1 is the best there is."))
+        found.append(Metric("excess", f"{excess:.3f}", "Error / floor; below 1, the fit gains by regarding φ_diff."))
     albedo, male, ssim = (metrics.get(name) for name in ("albedo_error", "male", "ssim"))
     if albedo is not None:
         found.append(Metric("albedo_error", _percent(albedo), "Mean error of how much light is reflected in all."))
