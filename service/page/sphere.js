@@ -64,7 +64,7 @@ export class Sphere {
     this.canvas.hidden = false;
     this.figure.querySelector(".fallback").hidden = true;
     this.hint.textContent = "Drag to move the light; with the keyboard, arrows, + and −, and R to reset.";
-    this.draw();
+    new ResizeObserver(() => this.draw()).observe(this.canvas);
     return view;
   }
 
@@ -139,6 +139,8 @@ export class Sphere {
     const lights = this.single ? view.lights.slice(0, 1) : view.lights;
     const directions = lights.map((light, index) => (index === 0 ? this.light : light.direction));
     const padded = (vectors) => new Float32Array(9).map((_, index) => vectors.flat()[index] ?? 0);
+    const size = Math.min(Math.max(Math.round(canvas.clientWidth * devicePixelRatio), 64), 1024);
+    if (canvas.width !== size) canvas.width = canvas.height = size;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.useProgram(program);
     gl.uniform1f(places.size, canvas.width);
