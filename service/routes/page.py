@@ -28,7 +28,6 @@ from service.wire.schemas import Page
 
 _PNG = "image/png"
 _MAX_FORM = 1 << 12
-_PER_PAGE = 60
 
 
 class _PageRoute(APIRoute):
@@ -56,15 +55,16 @@ _pages = APIRouter(route_class=_PageRoute)
 
 @_pages.get("/")
 async def get_index(
-    request: Request, context: TheContext, caller: TheCaller, name: str = "", cursor: Annotated[str, Query()] = ""
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
     """Return the page to upload a measurement, with the list of fits."""
-    page = Page.model_validate({"limit": _PER_PAGE, "cursor": cursor or None, "name": name or None})
-    rows = await run_in_threadpool(context.store.fits, caller.owner, _PER_PAGE + 1, page.before, page.name)
-    shown = rows[:_PER_PAGE]
-    older = urlencode({"name": name, "cursor": shown[-1].seq}) if len(rows) > _PER_PAGE else ""
+    name = page.name or None  # an empty field of the search
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, name)
+    shown = rows[: page.limit]
+    query = {"name": name} if name else {}
+    older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
     items = [{"row": row, "facts": facts_of(row), "progress": context.jobs.progress(row)} for row in shown]
-    return _render("index.html", request, items=items, name=name, older=older, max_lobes=MAX_LOBES)
+    return _render("index.html", request, items=items, name=name or "", older=older, max_lobes=MAX_LOBES)
 
 
 @_pages.get("/fits/{fit_id}")
