@@ -20,7 +20,7 @@ from tests.support.webgl import CHROMIUM
 if CHROMIUM is None:
     pytest.skip('"chromium" is not installed', allow_module_level=True)
 
-from axe_playwright_python.sync_playwright import Axe
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 from playwright.sync_api import Page, expect
 
 from tests.support.browser import Visitor
