@@ -33,7 +33,7 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
-_GLSL, _MATERIALX = (FORMATS[name].media_type for name in ("glsl", "materialx"))
+_FILE_TYPES = sorted({file_format.media_type for name, file_format in FORMATS.items() if name != "json"})
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -192,7 +192,7 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     responses=openapi.response(
         "The file: JSON for `json`, text for `glsl`, XML for `materialx`, bytes for the other formats.",
         content={
-            **{media_type: openapi.file(media_type) for media_type in (BINARY, _GLSL, _MATERIALX)},
+            **{media_type: openapi.file(media_type) for media_type in _FILE_TYPES},
             JSON: {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)},
         },
         headers=["Content-Disposition"],
@@ -203,8 +203,9 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     """Return the model, or one component, for another program.
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
-    `glsl` a function for shaders; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and
-    pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes some seconds.
+    `glsl` a function for shaders, `brdf` the same for Disney's BRDF Explorer; `csv` a table of the parameters; `bsdf`
+    a file for Mitsuba 3, `bsdf-spectral` one for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface
+    that looks most like the model, which takes some seconds.
     """
     model = await context.models.component(fit, wanted.component)
     row = await run_in_threadpool(context.store.fit, fit)

@@ -239,7 +239,7 @@ class Export(_Input):
     """What to export."""
 
     format: Annotated[
-        Literal["json", "npz", "merl", "glsl", "bsdf", "bsdf-spectral", "materialx"],
+        Literal["json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"],
         Field(description="Format of the file."),
     ]
     component: Annotated[
