@@ -24,11 +24,12 @@ from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
+from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.routes import about, brdf, figures, fits, measurements
+from service.routes import about, brdf, figures, fits, measurements, page
 from service.routes.dependencies import Context
 from service.settings import Settings
 from service.storage.database import Database
@@ -76,7 +77,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, jobs, models, keys, metrics, readiness)
+        app.state.context = Context(settings, store, jobs, models, FitViews(store, models), keys, metrics, readiness)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
@@ -152,7 +153,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, measurements.router, about.router, about.page)
+    routers = (*of_fits, measurements.router, about.router, about.page, page.router)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:

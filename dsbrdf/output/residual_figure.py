@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.output.figures import ROW_HEIGHT, empty_figure, fitted_mean
+from dsbrdf.output.figures import ROW_HEIGHT, empty_figure, slice_means
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +41,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
         If matplotlib is not installed.
     """
     figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT)
-    fitted = np.stack([fitted_mean(profiles, model, row, THETA_HALF) for row in range(THETA_DIFF.size)])
+    fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
     percent = np.where(used, 100.0 * (fitted / np.where(used, measured, 1.0) - 1.0), np.nan)

@@ -98,10 +98,11 @@ def install(app: FastAPI) -> None:
     ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
-        app.add_exception_handler(expected, _on_exception)
+        app.add_exception_handler(expected, answer_exception)
 
 
-async def _on_exception(request: Request, error: Exception) -> Response:
+async def answer_exception(request: Request, error: Exception) -> Response:
+    """Return the problem document of any exception as a response."""
     path = request.url.path
     if isinstance(error, ProblemError):
         return problem_response(error, path)

@@ -1,6 +1,7 @@
 """Responses: JSON documents with strong ETags, files, links to the next page, and the headers that every one has."""
 
 import hashlib
+import json
 import math
 import os
 import re
@@ -28,7 +29,7 @@ _SECURITY_HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-resource-policy", b"same-origin"),
-    (b"vary", b"Authorization"),
+    (b"vary", b"Authorization, Cookie"),
 )
 # Of the headers that a response may give itself: the page of the documentation has a policy of its own.
 _DEFAULT_HEADERS = (
@@ -55,6 +56,11 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Return `document` as a JSON response."""
     return Response(document.model_dump_json(), status, dict(headers or {}), JSON)
+
+
+def json_text_reply(content: Mapping[str, object], if_none_match: str) -> Response:
+    """Return plain content as a JSON response with an ETag."""
+    return tagged_reply(json.dumps(content, allow_nan=False).encode(), if_none_match)
 
 
 def tagged_reply(

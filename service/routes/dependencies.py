@@ -11,6 +11,7 @@ from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
+from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
@@ -33,6 +34,7 @@ class Context:
     store: Store
     jobs: Jobs
     models: ModelCache
+    views: FitViews
     keys: Keys
     metrics: Metrics
     readiness: Readiness
