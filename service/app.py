@@ -154,12 +154,13 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
     routers = (*of_fits, measurements.router, about.router, about.page, page.router)
-    given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
+    every = [route for router in routers for route in router.routes]
+    given = [route for route in every if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation
         # A resource that can be had can be asked for.
         if route.methods and "GET" in route.methods and route.path not in with_head:
             route.methods.add("HEAD")
-    app.router.routes.extend(given)
+    app.router.routes.extend(every)
     return app
