@@ -179,7 +179,7 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
     if image_format not in IMAGE_FORMATS:
         raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
     buffer = BytesIO()
-    figure.savefig(buffer, format=image_format, dpi=dpi)
+    figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
 
 

@@ -13,6 +13,7 @@ something only if it comes from a page of the service itself.
 import math
 import re
 from collections import Counter
+from time import monotonic
 
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -38,6 +39,8 @@ CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()
 # A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+_RETURNS_PER_SECOND = 20.0  # requests of one caller that had too many in progress
+_LONGEST_RETURN = 60.0  # seconds
 _Headers = list[tuple[bytes, bytes]]
 
 
@@ -51,6 +54,7 @@ class AuthenticationMiddleware:
         self._local_only = settings.loopback and not settings.insecure
         self._free = settings.limit_concurrency
         self._in_progress: Counter[str] = Counter()  # requests of each key, or of each address without one
+        self._returns: dict[str, float] = {}  # when the last of a caller's refused requests is to come again
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
@@ -83,7 +87,8 @@ class AuthenticationMiddleware:
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."
-            raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
+            headers = {"Connection": "close", "Retry-After": str(self._return_after(caller))}
+            raise ProblemError("too-many-at-once", detail, headers)
         self._in_progress[caller] = number + 1
         self._free -= 1
         return caller
@@ -94,6 +99,14 @@ class AuthenticationMiddleware:
             self._in_progress[caller] -= 1
             if not self._in_progress[caller]:
                 del self._in_progress[caller]
+                self._returns.pop(caller, None)
+
+    def _return_after(self, caller: str) -> int:
+        """Return when a refused request may come again [s]: a caller's one after the other, since each takes time."""
+        now = monotonic()
+        due = max(self._returns.get(caller, 0.0), now) + 1.0 / _RETURNS_PER_SECOND
+        self._returns[caller] = min(due, now + _LONGEST_RETURN)
+        return math.ceil(self._returns[caller] - now)
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""

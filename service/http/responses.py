@@ -74,6 +74,11 @@ def tagged_reply(
     return Response(content, 200, tagged, media_type)
 
 
+def tag_of(*parts: object) -> str:
+    """Return the strong ETag of what these `parts` determine, so that it need not be made to be compared."""
+    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
+
+
 def is_current(etag: str, if_none_match: str) -> bool:
     """Return whether `etag` is among those of an ``If-None-Match`` header: what the client has is current."""
     return if_none_match.strip() == "*" or etag in (

@@ -80,7 +80,7 @@ def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement,
 
 @pytest.mark.parametrize("kind", [np.int64, np.uint8, np.float32])
 def test_options_taken_from_arrays_are_those_of_python(kind: type) -> None:
-    options = dsbrdf.FitOptions(mask=kind(1), robust=np.bool_(True))
+    options = dsbrdf.FitOptions(mask=kind(1), robust=np.bool_(True))  # type: ignore[arg-type]
     assert options == dsbrdf.FitOptions(mask=1, robust=True)
     assert type(options.mask) in (int, float)
     if kind is not np.float32:
