@@ -30,10 +30,13 @@ class Download:
 DOWNLOADS = (
     Download("json", "the model and its report, without loss"),
     Download("npz", "the same for NumPy"),
-    Download("glsl", "a function for shaders, as in the sphere above"),
+    Download("csv", "a table of the parameters"),
     Download("merl", "a table in the MERL format, 35 MB"),
+    Download("glsl", "a function for shaders, as in the sphere above"),
+    Download("brdf", "for Disney's BRDF Explorer"),
     Download("bsdf", "for Mitsuba 3"),
-    Download("materialx", "an OpenPBR surface that looks most like it; takes some seconds"),
+    Download("bsdf-spectral", "for its spectral variants and pbrt-v4"),
+    Download("materialx", "the OpenPBR surface that looks most like it; takes some seconds"),
 )
 
 

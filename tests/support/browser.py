@@ -4,10 +4,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.support.webgl import CHROMIUM, SOFTWARE_RENDERER
 
+_PATIENCE = 60_000  # milliseconds until what should appear on a page is given up, on a busy machine
 # The browser reports each answer above 399 itself; the page shows what it says.
 _REPORTED = "Failed to load resource: the server responded with a status of 4"
 
@@ -15,6 +16,7 @@ _REPORTED = "Failed to load resource: the server responded with a status of 4"
 @contextmanager
 def running_browser() -> Iterator[Browser]:
     """Start the browser that is installed."""
+    expect.set_options(timeout=_PATIENCE)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage", *SOFTWARE_RENDERER]
@@ -34,7 +36,7 @@ class Visitor:
         # Without a graphics card a sphere of many pixels takes seconds.
         options = {"device_scale_factor": 0.25, **options}
         self.context: BrowserContext = browser.new_context(base_url=self.site, **options)
-        self.context.set_default_timeout(30_000)
+        self.context.set_default_timeout(_PATIENCE)
         if key is not None:
             cookie = {"name": "dsbrdf_key", "value": key, "url": self.site, "httpOnly": True, "sameSite": "Strict"}
             self.context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members

@@ -1,10 +1,16 @@
 """The pages as they are sent: what they say, what they load, and their errors."""
 
 import re
+from html import unescape
+from urllib.parse import parse_qsl
 
 import httpx
+import numpy as np
 
+import dsbrdf
 from service.http.pages import STATIC_FILES
+from service.wire.fit_options import canonical, from_query
+from service.wire.schemas import Export
 from tests.support.guarded import Guarded
 from tests.support.server import QUICK, SLOW, Server, assert_problem
 
@@ -106,3 +112,24 @@ def test_list_has_pages(server: Server, fitted: str, stored: str) -> None:
     second = page_at(server, f"/?{found[1]}")
     assert re.findall(r'value="([0-9a-f]{32})"', first.text)[0] not in second.text
     assert "No fit here has this name" in page_at(server, "/?name=nobody").text
+
+
+def test_every_format_can_be_downloaded(server: Server, fitted: str) -> None:
+    text = page_at(server, f"/fits/{fitted}").text
+    offered = set(re.findall(rf'href="\.\./v1/fits/{fitted}/export\?format=([\w-]+)"', text))
+    assert offered == set(Export.model_json_schema()["properties"]["format"]["enum"])
+
+
+def test_lines_of_a_page_give_its_fit(server: Server, data: bytes) -> None:
+    options = {**QUICK, "horizon_cutoff_deg": 70, "robust": True}
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    fit = server.http.post("/v1/fits", params={"name": "it's", **options}, content=data, headers=kind).json()
+    text = unescape(page_at(server, f"/fits/{fit['id']}").text)
+    call = re.search(r"dsbrdf\.FitOptions\(.*?\)\)?(?=\)\n)", text)
+    assert call is not None
+    made = eval(call[0], {"dsbrdf": dsbrdf, "numpy": np})
+    assert canonical(made) == fit["options"]
+    query = re.search(r"/v1/fits\?([^']+)'", text)
+    assert query is not None
+    assert canonical(from_query(parse_qsl(query[1]))) == fit["options"]
+    assert "curl --data-binary '@it'\"'\"'s.binary' " in text
