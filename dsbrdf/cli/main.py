@@ -33,6 +33,7 @@ _COMMANDS = {
     "render": ("dsbrdf.cli.render_command", "draw a lit sphere of a model or a measurement"),
     "convert": ("dsbrdf.cli.convert_command", "write a measurement as another kind of file"),
     "completion": ("dsbrdf.cli.completion_command", "print what makes a shell complete commands, options and files"),
+    "paper": ("dsbrdf.cli.paper_command", "make the figures of Nishino 2009 from a folder of measurements"),
     "demo": ("dsbrdf.cli.demo", "start the service, fit a generated measurement, save a figure"),
 }
 
@@ -91,7 +92,7 @@ def _run(words: list[str]) -> int:
     command = words[0] if words else ""
     if command in SERVICE_COMMANDS:
         return run_service_command(command, words[1:])
-    if command == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
+    if command in ("fit", "paper") and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
         os.environ.update(ONE_BLAS_THREAD)
     parser, of_commands = parsers({command} & {*_COMMANDS})
     if command not in of_commands:

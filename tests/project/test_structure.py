@@ -20,7 +20,8 @@ import dsbrdf
 ROOT = Path(__file__).parents[2]
 LIBRARY = sorted((ROOT / "dsbrdf").rglob("*.py"))
 SOURCES = sorted(path for package in ("dsbrdf", "service", "benchmarks") for path in (ROOT / package).rglob("*.py"))
-HEAVY = {"service", "fastapi", "starlette", "pydantic", "uvicorn", "matplotlib", "rich", "httpx", "distributed"}
+HEAVY = {"service", "fastapi", "starlette", "pydantic", "uvicorn", "matplotlib", "rich", "httpx"}
+HEAVY |= {"distributed", "sklearn"}
 PROMISED = {
     "DSBRDF",
     "FitOptions",

@@ -1,6 +1,5 @@
 """Exports hold the fitted model without loss."""
 
-import asyncio
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -14,9 +13,8 @@ import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.output.export import FORMATS, export_model, merl_table
+from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json, from_npz
-from service.wire import schemas
-from service.wire.merl_stream import merl_parts
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
@@ -46,18 +44,24 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     assert part == dsbrdf.decompose(model).diffuse.model
 
 
-@pytest.mark.parametrize("name", ["glsl", "bsdf", "materialx"])
+@pytest.mark.parametrize("file_format", ["glsl", "brdf", "csv", "bsdf"])
 def test_formats_of_other_programs_are_those_of_the_library(
-    name: str, server: Server, fitted: str, model: dsbrdf.DSBRDF
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str
 ) -> None:
-    answer = server.http.get(f"/v1/fits/{fitted}/export", params={"format": name}, timeout=60.0)
-    assert answer.headers["content-type"] == FORMATS[name].media_type
-    assert f'{fitted}.{FORMATS[name].suffix}"' in answer.headers["content-disposition"]
-    assert answer.content == export_model(model, name)
+    query = {"format": file_format, "component": "diffuse"}
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
+    kind = FORMATS[file_format]
+    assert answer.content == export_model(dsbrdf.decompose(model).diffuse.model, file_format)
+    assert answer.headers["content-type"] == kind.media_type
+    assert f'"{fitted}-diffuse.{kind.suffix}"' in answer.headers["content-disposition"]
 
 
-def test_every_format_of_the_library_is_offered() -> None:
-    assert schemas.Export.model_json_schema()["properties"]["format"]["enum"] == list(FORMATS)
+def test_the_openapi_document_lists_every_format(server: Server) -> None:
+    operation = server.http.get("/openapi.json").json()["paths"]["/v1/fits/{fit_id}/export"]["get"]
+    (parameter,) = [one for one in operation["parameters"] if one["name"] == "format"]
+    assert parameter["schema"]["enum"] == [*FORMATS]
+    declared = set(operation["responses"]["200"]["content"])
+    assert declared == {kind.media_type.partition(";")[0] for kind in FORMATS.values()}
 
 
 def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> None:
@@ -78,9 +82,6 @@ def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monke
 
     monkeypatch.setattr(dsbrdf.DSBRDF, "evaluate_grid", counted)
 
-    async def content() -> bytes:
-        return b"".join([part async for part in merl_parts(model, tmp_path)])
-
-    assert asyncio.run(content()) == expected
+    assert b"".join(merl_parts(model, tmp_path)) == expected
     assert computed == THETA_HALF.tolist()
     assert not list(tmp_path.iterdir())
