@@ -2,7 +2,7 @@
 
 The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log.  Drift is the median over the last
 fifth of the time against the median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was
-an answer of 500 or more or any other wrong one, if memory has drifted by more than 5 %, or if descriptors have not
+an answer of 500 or more or any other wrong one, if memory has drifted by more than 2 %, or if descriptors have not
 stayed flat: their median may not grow by more than 3, and when the clients have gone there are as many as before they
 came, but for 3.
 """
@@ -30,7 +30,7 @@ from tests.support.server import Server
 
 _OUT = Path("out")
 _INTERVAL = 3.0  # seconds
-_MOST_DRIFT = 0.05
+_MOST_DRIFT = 0.02
 _FEW = 3  # descriptors
 _SHOWN = 10  # faults
 

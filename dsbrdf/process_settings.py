@@ -1,4 +1,4 @@
-"""Settings of a process that computes fits: processor cores, threads of BLAS, and memory that is kept for reuse."""
+"""Settings of a process: processor cores, threads of BLAS, and whether freed memory is kept for reuse or returned."""
 
 import ctypes
 import os
@@ -15,7 +15,7 @@ ONE_BLAS_THREAD = {
 The matrices of a fit are so small that several threads are slower than one, on a busy machine up to ten times.
 """
 
-_MMAP_THRESHOLD, _TRIM_THRESHOLD = -3, -1  # glibc's M_MMAP_THRESHOLD and M_TRIM_THRESHOLD
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
 
 
 def core_count() -> int:
@@ -33,3 +33,23 @@ def keep_freed_memory() -> None:
         library = ctypes.CDLL(None)
         library.mallopt(_MMAP_THRESHOLD, 1 << 25)  # the largest value that every version accepts
         library.mallopt(_TRIM_THRESHOLD, 1 << 30)
+
+
+def return_freed_memory() -> None:
+    """Let the C library return large buffers when they are freed.
+
+    By default, glibc raises its threshold when large buffers are freed and then keeps them, so that the process grows
+    as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
+    that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MMAP_THRESHOLD, 1 << 20)
+        library.mallopt(_TRIM_THRESHOLD, 2 << 20)  # otherwise each large buffer is taken from the system anew
+        library.mallopt(_ARENA_MAX, 2)
+
+
+def trim_memory() -> None:
+    """Return what is free between small buffers, which the C library keeps for ever; takes some milliseconds."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

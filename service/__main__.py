@@ -20,13 +20,13 @@ from fastapi import FastAPI
 from pydantic import ValidationError
 
 from dsbrdf.extras import MissingExtraError
+from dsbrdf.process_settings import return_freed_memory
 from service.access.keys import has_active_key
 from service.app import create_app, make_engine
 from service.commands import refuse
 from service.errors import DataFolderError, validation_sentence
 from service.http.limits import connection_class
 from service.operations import logging as logs
-from service.operations.memory import return_freed_memory
 from service.routes.dependencies import Context
 from service.settings import FLAGS, Settings, unknown_settings
 from service.storage.database import own_folder

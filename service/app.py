@@ -6,7 +6,6 @@ import sqlite3
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 from anyio import to_thread
@@ -20,16 +19,17 @@ from dsbrdf.data.merl_validation import MerlChecker
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
+from dsbrdf.process_settings import trim_memory
 from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
+from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
-from service.operations.memory import trim
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
-from service.routes import about, brdf, figures, fits, measurements
+from service.routes import about, brdf, figures, fits, measurements, page
 from service.routes.dependencies import Context
 from service.settings import Settings
 from service.storage.database import Database
@@ -77,13 +77,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, jobs, models, keys, metrics, readiness)
+        app.state.context = Context(settings, store, jobs, models, FitViews(store, models), keys, metrics, readiness)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
         await jobs.start()
         regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
-        regular.append(asyncio.create_task(_every_minute(trim)))
+        regular.append(asyncio.create_task(_every_minute(trim_memory)))
         regular.append(asyncio.create_task(_every_minute(partial(keys.write_uses, store.database))))
         try:
             yield
@@ -145,19 +145,22 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # every resource has one path
-        generate_unique_id_function=attrgetter("name"),  # as links and generated clients call an operation
+        telemetry={"tracing": False, "metrics": False, "logs": False},  # the service has its own log and metrics
     )
     app.state.settings, app.state.store = settings, store
     app.state.metrics, app.state.keys = Metrics(), Keys(settings)
     problems.install(app)
-    # Routes are tried in this order, so the fast ones come first.
+    # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
+    # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, measurements.router, about.router, about.page)
-    given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
+    routers = (*of_fits, measurements.router, about.router, about.page, page.router)
+    every = [route for router in routers for route in router.routes]
+    given = [route for route in every if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
-    for route in given:  # a resource that can be had can be asked for
+    for route in given:
+        route.unique_id = route.name  # as links and generated clients call an operation
+        # A resource that can be had can be asked for.
         if route.methods and "GET" in route.methods and route.path not in with_head:
             route.methods.add("HEAD")
-    for router in routers:
-        app.include_router(router)
+    app.router.routes.extend(every)
     return app

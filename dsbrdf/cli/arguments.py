@@ -5,19 +5,28 @@ Imports nothing that takes time, so that commands which compute nothing answer a
 
 import argparse
 import json
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 BAD_INPUT = 2
 """Exit code for bad usage and bad input."""
+
+POINT_FLAGS = ("--theta-half", "--theta-diff", "--phi-diff", "--omega-in", "--omega-out")
+"""Flags of which each takes one or more values."""
+
+_NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e,]*")
 
 
 class Parser(argparse.ArgumentParser):
     """Reports a usage error in one sentence instead of printing the whole usage."""
 
     def error(self, message: str) -> NoReturn:
-        """Print what is wrong and exit."""
+        """Print what is wrong, and what may have been meant, and exit."""
+        if unknown := re.match(r"unrecognized arguments: (--?[\w-]+)", message):
+            message += did_you_mean(unknown[1], self._option_string_actions)
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
@@ -46,11 +55,32 @@ def whole_number(text: str) -> int:
         raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
 
 
-def join_directions(words: Sequence[str]) -> list[str]:
-    """Join a direction to its flag with ``=``: argparse would take ``-0.5,0,0.9`` for a flag of its own."""
-    joined = list(words)
-    for flag in ("--omega-in", "--omega-out"):
-        while flag in joined[:-1]:
-            at = joined.index(flag)
-            joined[at : at + 2] = [f"{flag}={joined[at + 1]}"]
-    return joined
+def number(text: str) -> float:
+    """Argument type: a float."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
+
+
+def split_points(words: Sequence[str]) -> list[str]:
+    """Give each number of a point its flag: ``--theta-half 0 10 m.json`` is ``--theta-half=0 --theta-half=10 m.json``.
+
+    argparse would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
+    """
+    split: list[str] = []
+    flag = ""
+    for word in words:
+        first = bool(flag) and split[-1] == flag and not word.startswith("--")
+        if first or (flag and _NUMBERS.fullmatch(word)):
+            split[len(split) - first :] = [f"{flag}={word}"]
+        else:
+            flag = word if word in POINT_FLAGS else ""
+            split.append(word)
+    return split
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a question with the known words that are nearly ``word``; empty if there are none."""
+    near = get_close_matches(word, list(known), n=2, cutoff=0.6)
+    return f"; did you mean {' or '.join(near)}?" if near else ""

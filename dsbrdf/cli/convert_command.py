@@ -10,7 +10,7 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export.rgl import rgl_bsdf
 
-_ENCODERS = {".binary": encode_merl, ".bsdf": lambda measurement: rgl_bsdf(measurement, measurement.name)}
+_SUFFIXES = (".binary", ".bsdf")
 
 
 def configure(parser: argparse.ArgumentParser, _: str) -> None:
@@ -20,14 +20,21 @@ def configure(parser: argparse.ArgumentParser, _: str) -> None:
     parser.add_argument(
         "output", type=Path, metavar="OUTPUT", help="the file to write; .bsdf is for Mitsuba 3, .binary a MERL table"
     )
+    parser.add_argument(
+        "--spectral", action="store_true", help="spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba"
+    )
     add_json_option(parser)
 
 
 def _convert(arguments: argparse.Namespace) -> int:
     suffix = arguments.output.suffix.lower()
-    if suffix not in _ENCODERS:
-        raise InvalidArgumentError(f"{arguments.output}: the output must end in {' or '.join(_ENCODERS)}")
-    content = _ENCODERS[suffix](read_grid(arguments.input))
+    if suffix not in _SUFFIXES:
+        raise InvalidArgumentError(f"{arguments.output}: the output must end in {' or '.join(_SUFFIXES)}")
+    measurement = read_grid(arguments.input)
+    if suffix == ".bsdf":
+        content = rgl_bsdf(measurement, measurement.name, spectral=arguments.spectral)
+    else:
+        content = encode_merl(measurement)
     write_atomically(arguments.output, [content])
     if arguments.json:
         print_json({"output": str(arguments.output), "format": suffix[1:], "bytes": len(content)})

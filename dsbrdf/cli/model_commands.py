@@ -7,7 +7,7 @@ import numpy as np
 
 from dsbrdf.cli.arguments import add_json_option, print_json
 from dsbrdf.cli.point_arguments import add_point_options, given_points
-from dsbrdf.cli.source_files import named_in_errors
+from dsbrdf.cli.source_files import read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.report import FitResult
@@ -15,7 +15,6 @@ from dsbrdf.model.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
-from dsbrdf.output.serialize import load, read_model_file
 
 
 def configure(parser: argparse.ArgumentParser, command: str) -> None:
@@ -53,8 +52,7 @@ def _configure_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _eval(arguments: argparse.Namespace) -> int:
-    with named_in_errors(arguments.model):
-        model = _component(load(arguments.model), arguments.component)
+    model = _component(read_model(arguments.model)[0], arguments.component)
     points = given_points(arguments)
     if "omega_in" in points:
         values = model.evaluate_directions(points["omega_in"], points["omega_out"])
@@ -71,8 +69,7 @@ def _eval(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    with named_in_errors(arguments.model):
-        model, report = read_model_file(arguments.model)
+    model, report = read_model(arguments.model)
     if arguments.json:
         print_json(result_document(model, report))
     elif report is None:
@@ -83,8 +80,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _decompose(arguments: argparse.Namespace) -> int:
-    with named_in_errors(arguments.model):
-        model = load(arguments.model)
+    model, _ = read_model(arguments.model)
     if arguments.json:
         print_json({"items": component_documents(model)})
     else:
@@ -93,8 +89,7 @@ def _decompose(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    with named_in_errors(arguments.model):
-        model, report = read_model_file(arguments.model)
+    model, report = read_model(arguments.model)
     whole = arguments.component is None
     content = export_model(_component(model, arguments.component), arguments.format, report if whole else None)
     write_atomically(arguments.output, [content])

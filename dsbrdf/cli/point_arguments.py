@@ -5,23 +5,22 @@ import argparse
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.cli.arguments import number
 from dsbrdf.errors import InvalidArgumentError
 
 Array = NDArray[np.float64]
 
 
 def add_point_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name points; each may be given several times."""
+    """Add the options that name points; `split_points` makes several values of one option one option each."""
     for name, purpose in (
-        ("--theta-half", "one or more angles"),
-        ("--theta-diff", "one or more angles"),
-        ("--phi-diff", "one or more angles (default: 90, where both directions make the same angle with the normal)"),
+        ("--theta-half", "an angle, or several"),
+        ("--theta-diff", "an angle, or several"),
+        ("--phi-diff", "an angle, or several (default: 90, where both directions make the same angle with the normal)"),
     ):
-        parser.add_argument(name, nargs="+", action="extend", type=float, metavar="DEGREES", help=purpose)
+        parser.add_argument(name, action="append", type=number, metavar="DEGREES", help=purpose)
     for name in ("--omega-in", "--omega-out"):
-        parser.add_argument(
-            name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector; may be given several times"
-        )
+        parser.add_argument(name, action="append", type=_direction, metavar="X,Y,Z", help="a unit vector, or several")
 
 
 def given_points(arguments: argparse.Namespace) -> dict[str, Array]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.cli.arguments import add_json_option, print_json, whole_number
+from dsbrdf.cli.arguments import add_json_option, number, print_json, whole_number
 from dsbrdf.cli.source_files import named_in_errors, read_source
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser, _: str) -> None:
     parser.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
     parser.add_argument(
         "--exposure",
-        type=float,
+        type=number,
         metavar="FACTOR",
         help="what radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; "
         "by default the 99th percentile of the whole material, or of the first source, becomes 1",

@@ -4,11 +4,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.errors import DSBRDFError, InvalidArgumentError
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.serialize import load
+from dsbrdf.output.serialize import read_model_file
+
+MEASUREMENTS = (".binary", ".bsdf", ".csv")
+"""Suffixes of measurements."""
 
 
 @contextmanager
@@ -29,9 +34,20 @@ def read_grid(path: Path) -> Measurement:
         return measurement
 
 
+def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
+    """Read a model (``.json`` or ``.npz``) and its report, if any; an error names the file and what it is instead."""
+    with named_in_errors(path):
+        if path.suffix.lower() in MEASUREMENTS:
+            raise InvalidArgumentError(
+                "this command reads models, not measurements; fit it first with dsbrdf fit -o DIR"
+            )
+        with path.open("rb") as file:
+            kind = known_kind(file.read(16))
+        if kind is not None and not kind.startswith(("JSON", "a ZIP")):
+            raise ModelFormatError(f"the file is {kind}; a stored model is a .json or .npz file")
+        return read_model_file(path)
+
+
 def read_source(path: Path) -> Measurement | DSBRDF:
     """Read a measurement on the grid, or a model (``.json`` or ``.npz``); an error names the file."""
-    if path.suffix.lower() in (".binary", ".bsdf", ".csv"):
-        return read_grid(path)
-    with named_in_errors(path):
-        return load(path)
+    return read_grid(path) if path.suffix.lower() in MEASUREMENTS else read_model(path)[0]

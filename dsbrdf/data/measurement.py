@@ -9,9 +9,9 @@ from dsbrdf.data.merl_encoding import encode_values
 from dsbrdf.data.merl_validation import SCALE, checked_values
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measurement:
-    """One measured material.
+    """One measured material; two are equal if their bytes and their names are.
 
     Attributes
     ----------
@@ -33,6 +33,22 @@ class Measurement:
     valid: NDArray[np.bool_]
     name: str
     sha256: str
+
+    def __repr__(self) -> str:
+        return f"<Measurement: {self.name!r}, sha256 {self.sha256[:12]}>"
+
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import measurement_html
+
+        return measurement_html(self)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Measurement):
+            return NotImplemented
+        return (self.sha256, self.name) == (other.sha256, other.name)
+
+    def __hash__(self) -> int:
+        return hash((self.sha256, self.name))
 
     @property
     def values(self) -> NDArray[np.float64]:

@@ -58,7 +58,7 @@ class FoldedProfiles:
     cos2_phi: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profiles:
     """Sufficient summary of a measurement for bivariate models.
 
@@ -88,6 +88,10 @@ class Profiles:
     robust: bool
     name: str
     sha256: str
+
+    def __repr__(self) -> str:
+        nodes = f"{np.count_nonzero(self.weight.any(axis=0))} nodes with data"
+        return f"<Profiles: {self.name!r}, {nodes}, weighting {self.weighting!r}>"
 
     @property
     def weighted(self) -> bool:

@@ -33,7 +33,7 @@ _UNIT_TOLERANCE = 1e-3  # tables have few digits
 _LARGEST_FILE = 1 << 30  # [bytes]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ScatteredSamples:
     """Values of a BRDF at n pairs of directions; made by `from_arrays`.
 
@@ -56,6 +56,10 @@ class ScatteredSamples:
     values: Array
     weight: Array
     name: str
+
+    def __repr__(self) -> str:
+        return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
+
     sha256: str
 
     @classmethod

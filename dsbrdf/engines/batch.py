@@ -78,6 +78,7 @@ def fit_files(
     *,
     jobs: int | None = None,
     scheduler: str | None = None,
+    engine: Engine | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Generator[FileFit, None, None]:
@@ -99,6 +100,8 @@ def fit_files(
     scheduler : str, optional
         Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers compute the fits; see
         `dsbrdf.engines.dask`.
+    engine : Engine, optional
+        Where to compute instead; it is started and closed here.
     force : bool, optional
         Fit every file again.  Otherwise a fit in the folder is kept if it is newer than its measurement and was made
         with the same options by the same version of the algorithm.
@@ -123,11 +126,12 @@ def fit_files(
         raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
     outputs = _outputs(files, folder)
     known = (_known_result(*pair, options, force=force) for pair in zip(files, outputs, strict=True))
-    if len(files) == 1 and scheduler is None:
+    if len(files) == 1 and scheduler is None and engine is None:
         yield _written(next(known) or _fit_here(files[0], options, progress), outputs[0])
         return
     count = core_count() if jobs is None else jobs
-    engine = LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count)
+    if engine is None:
+        engine = LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count)
     done: dict[int, FileFit] = {}
     shares = [0.0] * len(files)
     yielded = 0

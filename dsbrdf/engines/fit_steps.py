@@ -10,6 +10,7 @@ Only the payload is sent to the other machine, not the file. Both ways give the 
 from the timings.
 """
 
+import errno
 import logging
 import pickle  # nosec B403
 import time
@@ -31,6 +32,8 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json, to_json
 
 logger = logging.getLogger(__name__)
+
+_MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,10 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except DSBRDFError as error:
         return Fault("input", type(error).__name__, str(error))
     except MemoryError:
-        return Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+        return _MEMORY_LIMIT
     except OSError as error:
+        if error.errno == errno.ENOMEM:  # a file that is mapped, not read, is refused memory in this way
+            return _MEMORY_LIMIT
         logger.exception("a measurement could not be read")
         reason = error.strerror or type(error).__name__
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")

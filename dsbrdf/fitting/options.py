@@ -69,9 +69,8 @@ class FitOptions:
     em_iterations: int = 100
 
     def __post_init__(self) -> None:
-        for name in ("n_lobes", "ring_lobes", "em_iterations", "robust"):
-            value = getattr(self, name)
-            if isinstance(value, np.bool_ | np.integer):  # an option taken from an array means the same
+        for name, value in vars(self).copy().items():
+            if isinstance(value, np.generic):  # an option taken from an array means the same
                 object.__setattr__(self, name, value.item())
         if self.n_lobes != "auto" and not _is_integer(self.n_lobes, 1, MAX_LOBES):
             raise InvalidArgumentError(

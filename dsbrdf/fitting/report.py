@@ -4,7 +4,7 @@ A report consists of frozen dataclasses, tuples and numbers, so that reports can
 """
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,11 @@ from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import Versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dsbrdf.data.measurement import Measurement
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,11 @@ class FitReport:
         count = len(self.warnings)
         return f"<FitReport: {accuracy}, {self.n_numbers} numbers, {count} {'warning' if count == 1 else 'warnings'}>"
 
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import report_html
+
+        return report_html(self)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain dicts, lists, texts and numbers, keyed by the names of its attributes."""
         content: dict[str, Any] = _plain(asdict(self))
@@ -137,6 +147,28 @@ class FitResult:
 
     model: DSBRDF
     report: FitReport
+
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import result_html
+
+        return result_html(self)
+
+    def plot(self, measurement: "Measurement | None" = None) -> "Figure":
+        """Draw the fit; needs matplotlib.
+
+        Parameters
+        ----------
+        measurement : Measurement, optional
+            What was fitted.  With it, the figure has its profiles, the fit and the lobes; without, the parameters over
+            theta_diff.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from dsbrdf.output.notebook import plot_result
+
+        return plot_result(self, measurement)
 
 
 def _plain(value: Any) -> Any:

@@ -32,9 +32,10 @@ def fit_warnings(model: DSBRDF, data: Profiles, slices: Slices, albedo: Directio
 def convergence_sentence(slices: Slices) -> str:
     """How many slices, of all channels, stopped before they converged."""
     stopped = np.logical_not(slices.converged)
-    bound = np.array(slices.iterations)[stopped].max()
+    bound, count = np.array(slices.iterations)[stopped].max(), np.count_nonzero(stopped)
     return (
-        f"{np.count_nonzero(stopped)} slices stopped at the bound of {bound} iterations before they converged: "
+        f"{count} {'slice' if count == 1 else 'slices'} stopped at the bound of {bound} iterations before "
+        f"{'it' if count == 1 else 'they'} converged: "
         "the model may be less accurate than it could be."
     )
 

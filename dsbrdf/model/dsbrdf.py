@@ -14,7 +14,7 @@ places.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,9 @@ from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
 from dsbrdf.model.parameter_checks import check_parameters
 from dsbrdf.model.sampling import ANGLES, DirectionSampler, LobesAtAngles, Samples, direction_sampler
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -125,6 +128,17 @@ class DSBRDF:
         knots = f"{self.theta_diff.size} knots" if self.theta_diff.size > 1 else "1 knot"
         lobes = f"{self.n_lobes} lobes" if self.n_lobes != 1 else "1 lobe"
         return f"<DSBRDF: {lobes} ({self.lobe}), {knots}, {self.n_numbers} numbers>"
+
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import model_html
+
+        return model_html(self)
+
+    def plot(self) -> "Figure":
+        """Draw the parameters over theta_diff; needs matplotlib."""
+        from dsbrdf.output.notebook import plot_model
+
+        return plot_model(self)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -339,6 +353,11 @@ class DSBRDF:
         first = check_directions("omega_in", omega_in, below_horizon=True)
         first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
         return self._sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
+
+    @property
+    def sampler(self) -> DirectionSampler:
+        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
+        return self._sampler
 
     @cached_property
     def _sampler(self) -> DirectionSampler:

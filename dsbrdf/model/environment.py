@@ -116,7 +116,7 @@ def _logistic(x: Array) -> Array:
     return (0.5 + 0.5 * np.tanh(0.5 * x))[..., np.newaxis]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentMap:
     """Light from all around, as a picture shows it; made by `from_pixels` or `read_environment`.
 
@@ -130,6 +130,11 @@ class EnvironmentMap:
 
     pixels: Array
     lights: tuple[Light, ...]
+
+    def __repr__(self) -> str:
+        height, width, _ = self.pixels.shape
+        lights = "1 light" if len(self.lights) == 1 else f"{len(self.lights)} lights"
+        return f"<EnvironmentMap: {width} x {height} pixels, {lights}>"
 
     @classmethod
     def from_pixels(cls, pixels: ArrayLike) -> "EnvironmentMap":

@@ -1,11 +1,13 @@
 """Values of a model: at one point in microseconds, at a million without large arrays.
 
 Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are found once for a model.  A
-few points look their coefficients up one by one.  Many points are sorted, a block at a time, by the piece between knots
-that they lie in; there each coefficient is a single number, and the lobes are taken one after the other, so that what
-is computed stays in the cache.  Both ways carry out the same operations on every point.
+few points look their coefficients up one by one, and all lobes of a kind are taken at once.  Many points are sorted, a
+block at a time, by the piece between knots that they lie in; there each coefficient is a single number, and the lobes
+are taken one after the other, so that what is computed stays in the cache.  Both ways carry out the same operations on
+every point.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -94,6 +96,9 @@ class Evaluator:
         self._terms = np.ascontiguousarray(rows.transpose(0, 2, 1))  # (4, R, pieces)
         self._n_lobes, self._n_shapes, self._family, self._spline = n_lobes, n_shapes, family, spline
         self._is_ring = is_ring
+        starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]
+        self._runs = [slice(start, stop) for start, stop in itertools.pairwise([*starts, n_lobes])]
+        self._single_lobes = [slice(lobe, lobe + 1) for lobe in range(n_lobes)]
         self._round = not elongation.values.any()
         kc = n_lobes * n_shapes
         self._ends = np.cumsum([3 * n_lobes, kc, kc, kc, n_lobes])
@@ -196,12 +201,13 @@ class Evaluator:
             cos2 = np.square(np.cos(phi_diff))
             ratio = np.exp(elongation * log_cos)
             stretched = squared * (cos2 / ratio + (1.0 - cos2) * ratio)
-        total = np.zeros((3, squared.size))
-        for lobe in range(k):
-            at = np.arange(lobe, k * n_shapes, k)
-            ring = center[at] if self._is_ring[lobe] else None
-            value = lobe_values(stretched[lobe], kappa[at], gamma[at], ring, self._family)
-            total += amplitude[lobe::k] * value
+        amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
+        kappa, gamma, center = (part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center))
+        for lobes in self._runs if squared.size <= _FEW else self._single_lobes:
+            ring = center[:, lobes] if self._is_ring[lobes.start] else None
+            values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
+            for lobe, value in zip(range(lobes.start, lobes.stop), values.swapaxes(0, 1), strict=True):
+                total += amplitude[:, lobe] * value
         return np.ascontiguousarray(total.T)
 
 

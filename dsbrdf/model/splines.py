@@ -7,7 +7,6 @@ single knot makes a constant.  `linear` interpolation, the paper's, has its valu
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
     if knots.size == 1:
         return np.ones((theta_diff.size, 1))
     held = np.clip(theta_diff, knots[0], knots[-1])
-    return np.asarray(BSpline.design_matrix(held, knot_vector(knots), DEGREE).toarray())
+    return _basis(knot_vector(knots), DEGREE, held)
 
 
 def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
@@ -64,12 +63,18 @@ def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
     starts = breaks[:-1]
     if knots.size == 1:
         return _constant(values, starts.size)
-    spline = BSpline(knot_vector(knots), values, DEGREE)
-    inside = (starts >= knots[0]) & (starts < knots[-1])
+    inside = ((starts >= knots[0]) & (starts < knots[-1]))[:, None]
     held = np.clip(starts, knots[0], knots[-1])
-    terms = [spline(held, order) * inside[:, None] / factor for order, factor in ((3, 6.0), (2, 2.0), (1, 1.0))]
-    terms.append(spline(held))
-    return np.stack(terms)
+    all_knots, terms, factor = knot_vector(knots), [_basis(knot_vector(knots), DEGREE, held) @ values], 1.0
+    for order in range(1, DEGREE + 1):
+        # The derivative is a spline of one degree less, over the same knots without the outer two.
+        degree = DEGREE - order
+        all_knots = all_knots[1:-1]
+        spans = all_knots[degree + 1 :] - all_knots[: -degree - 1]
+        values = (degree + 1) * np.diff(values, axis=0) / spans[:, None]
+        factor *= order
+        terms.append(_basis(all_knots, degree, held) @ values * inside / factor)
+    return np.stack(terms[::-1])
 
 
 def pieces_of_line(knots: Array, values: Array, breaks: Array) -> Array:
@@ -94,3 +99,18 @@ def roughness(n_values: int) -> Array:
 def _constant(values: Array, n_pieces: int) -> Array:
     level = np.repeat(values[:1], n_pieces, axis=0)
     return np.stack([np.zeros_like(level)] * 3 + [level])
+
+
+def _basis(all_knots: Array, degree: int, at: Array) -> Array:
+    """Values of the B-splines at angles (R,) within the knots, shape (R, D), by the recursion of Cox and de Boor."""
+    n_values = all_knots.size - degree - 1
+    piece = np.clip(all_knots.searchsorted(at, side="right") - 1, degree, n_values - 1)
+    local = np.ones((at.size, 1))
+    for order in range(1, degree + 1):
+        index = piece[:, None] + np.arange(1, order + 1)
+        share = local / (all_knots[index] - all_knots[index - order])
+        rising, falling = (at[:, None] - all_knots[index - order]) * share, (all_knots[index] - at[:, None]) * share
+        local = np.pad(falling, ((0, 0), (0, 1))) + np.pad(rising, ((0, 0), (1, 0)))
+    basis = np.zeros((at.size, n_values))
+    np.put_along_axis(basis, piece[:, None] + np.arange(-degree, 1), local, axis=1)
+    return basis

@@ -179,7 +179,7 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
     if image_format not in IMAGE_FORMATS:
         raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
     buffer = BytesIO()
-    figure.savefig(buffer, format=image_format, dpi=dpi)
+    figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
 
 
@@ -187,7 +187,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
     """Draw all channels, in two panels for each slice, with a legend."""
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
-        fitted = _fitted(profiles, model, row)
+        fitted = slice_means(model, row, profiles.horizon_cutoff)
         data = [_measured(profiles, row, channel) for channel in range(3)]
         _set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
         for ax in pair:
@@ -203,13 +203,13 @@ def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequ
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
-        fitted = _fitted(profiles, model, row)[:, channel]
+        fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
         _set_limits(pair, row, fitted, points[1])
         for ax in pair:
             _draw_points(ax, *points, "black", "o", "measured")
             _draw_curve(ax, fitted, "black", label="fit, all lobes")
             for label, colour, style, lobe in lobes:
-                curve = _fitted(profiles, lobe, row)[:, channel]
+                curve = slice_means(lobe, row, profiles.horizon_cutoff)[:, channel]
                 _draw_curve(ax, curve, colour, style=style, label=label)
     draw_legend(figure, pairs[0][0], columns=2 * len(rows))
 
@@ -226,17 +226,32 @@ def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str,
         yield label, LOBE_COLOURS[component.label], LINE_STYLES[number % len(LINE_STYLES)], part
 
 
-def _fitted(profiles: Profiles, model: DSBRDF, row: int) -> Array:
-    """Return the model's mean over the phi_diff that count in the profiles, at `CURVE_ANGLES`, shape (n, 3) [1/sr].
+def slice_means(model: DSBRDF, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES) -> Array:
+    """Return a model's mean over the phi_diff that count in profiles, in one slice of theta_diff.
 
     Both cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some
     phi_diff and 90 degrees, and their mirror images.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    row : int
+        Of the measurement's theta_diff.
+    horizon_cutoff : float or None
+        Of the profiles [rad].
+    theta_half : ndarray, shape (n,), optional
+        Where to evaluate [rad].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Means [1/sr].
     """
-    cutoff = np.pi / 2 if profiles.horizon_cutoff is None else profiles.horizon_cutoff
-    level, swing = np.cos(CURVE_ANGLES) * np.cos(THETA_DIFF[row]), np.sin(CURVE_ANGLES) * np.sin(THETA_DIFF[row])
+    cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
+    level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])
     first = np.arccos(np.clip((level - np.cos(cutoff)) / np.maximum(swing, 1e-12), 0.0, 1.0))
     phi_diff = np.pi / 2 - (np.pi / 2 - first)[:, None] * PHI_SHARES
-    return model.evaluate(CURVE_ANGLES[:, None], THETA_DIFF[row], phi_diff).mean(axis=1)
+    return model.evaluate(theta_half[:, None], THETA_DIFF[row], phi_diff).mean(axis=1)
 
 
 def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
@@ -305,6 +320,7 @@ def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     figure = Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
+    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
     figure.suptitle(title)
     return figure
 

@@ -141,8 +141,8 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             "agrees" if np.median(paper) < 0.1 else "agrees in part" if np.median(inner) < 0.1 else "differs",
             f"relative_rms of the paper's procedure: {_spread(paper)}. Most of it lies beyond theta_diff = 75 degrees,"
             " where its slices have no data within the horizon cutoff and the last parameters are held; up to 75"
-            f" degrees it is {_spread(inner)}. Default fit: {_spread(default)}; up to 75 degrees"
-            f" {_spread(inner_default)}.",
+            f" degrees it is {_spread(inner)}. Default fit: {_spread(default)};"
+            f" up to 75 degrees {_spread(inner_default)}.",
         ),
         Claim(
             "The accuracy is comparable to the non-parametric bivariate model.",

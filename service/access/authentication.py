@@ -5,28 +5,42 @@ A request sees the rows of its owner.
 A key is asked for where other machines reach the service. On loopback there is a user without one, and then it has to
 be this user who asks: not a page of another site that is open in the user's browser, nor one whose name has been made
 to lead here.
+
+The web page sends the key in a cookie. Browsers send cookies of their own accord, so with one a request may change
+something only if it comes from a page of the service itself.
 """
 
 import math
 import re
 from collections import Counter
+from time import monotonic
 
+from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.access.keys import ActiveKey, Keys
 from service.errors import ProblemError
+from service.http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from service.http.problems import problem_response
 from service.settings import Settings
 from service.storage.schema import Caller
 
 _PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
 # They show nothing that belongs to a key.
-OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *_PAGE))
+OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign-in", "/sign-out", *_PAGE)) | {
+    f"/page/{name}" for name in STATIC_FILES
+}
+
+COOKIE = "dsbrdf_key"
+_KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")
+_SAFE_METHODS = ("GET", "HEAD")
 
 CALLER = "dsbrdf.caller"  # member of the ASGI scope
 _LOCAL = Caller()
 # A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+_RETURNS_PER_SECOND = 20.0  # requests of one caller that had too many in progress
+_LONGEST_RETURN = 60.0  # seconds
 _Headers = list[tuple[bytes, bytes]]
 
 
@@ -40,6 +54,7 @@ class AuthenticationMiddleware:
         self._local_only = settings.loopback and not settings.insecure
         self._free = settings.limit_concurrency
         self._in_progress: Counter[str] = Counter()  # requests of each key, or of each address without one
+        self._returns: dict[str, float] = {}  # when the last of a caller's refused requests is to come again
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
@@ -48,7 +63,7 @@ class AuthenticationMiddleware:
                 self._check(scope)
                 caller = self._begin(scope)
             except ProblemError as error:
-                await problem_response(error, scope["path"])(scope, receive, send)
+                await self._refusal(scope, error)(scope, receive, send)
                 return
             try:
                 await self._app(scope, receive, send)
@@ -72,7 +87,8 @@ class AuthenticationMiddleware:
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."
-            raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
+            headers = {"Connection": "close", "Retry-After": str(self._return_after(caller))}
+            raise ProblemError("too-many-at-once", detail, headers)
         self._in_progress[caller] = number + 1
         self._free -= 1
         return caller
@@ -83,6 +99,14 @@ class AuthenticationMiddleware:
             self._in_progress[caller] -= 1
             if not self._in_progress[caller]:
                 del self._in_progress[caller]
+                self._returns.pop(caller, None)
+
+    def _return_after(self, caller: str) -> int:
+        """Return when a refused request may come again [s]: a caller's one after the other, since each takes time."""
+        now = monotonic()
+        due = max(self._returns.get(caller, 0.0), now) + 1.0 / _RETURNS_PER_SECOND
+        self._returns[caller] = min(due, now + _LONGEST_RETURN)
+        return math.ceil(self._returns[caller] - now)
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""
@@ -92,27 +116,41 @@ class AuthenticationMiddleware:
             raise ProblemError("bad-request", detail, {"Connection": "close"})
         if scope["path"] in OPEN_PATHS:
             return
-        key = self._key(scope["headers"])
+        key = self._key(scope["headers"], scope["method"])
         scope[CALLER] = _LOCAL if key is None else key.caller
         if not scope["path"].isprintable():  # a route would take a line break for the end of the path
             raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
 
-    def _key(self, headers: _Headers) -> ActiveKey | None:
+    def _refusal(self, scope: Scope, error: ProblemError) -> Response:
+        """Return the problem document; to a person who looks at a page without a key, the page to sign in."""
+        anonymous = error.kind == "unauthorized" and b"authorization" not in dict(scope["headers"])
+        if anonymous and self._needs_key and scope["method"] == "GET" and PAGE_PATHS.fullmatch(scope["path"]):
+            return sign_in_page(scope["path"], "", error.headers)
+        return problem_response(error, scope["path"])
+
+    def _key(self, headers: _Headers, method: str) -> ActiveKey | None:
         """Return the key of a request; None is the local user, who needs none."""
         sent = [value for name, value in headers if name == b"authorization"]
         if not sent:
-            self._check_local(headers)
-            return None
+            key = self._key_of_cookie(headers)
+            if key is None:
+                self._check_local(headers)
+                return None
+            if method not in _SAFE_METHODS and not same_origin(headers):
+                raise _key_needed("A key in a cookie changes something only from the pages of the service itself.")
+            return _counted(key)
         scheme, _, text = sent[0].partition(b" ")
         # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
         key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
         if key is None:
             raise invalid_key()
-        seconds = key.rate_limit.take()
-        if seconds:
-            detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
-            raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
-        return key
+        return _counted(key)
+
+    def _key_of_cookie(self, headers: _Headers) -> ActiveKey | None:
+        """Return the key of someone who has signed in; one that has been revoked since is none."""
+        cookies = b"; ".join(value for name, value in headers if name == b"cookie")
+        found = _KEY_IN_COOKIE.search(cookies)
+        return None if found is None else self._keys.find(found[1])
 
     def _check_local(self, headers: _Headers) -> None:
         if self._needs_key:
@@ -126,6 +164,24 @@ class AuthenticationMiddleware:
             origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
             if not all(origin in hosts for origin in origins):
                 raise _key_needed("Without an API key the service does not answer to pages of other sites.")
+
+
+def _counted(key: ActiveKey) -> ActiveKey:
+    """Count a request of a key; raise ProblemError if it makes more than it may."""
+    seconds = key.rate_limit.take()
+    if seconds:
+        detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
+        raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
+    return key
+
+
+def same_origin(headers: _Headers) -> bool:
+    """Return whether a request comes from a page of this service, as browsers tell; nothing else can."""
+    given = dict(headers)
+    if b"sec-fetch-site" in given:
+        return given[b"sec-fetch-site"] == b"same-origin"
+    origin = given.get(b"origin", b"").partition(b"://")[2]
+    return bool(origin) and origin == given.get(b"host")
 
 
 def invalid_key() -> ProblemError:

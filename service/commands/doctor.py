@@ -4,7 +4,6 @@ Whether a server can take work, ``GET /health/ready`` tells; this reads all that
 """
 
 import sqlite3
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -80,7 +79,3 @@ def _rows(folder: Path, query: str) -> list[tuple[Any, ...]]:
 
 CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements}
 """A check returns what it has found, or raises an exception that says what is wrong."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -117,7 +117,3 @@ def _parser() -> Parser:
     for command in (add, listing, revoke):
         add_data_dir(command)
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

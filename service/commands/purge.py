@@ -7,7 +7,6 @@ fit of their owner uses them, files with the last row of any owner. A running se
 import argparse
 import re
 import sqlite3
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -125,7 +124,3 @@ def _age(text: str) -> int:
             f"{text[:40]!r} is no age; 30d, 12h or 45m is, and s, m, h, d, w are the units"
         )
     return int(parts[1]) * _SECONDS[parts[2]]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -18,6 +18,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
+from dsbrdf.extras import MissingExtraError
 from service.errors import ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
@@ -58,6 +59,7 @@ KINDS: dict[str, Kind] = {
     "too-many-at-once": Kind(429, "Too many requests of the caller at once", "64 requests are in progress.", 5),
     "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished.", 5),
     "internal": Kind(500, "The service failed", _BROKEN),
+    "not-installed": Kind(501, "The service lacks a library", "matplotlib must be installed for figures."),
     "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later.", 10),
     "overloaded": Kind(503, "Too many requests are in progress", "512 requests are in progress; ask again later.", 1),
     "shutting-down": Kind(503, "The service is shutting down", "The service is shutting down; ask again later.", 10),
@@ -72,6 +74,7 @@ _KIND_OF_ERROR: dict[type[Exception], str] = {
     MeasurementFormatError: "measurement-format",
     InvalidArgumentError: "invalid-argument",
     FitError: "fit-impossible",
+    MissingExtraError: "not-installed",
 }
 _KIND_OF_STATUS = {400: "bad-request", 404: "not-found", 405: "method-not-allowed", 413: "too-large"}
 _FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
@@ -95,10 +98,11 @@ def install(app: FastAPI) -> None:
     ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
-        app.add_exception_handler(expected, _on_exception)
+        app.add_exception_handler(expected, answer_exception)
 
 
-async def _on_exception(request: Request, error: Exception) -> Response:
+async def answer_exception(request: Request, error: Exception) -> Response:
+    """Return the problem document of any exception as a response."""
     path = request.url.path
     if isinstance(error, ProblemError):
         return problem_response(error, path)

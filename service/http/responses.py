@@ -1,6 +1,7 @@
 """Responses: JSON documents with strong ETags, files, links to the next page, and the headers that every one has."""
 
 import hashlib
+import json
 import math
 import os
 import re
@@ -28,7 +29,7 @@ _SECURITY_HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-resource-policy", b"same-origin"),
-    (b"vary", b"Authorization"),
+    (b"vary", b"Authorization, Cookie"),
 )
 # Of the headers that a response may give itself: the page of the documentation has a policy of its own.
 _DEFAULT_HEADERS = (
@@ -57,6 +58,11 @@ def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str
     return Response(document.model_dump_json(), status, dict(headers or {}), JSON)
 
 
+def json_text_reply(content: Mapping[str, object], if_none_match: str) -> Response:
+    """Return plain content as a JSON response with an ETag."""
+    return tagged_reply(json.dumps(content, allow_nan=False).encode(), if_none_match)
+
+
 def tagged_reply(
     content: bytes, if_none_match: str, media_type: str = JSON, headers: Mapping[str, str] | None = None
 ) -> Response:
@@ -66,6 +72,11 @@ def tagged_reply(
     if is_current(etag, if_none_match):
         return Response(None, 304, tagged)
     return Response(content, 200, tagged, media_type)
+
+
+def tag_of(*parts: object) -> str:
+    """Return the strong ETag of what these `parts` determine, so that it need not be made to be compared."""
+    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
 
 
 def is_current(etag: str, if_none_match: str) -> bool:

@@ -10,12 +10,12 @@ import math
 import re
 import sys
 import time
+from datetime import UTC, datetime
+from json import JSONEncoder
 from typing import Any
 
-import structlog
-from structlog.processors import JSONRenderer, TimeStamper, add_log_level, format_exc_info
-from structlog.stdlib import ExtraAdder, ProcessorFormatter, add_logger_name
-from structlog.typing import EventDict, Processor
+from structlog.contextvars import get_contextvars
+from structlog.dev import ConsoleRenderer
 
 from service.settings import Settings
 
@@ -23,6 +23,9 @@ _SECRETS = re.compile(r"(\bdsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic
 # Characters that would end a line or control a terminal.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
+# What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
+_NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
+_encode = JSONEncoder(default=str).encode
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
 
@@ -31,30 +34,35 @@ def configure(settings: Settings) -> None:
     """Send everything that is logged or warned of in this process to stderr, as `settings` say."""
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(formatter(text=text, colors=text and sys.stderr.isatty()))
+    handler.setFormatter(LineFormatter(text=text, colors=text and sys.stderr.isatty()))
     handler.addFilter(_Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
 
 
-def formatter(*, text: bool, colors: bool = False) -> logging.Formatter:
-    """Return what makes a line of a log record: JSON, or text for a person."""
-    gather: list[Processor] = [
-        TimeStamper(fmt="iso", utc=True, key="time"),
-        add_log_level,
-        add_logger_name,
-        structlog.contextvars.merge_contextvars,
-        ExtraAdder(),
-        format_exc_info,
-        _with_traceback_of_child,
-    ]
-    if text:
-        console = structlog.dev.ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0)
-        render: list[Processor] = [_on_one_line, console]
-    else:
-        render = [_in_order, JSONRenderer(default=str)]
-    processors = [ProcessorFormatter.remove_processors_meta, *render, _without_secrets]
-    return ProcessorFormatter(foreign_pre_chain=gather, processors=processors)
+class LineFormatter(logging.Formatter):
+    """Makes a line of a log record: JSON, or text for a person."""
+
+    def __init__(self, *, text: bool, colors: bool = False) -> None:
+        super().__init__()
+        self._console = ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0) if text else None
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line; a traceback in a text takes more of them."""
+        line: dict[str, Any] = {
+            "time": f"{datetime.fromtimestamp(record.created, UTC):%Y-%m-%dT%H:%M:%S.%fZ}",
+            "level": record.levelname.lower(),
+            "event": record.getMessage(),
+            "logger": record.name,
+            **get_contextvars(),
+        }
+        line |= {name: value for name, value in vars(record).items() if name not in _NOT_SHOWN}
+        # A record that came from another process has its traceback as text.
+        exception = self.formatException(record.exc_info) if record.exc_info else record.exc_text
+        if exception:
+            line["exception"] = exception
+        written = _encode(line) if self._console is None else str(self._console(None, "", _on_one_line(line)))
+        return _SECRETS.sub(lambda match: f"{match[1] or match[2]}...", written)
 
 
 class _Repetitions:
@@ -73,22 +81,7 @@ class _Repetitions:
         return True
 
 
-def _with_traceback_of_child(_: Any, __: str, event: EventDict) -> EventDict:
-    """Add the traceback of a record that came from another process as text."""
-    event.pop("color_message", None)  # uvicorn's copy of the message with colours
-    text = event["_record"].exc_text
-    if text and "exception" not in event:
-        event["exception"] = text
-    return event
-
-
-def _in_order(_: Any, __: str, event: EventDict) -> EventDict:
-    """Put first what every line has."""
-    first = {name: event.pop(name) for name in ("time", "level", "event")}
-    return {**first, **event}
-
-
-def _on_one_line(_: Any, __: str, event: EventDict) -> EventDict:
+def _on_one_line(event: dict[str, Any]) -> dict[str, Any]:
     """Escape control characters; a traceback keeps its lines, indented so that none looks like one of the log."""
     for name, value in event.items():
         if name == "exception":
@@ -101,7 +94,3 @@ def _on_one_line(_: Any, __: str, event: EventDict) -> EventDict:
 
 def _escape(match: re.Match[str]) -> str:
     return match.group().encode("unicode_escape").decode()
-
-
-def _without_secrets(_: Any, __: str, line: Any) -> str:
-    return _SECRETS.sub(lambda match: f"{match[1] or match[2]}...", line)

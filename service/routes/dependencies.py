@@ -1,14 +1,17 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, Path, Request
 
+from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
+from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
@@ -31,9 +34,13 @@ class Context:
     store: Store
     jobs: Jobs
     models: ModelCache
+    views: FitViews
     keys: Keys
     metrics: Metrics
     readiness: Readiness
+    # One at a time, and callers take turns: what is drawn or exported takes a core and memory for up to some seconds.
+    drawing: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
+    exporting: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
 
 
 async def context_of(request: Request) -> Context:

@@ -1,36 +1,58 @@
-"""Pictures of fits."""
+"""Pictures of fits and of measurements."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated
 
-from anyio import CapacityLimiter, to_thread
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Path, Query
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf.model.dsbrdf import DSBRDF
+import dsbrdf
+from dsbrdf import DSBRDF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import map_merl
+from dsbrdf.data.reduction import profiles
+from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
 from dsbrdf.output.png import encode_png
+from dsbrdf.output.residual_figure import residual_figure
+from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from service.http import openapi
-from service.http.responses import IfNoneMatch, tagged_reply
-from service.routes.dependencies import TheContext, TheFit
-from service.wire.schemas import Sphere
+from service.http.responses import IfNoneMatch, is_current, tag_of
+from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, TheFit
+from service.storage.schema import FitRow
+from service.storage.store import Store
+from service.wire.fit_options import from_wire
+from service.wire.schemas import FitSphere, Sphere
 
-router = APIRouter(prefix="/v1/fits", tags=["figures"])
+router = APIRouter(prefix="/v1", tags=["figures"])
 
-_PNG = "image/png"
-_rendering = CapacityLimiter(1)  # a picture takes a core for up to half a second, and some 50 MB
+_FIGURES = {"profiles": profiles_figure, "lobes": lobes_figure, "residual": residual_figure}
+_MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
+_PNG = _MEDIA_TYPES["png"]
+_PICTURE = openapi.response("The picture.", content={_PNG: openapi.file(_PNG)}, headers=["ETag"]) | openapi.NOT_MODIFIED
+_FIGURE = openapi.response(
+    "The figure.", content={kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()}, headers=["ETag"]
+)
+_Figure = Annotated[
+    str, Path(pattern=f"^({'|'.join(_FIGURES)})$", description=f"One of {', '.join(_FIGURES)}.", examples=["lobes"])
+]
+_ImageFormat = Annotated[
+    str, Path(pattern=f"^({'|'.join(_MEDIA_TYPES)})$", description="`png` or `svg`.", examples=["svg"])
+]
 
 
 @router.get(
-    "/{fit_id}/figures/sphere.png",
+    "/fits/{fit_id}/figures/sphere.png",
     response_class=Response,
     summary="A lit sphere of a fit",
-    responses=openapi.response("The picture.", content={_PNG: openapi.file(_PNG)}, headers=["ETag"])
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
+    responses=_PICTURE | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def draw_sphere(
-    context: TheContext, fit: TheFit, wanted: Annotated[Sphere, Query()], if_none_match: IfNoneMatch = ""
+    context: TheContext, fit: TheFit, wanted: Annotated[FitSphere, Query()], if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
 
@@ -38,13 +60,102 @@ async def draw_sphere(
     """
     whole = await context.models.component(fit, None)
     part = await context.models.component(fit, wanted.component)
-    picture = await to_thread.run_sync(_sphere, whole, part, wanted, limiter=_rendering)
-    return tagged_reply(picture, if_none_match, _PNG)
+    etag = tag_of(dsbrdf.__version__, fit.id, wanted)
+    return await _drawn(context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
 
 
-def _sphere(whole: DSBRDF, part: DSBRDF, wanted: Sphere) -> bytes:
+@router.get(
+    "/fits/{fit_id}/figures/{figure}.{image_format}",
+    dependencies=NO_QUERY,
+    response_class=Response,
+    summary="A figure of a fit",
+    responses=_FIGURE
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found", "fit-not-finished", "invalid-argument", "not-installed"),
+)
+async def draw_figure(
+    context: TheContext, fit: TheFit, figure: _Figure, image_format: _ImageFormat, if_none_match: IfNoneMatch = ""
+) -> Response:
+    """Return a figure of the fit and its measurement, which must still be stored.
+
+    `profiles` measured and fitted values over theta_half; `lobes` the red channel's lobes and their sum; `residual`
+    the relative difference over theta_half and theta_diff.
+    """
+    model = (await context.models.get(fit)).model
+    row = await run_in_threadpool(context.store.fit, fit)
+    if row is None:
+        raise FitNotFoundError(fit.id)
+    if await run_in_threadpool(context.store.measurement, fit.owner, row.measurement) is None:
+        raise MeasurementNotFoundError(row.measurement)
+    etag, media_type = tag_of(dsbrdf.__version__, fit.id, row.name, figure, image_format), _MEDIA_TYPES[image_format]
+
+    def draw() -> bytes:
+        return _figure(context.store, row, model, figure, image_format)
+
+    return await _drawn(context, fit.owner, etag, if_none_match, media_type, draw)
+
+
+@router.get(
+    "/measurements/{sha256}/figures/sphere.png",
+    response_class=Response,
+    summary="A lit sphere of a measurement",
+    responses=_PICTURE | openapi.problems("not-found", "invalid-argument"),
+)
+async def draw_measurement(
+    context: TheContext,
+    caller: TheCaller,
+    sha256: Sha256,
+    wanted: Annotated[Sphere, Query()],
+    if_none_match: IfNoneMatch = "",
+) -> Response:
+    """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
+    if await run_in_threadpool(context.store.measurement, caller.owner, sha256) is None:
+        raise MeasurementNotFoundError(sha256)
+    etag = tag_of(dsbrdf.__version__, sha256, wanted)
+
+    def draw() -> bytes:
+        measurement = _measurement(context.store, sha256)
+        return _sphere(measurement, measurement, wanted)
+
+    return await _drawn(context, caller.owner, etag, if_none_match, _PNG, draw)
+
+
+async def _drawn(
+    context: Context, owner: str, etag: str, if_none_match: str, media_type: str, draw: Callable[[], bytes]
+) -> Response:
+    """Return a picture, drawn in a thread unless the client has it."""
+    headers = {"ETag": etag}
+    if is_current(etag, if_none_match):
+        return Response(None, 304, headers)
+    async with context.drawing.slot(owner):
+        content = await run_in_threadpool(draw)
+    return Response(content, 200, headers, media_type)
+
+
+def _sphere(whole: DSBRDF | Measurement, part: DSBRDF | Measurement, wanted: Sphere) -> bytes:
     image = render_sphere(whole, lighting=wanted.lighting, size=wanted.size)
     factor = exposure(image, sphere_normals(wanted.size)[1])
     if part is not whole:
         image = render_sphere(part, lighting=wanted.lighting, size=wanted.size)
     return encode_png(displayed(image, factor))
+
+
+def _figure(store: Store, row: FitRow, model: DSBRDF, figure: str, image_format: str) -> bytes:
+    require("plot", "matplotlib", purpose="figures")
+    import matplotlib as mpl
+
+    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
+    options = from_wire(row.options)
+    reduced = profiles(_measurement(store, row.measurement, row.name), horizon_cutoff=options.horizon_cutoff)
+    return encode_figure(_FIGURES[figure](reduced, model), image_format)
+
+
+def _measurement(store: Store, sha256: str, name: str | None = None) -> Measurement:
+    """Return a stored measurement, whose file is mapped; raise ProblemError if it has been deleted or is damaged."""
+    damage = store.blobs.damage(sha256)
+    if damage is not None:
+        if not store.blobs.path(sha256).exists():
+            raise MeasurementNotFoundError(sha256)
+        raise ProblemError("internal", f"The stored measurement is damaged ({damage}); upload it again.")
+    measurement = map_merl(store.blobs.path(sha256), sha256)
+    return replace(measurement, name=name or sha256[:12])

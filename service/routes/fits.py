@@ -1,38 +1,42 @@
 """Fits: submit, look up, follow, export, cancel and delete."""
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Coroutine
+from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Iterator
 from contextlib import asynccontextmanager, suppress
 from functools import partial
-from typing import Annotated, Any
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
+from dsbrdf import DSBRDF
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
 from service.http.openapi import BINARY, JSON
-from service.http.request_body import media_type_of, receive_body, upload_body
+from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
-from service.wire.merl_stream import merl_parts
 from service.wire.names import MAX_LENGTH, content_disposition
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
+_LOSSLESS = ("json", "npz")  # made at once, and what the Python client asks for; others take up to some seconds
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -74,6 +78,9 @@ _SUBMISSION_BODY = openapi.body(
         JSON: {"schema": openapi.reference(schemas.FitRequest), "example": examples.SUBMISSION},
     },
 )
+
+_EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
+_EXPORTED[JSON] = {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)}
 
 
 @router.post(
@@ -188,20 +195,16 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     "/{fit_id}/export",
     response_class=Response,
     summary="A fit for another program",
-    responses=openapi.response(
-        "The file: JSON for `json`, bytes for the other formats.",
-        content={
-            BINARY: openapi.file(BINARY),
-            JSON: {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)},
-        },
-        headers=["Content-Disposition"],
-    )
+    responses=openapi.response("The file.", content=_EXPORTED, headers=["Content-Disposition"])
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
-    """Return the model, or one component, as `json` or `npz` (lossless) or as a MERL table.
+    """Return the model, or one component, for another program.
 
-    The report of the fit goes with the whole model in the lossless formats.
+    `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
+    `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
+    for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
+    some seconds; `csv` the parameters.
     """
     model = await context.models.component(fit, wanted.component)
     row = await run_in_threadpool(context.store.fit, fit)
@@ -209,14 +212,32 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
         raise FitNotFoundError(fit.id)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
+    media_type, folder = FORMATS[wanted.format].media_type, context.store.blobs.temporary
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(
-            merl_parts(model, context.store.blobs.temporary), 200, headers, FORMATS[wanted.format].media_type
-        )
+        return StreamingResponse(merl_parts(model, folder), 200, headers, media_type)
     report = (await context.models.get(fit)).report if wanted.component is None else None
-    content = await run_in_threadpool(export_model, model, wanted.format, report)
-    return Response(content, 200, headers, FORMATS[wanted.format].media_type)
+    if wanted.format in _LOSSLESS:
+        return Response(await run_in_threadpool(export_model, model, wanted.format, report), 200, headers, media_type)
+    async with context.exporting.slot(fit.owner):
+        file, size = await run_in_threadpool(_stored, model, wanted.format, folder)
+    headers["Content-Length"] = str(size)
+    return StreamingResponse(_pieces(file), 200, headers, media_type)
+
+
+def _stored(model: DSBRDF, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
+    """Return an exported file and its size; it is stored, as a client that does not read it should cost no memory."""
+    content = export_model(model, file_format)
+    file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
+    file.write(content)
+    file.seek(0)
+    return file, len(content)
+
+
+def _pieces(file: IO[bytes]) -> Iterator[bytes]:
+    with file:
+        while piece := file.read(PIECE):
+            yield piece
 
 
 async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:

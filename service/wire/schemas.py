@@ -11,6 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.decomposition import LABELS
+from dsbrdf.model.render import LIGHTINGS
+from dsbrdf.output.export import FORMATS
 from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
@@ -22,6 +25,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
+_Label = Literal[*LABELS]  # type: ignore[valid-type]
+_Component = Annotated[_Label | None, Field(description="One component instead of the whole fit.")]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
@@ -205,7 +210,7 @@ class Values(BaseModel):
 class ComponentDocument(BaseModel):
     """One component of a fit; the three components' values add up to the fit's."""
 
-    label: Literal["specular_spike", "specular_lobe", "diffuse"]
+    label: _Label
     lobes: Annotated[list[int], Field(description="Indices of its lobes in the fit.")]
     parameters: Lobes
     albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
@@ -238,24 +243,27 @@ class Health(BaseModel):
 class Export(_Input):
     """What to export."""
 
-    format: Annotated[Literal["json", "npz", "merl"], Field(description="Format of the file.")]
-    component: Annotated[
-        Literal["specular_spike", "specular_lobe", "diffuse"] | None,
-        Field(description="One component instead of the whole fit."),
-    ] = None
+    format: Annotated[
+        Literal[*FORMATS],  # type: ignore[valid-type]
+        Field(description="Format of the file; `materialx` takes some seconds."),
+    ]
+    component: _Component = None
 
 
 class Sphere(_Input):
     """What to draw."""
 
     lighting: Annotated[
-        Literal["three_lights", "environment"], Field(description="Three lights, or a sky with sun and window.")
+        Literal[*LIGHTINGS],  # type: ignore[valid-type]
+        Field(description="Three lights, or a sky with sun and window."),
     ] = "three_lights"
     size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side.")] = 128
-    component: Annotated[
-        Literal["specular_spike", "specular_lobe", "diffuse"] | None,
-        Field(description="One component instead of the whole fit."),
-    ] = None
+
+
+class FitSphere(Sphere):
+    """What of a fit to draw."""
+
+    component: _Component = None
 
 
 def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:

@@ -126,7 +126,7 @@ def from_angles(
     """Return the points of equally long sequences of angles in degrees; phi_diff is 90 where it is left out."""
     _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
     if phi_diff_deg is None:
-        phi_diff = np.broadcast_to(np.pi / 2, len(theta_half_deg))
+        phi_diff = np.full(len(theta_half_deg), np.pi / 2)
     else:
         _check_count((ANGLES[0], PHI_DIFF), len(theta_half_deg), len(phi_diff_deg))
         phi_diff = np.radians(np.asarray(phi_diff_deg, dtype=float))

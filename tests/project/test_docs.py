@@ -102,7 +102,7 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
         line for text in blocks("sh", http=False) for line in commands(text) if not line.startswith("dsbrdf serve")
     ]
     used = {line.split()[1] for line in lines}
-    assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render"}
+    assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None)
 """Path of the browser; None where there is none."""
+SOFTWARE_RENDERER = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Arguments with which the browser draws without a graphics card."""
 _TIMEOUT = 120.0  # seconds; a page takes about 2
 _PAGE = """<!doctype html><pre id=out>no result</pre><script>
 const input = INPUT, width = 128;
@@ -112,7 +114,7 @@ void main() {{
         "--disable-dev-shm-usage",
         f"--user-data-dir={folder / 'profile'}",
     ]
-    command += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--dump-dom", page.as_uri()]
+    command += [*SOFTWARE_RENDERER, "--dump-dom", page.as_uri()]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT, check=True)
     found = re.search(r">DATA ([\w+/=]+)<", answer.stdout)
     if not found:

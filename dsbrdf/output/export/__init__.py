@@ -8,6 +8,7 @@ from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.brdf_explorer import brdf_explorer_file
 from dsbrdf.output.export.glsl import glsl_function
+from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.export.parameter_table import parameters_csv
 from dsbrdf.output.export.rgl import rgl_bsdf
@@ -19,6 +20,7 @@ __all__ = [
     "brdf_explorer_file",
     "export_model",
     "glsl_function",
+    "materialx_document",
     "merl_table",
     "parameters_csv",
     "rgl_bsdf",
@@ -52,6 +54,8 @@ FORMATS = {
     "brdf": ExportFormat("brdf", "text/plain; charset=utf-8", lambda model, _: brdf_explorer_file(model).encode()),
     "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
     "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
+    "bsdf-spectral": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model, spectral=True)),
+    "materialx": ExportFormat("mtlx", "application/xml", lambda model, _: materialx_document(model).encode()),
 }
 
 
@@ -62,10 +66,11 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     ----------
     model : DSBRDF
         A model, or one component of it.
-    file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf"}
+    file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"}
         ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
         shaders, ``brdf`` the same for Disney's BRDF Explorer, ``csv`` a table of the parameters, ``bsdf`` a file of the
-        RGL database for Mitsuba 3.
+        RGL database for Mitsuba 3, ``bsdf-spectral`` one for pbrt-v4 and for spectral variants of Mitsuba,
+        ``materialx`` the nearest OpenPBR surface, which takes some seconds.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 
@@ -76,7 +81,7 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     Raises
     ------
     InvalidArgumentError
-        If the format is unknown.
+        If the format is unknown, or the values of the model are too large for it.
     MeasurementFormatError
         If a value of the model cannot be stored in a table.
     """

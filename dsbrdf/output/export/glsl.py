@@ -7,17 +7,12 @@ functions are too coarse, are spelled out; the last two are the rational reducti
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CENTER_CUTOFF
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
+from dsbrdf.output.export.single_precision import bernstein_pieces
 from dsbrdf.version import __version__
-
-Array = NDArray[np.float64]
-
-_LARGEST = 3e38  # in single precision
 
 
 def glsl_function(model: DSBRDF) -> str:
@@ -38,13 +33,9 @@ def glsl_function(model: DSBRDF) -> str:
     InvalidArgumentError
         If a parameter is too large for single precision.
     """
-    pieces = model.pieces
-    rows = np.concatenate([pieces.terms, _delta_terms(model, pieces.breaks)], axis=1)
-    n_rows, n_pieces = rows.shape[1:]
-    largest = max(model.amplitude.max(initial=0.0), model.gamma.max(initial=0.0), np.abs(rows).max(initial=0.0))
-    if largest > _LARGEST:
-        raise InvalidArgumentError("a parameter of the model is too large for GLSL, which has single precision")
-    vectors = _bernstein(rows, np.diff(pieces.breaks)).transpose(1, 2, 0).reshape(-1, 4)
+    pieces = bernstein_pieces(model, "GLSL")
+    n_rows, n_pieces = pieces.coefficients.shape[:2]
+    vectors = pieces.coefficients.reshape(-1, 4)
     constants = {
         "LOBES": model.n_lobes,
         "SHAPES": model.kappa.shape[0],
@@ -63,20 +54,6 @@ def glsl_function(model: DSBRDF) -> str:
         ",\n".join("  vec4(" + ", ".join(map(_number, vector)) + ")" for vector in vectors.tolist()) + ");",
     ]
     return _HEADER.format(version=__version__) + "\n".join(defines) + _FUNCTIONS
-
-
-def _bernstein(terms: Array, width: Array) -> Array:
-    """Bernstein coefficients over a whole piece of cubic polynomials, whose highest coefficient is the first."""
-    cubic, square, slope, level = (term * width**power for term, power in zip(terms, (3, 2, 1, 0), strict=True))
-    first, second = level + slope / 3.0, level + (2.0 * slope + square) / 3.0
-    return np.stack([level, first, second, level + slope + square + cubic])
-
-
-def _delta_terms(model: DSBRDF, breaks: Array) -> Array:
-    """The delta term of the paper's model as polynomials, shape (4, 3, P)."""
-    at = np.stack([np.interp(breaks, model.theta_diff, row) for row in model.delta])
-    slope = np.diff(at, axis=1) / np.diff(breaks)
-    return np.stack([np.zeros_like(slope), np.zeros_like(slope), slope, at[:, :-1]])
 
 
 def _number(value: float) -> str:

@@ -1,7 +1,20 @@
-"""A model as a MERL ``.binary`` table, for programs that read measurements."""
+"""A model as a MERL ``.binary`` table, for programs that read measurements: whole, or in parts as they are computed."""
 
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryFile
+
+import numpy as np
+
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.merl_validation import HEADER, NODES, SCALE
 from dsbrdf.model.dsbrdf import DSBRDF
+
+_ROWS = 1  # angles theta_half at a time: what a part is made of
+_PIECE = _ROWS * THETA_DIFF.size * PHI_DIFF.size * 8  # bytes of them in one channel
+_QUARTER = PHI_DIFF.size // 2 + 1  # the model is the same at phi_diff and pi - phi_diff
 
 
 def merl_table(model: DSBRDF) -> bytes:
@@ -22,3 +35,38 @@ def merl_table(model: DSBRDF) -> bytes:
         If a value is not finite.
     """
     return encode_merl(model.tabulate())
+
+
+def merl_parts(model: DSBRDF, folder: Path) -> Iterator[bytes]:
+    """Yield the bytes of `merl_table` in parts, each computed when it is asked for, so that little memory is needed.
+
+    The channels are in the file one after the other and computed together: green and blue wait in a temporary file
+    until red has been taken.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    folder : Path
+        Of the temporary file, which has no name.
+
+    Yields
+    ------
+    bytes
+    """
+    yield HEADER
+    with TemporaryFile(dir=folder, buffering=0) as file:
+        for offset in range(0, 8 * NODES, _PIECE):
+            yield _compute(model, file.fileno(), offset)
+        for offset in range(0, (len(SCALE) - 1) * 8 * NODES, _PIECE):
+            yield os.pread(file.fileno(), _PIECE, offset)
+
+
+def _compute(model: DSBRDF, descriptor: int, offset: int) -> bytes:
+    """Return the piece of red at an offset in its channel; write those of green and blue to the file."""
+    first = offset // _PIECE * _ROWS
+    grid = model.evaluate_grid(THETA_HALF[first : first + _ROWS], THETA_DIFF, PHI_DIFF[:_QUARTER])
+    quarter = np.stack(list(grid), axis=1) / SCALE[:, None, None, None]
+    red, *others = (part.tobytes() for part in np.concatenate([quarter, quarter[..., -2:0:-1]], axis=-1).astype("<f8"))
+    for channel, part in enumerate(others):
+        os.pwrite(descriptor, part, channel * 8 * NODES + offset)
+    return red

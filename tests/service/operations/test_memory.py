@@ -8,7 +8,7 @@ import pytest
 
 PROGRAM = """
 from pathlib import Path
-from service.operations.memory import trim
+from dsbrdf.process_settings import trim_memory
 
 def megabytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
@@ -17,7 +17,7 @@ kept = [bytes(3000) for _ in range(40_000)]
 last = bytes(3000)  # at the end of the heap, which therefore does not shrink by itself
 kept.clear()
 before = megabytes()
-trim()
+trim_memory()
 print(before - megabytes())
 """
 

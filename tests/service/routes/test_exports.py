@@ -1,6 +1,5 @@
 """Exports hold the fitted model without loss."""
 
-import asyncio
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import merl_table
+from dsbrdf.output.export import FORMATS, export_model, merl_table
+from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json, from_npz
-from service.wire.merl_stream import merl_parts
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
@@ -45,6 +44,26 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     assert part == dsbrdf.decompose(model).diffuse.model
 
 
+@pytest.mark.parametrize("file_format", ["glsl", "brdf", "csv", "bsdf"])
+def test_formats_of_other_programs_are_those_of_the_library(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str
+) -> None:
+    query = {"format": file_format, "component": "diffuse"}
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
+    kind = FORMATS[file_format]
+    assert answer.content == export_model(dsbrdf.decompose(model).diffuse.model, file_format)
+    assert answer.headers["content-type"] == kind.media_type
+    assert f'"{fitted}-diffuse.{kind.suffix}"' in answer.headers["content-disposition"]
+
+
+def test_the_openapi_document_lists_every_format(server: Server) -> None:
+    operation = server.http.get("/openapi.json").json()["paths"]["/v1/fits/{fit_id}/export"]["get"]
+    (parameter,) = [one for one in operation["parameters"] if one["name"] == "format"]
+    assert parameter["schema"]["enum"] == [*FORMATS]
+    declared = set(operation["responses"]["200"]["content"])
+    assert declared == {kind.media_type.partition(";")[0] for kind in FORMATS.values()}
+
+
 def test_invalid_export_requests_are_refused(server: Server, fitted: str) -> None:
     url = f"/v1/fits/{fitted}/export"
     assert "'json'" in assert_problem(server.http.get(url, params={"format": "obj"}), 422, "invalid-argument")
@@ -63,9 +82,6 @@ def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monke
 
     monkeypatch.setattr(dsbrdf.DSBRDF, "evaluate_grid", counted)
 
-    async def content() -> bytes:
-        return b"".join([part async for part in merl_parts(model, tmp_path)])
-
-    assert asyncio.run(content()) == expected
+    assert b"".join(merl_parts(model, tmp_path)) == expected
     assert computed == THETA_HALF.tolist()
     assert not list(tmp_path.iterdir())

@@ -1,15 +1,20 @@
 """Pictures of fits are those of the library."""
 
+import asyncio
 from io import BytesIO
 
+import httpx
 import numpy as np
 import pytest
+from fastapi import FastAPI
 from PIL import Image
 
 import dsbrdf
+from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.serialize import from_json
+from service.http import problems
 from tests.support.server import Server, assert_problem
 
 
@@ -29,6 +34,65 @@ def test_a_sphere_is_drawn_with_the_exposure_of_the_fit(server: Server, fitted: 
         assert np.abs(np.asarray(image) / 255.0 - displayed(part, factor)).max() < 0.003
     again = server.http.get(url, params=query, headers={"If-None-Match": answer.headers["etag"]})
     assert again.status_code == 304
+
+
+def test_the_sphere_of_a_measurement_has_its_own_exposure(
+    server: Server, stored: str, plastic: dsbrdf.Measurement
+) -> None:
+    url = f"/v1/measurements/{stored}/figures/sphere.png"
+    answer = server.http.get(url, params={"size": "32"})
+    picture = dsbrdf.render_sphere(plastic, size=32)
+    expected = displayed(picture, exposure(picture, sphere_normals(32)[1]))
+    with Image.open(BytesIO(answer.content)) as image:
+        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+    current = {"If-None-Match": answer.headers["etag"]}
+    assert server.http.get(url, params={"size": "32"}, headers=current).status_code == 304
+    assert server.http.get(url, params={"size": "16"}, headers=current).status_code == 200
+    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
+
+
+@pytest.mark.parametrize(
+    ("figure", "media_type", "start"),
+    [
+        ("profiles.png", "image/png", b"\x89PNG"),
+        ("lobes.svg", "image/svg+xml", b"<?xml"),
+        ("residual.png", "image/png", b"\x89PNG"),
+    ],
+)
+def test_figures_are_drawn(server: Server, fitted: str, figure: str, media_type: str, start: bytes) -> None:
+    url = f"/v1/fits/{fitted}/figures/{figure}"
+    answer = server.http.get(url)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, media_type)
+    assert answer.content.startswith(start)
+    assert server.http.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    assert "'hue'" in assert_problem(server.http.get(url, params={"hue": "1"}), 422, "invalid-argument")
+
+
+def test_a_figure_with_one_tag_has_the_same_bytes(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/figures/residual.svg"
+    first, second = server.http.get(url), server.http.get(url)
+    assert first.headers["etag"] == second.headers["etag"]
+    assert first.content == second.content
+
+
+@pytest.mark.parametrize("figure", ["profiles.pdf", "spectrum.png", "sphere.svg"])
+def test_there_are_no_other_figures(server: Server, fitted: str, figure: str) -> None:
+    assert_problem(server.http.get(f"/v1/fits/{fitted}/figures/{figure}"), 404, "not-found")
+
+
+def test_a_missing_library_is_named() -> None:
+    app = FastAPI()
+    problems.install(app)
+
+    @app.get("/")
+    def draw() -> None:
+        require("plot", "no_such_library", purpose="figures")
+
+    async def ask() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x") as client:
+            return await client.get("/")
+
+    assert "pip install 'dsbrdf[plot]'" in assert_problem(asyncio.run(ask()), 501, "not-installed")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """The .bsdf file as Mitsuba itself evaluates and samples it."""
 
-import importlib
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,20 +11,32 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.tensor_file import parse_tensors
+from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
 from dsbrdf.output.export.rgl import rgl_bsdf
+from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.mixtures import mixture
 
 Array = NDArray[np.float64]
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason='"mitsuba" is not installed')
 MODEL = mixture(3, 0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def mitsuba() -> ModuleType:
-    module = importlib.import_module("mitsuba")
-    module.set_variant("scalar_rgb")
-    return module
+    return mitsuba_variant("scalar_rgb")
+
+
+@pytest.fixture(scope="module")
+def content() -> bytes:
+    """The file of the model."""
+    return rgl_bsdf(MODEL)
+
+
+@pytest.fixture(scope="module")
+def spectral_content() -> bytes:
+    """The file of the model with spectra."""
+    return rgl_bsdf(MODEL, spectral=True)
 
 
 def loaded(mitsuba: ModuleType, content: bytes, folder: Path) -> Any:
@@ -53,9 +63,9 @@ def pairs_of_directions(number: int) -> tuple[Array, Array]:
     return first, second
 
 
-def test_mitsuba_gives_the_values_of_the_model(mitsuba: ModuleType, tmp_path: Path) -> None:
+def test_mitsuba_gives_the_values_of_the_model(mitsuba: ModuleType, content: bytes, tmp_path: Path) -> None:
     first, second = pairs_of_directions(1000)
-    values = evaluated(mitsuba, loaded(mitsuba, rgl_bsdf(MODEL), tmp_path), first, second)
+    values = evaluated(mitsuba, loaded(mitsuba, content, tmp_path), first, second)
     expected = MODEL.evaluate_directions(first, second) * second[:, 2:]
     error = np.abs(values - expected) / expected
     assert np.median(error) < 0.01
@@ -70,8 +80,8 @@ def test_mitsuba_gives_the_values_of_the_measurement(mitsuba: ModuleType, tmp_pa
     assert np.median(np.abs(values - expected) / np.maximum(expected, 1e-3)) < 0.02
 
 
-def test_samples_of_mitsuba_return_the_albedo(mitsuba: ModuleType, tmp_path: Path) -> None:
-    bsdf, random = loaded(mitsuba, rgl_bsdf(MODEL), tmp_path), np.random.default_rng(1)
+def test_samples_of_mitsuba_return_the_albedo(mitsuba: ModuleType, content: bytes, tmp_path: Path) -> None:
+    bsdf, random = loaded(mitsuba, content, tmp_path), np.random.default_rng(1)
     surface, context = mitsuba.SurfaceInteraction3f(), mitsuba.BSDFContext()
     for angle in np.radians([0.0, 45.0, 75.0]):
         surface.wi = [float(np.sin(angle)), 0.0, float(np.cos(angle))]
@@ -80,3 +90,40 @@ def test_samples_of_mitsuba_return_the_albedo(mitsuba: ModuleType, tmp_path: Pat
         albedo = MODEL.albedo(angle)
         assert weight.mean(axis=0) == pytest.approx(albedo, rel=0.03)
         assert np.all(weight.std(axis=0) < 0.5 * albedo)
+
+
+def test_spectral_variants_get_the_same_colours(spectral_content: bytes, tmp_path: Path) -> None:
+    module, (first, second) = mitsuba_variant("scalar_spectral"), pairs_of_directions(100)
+    bsdf = loaded(module, spectral_content, tmp_path)
+    surface, context, values = module.SurfaceInteraction3f(), module.BSDFContext(), []
+    surface.wavelengths = [380.0, 470.0, 560.0, 720.0]
+    for wi, wo in zip(first.tolist(), second.tolist(), strict=True):
+        surface.wi = wi
+        values.append(np.ravel(bsdf.eval(context, surface, wo)))
+    rgb = MODEL.evaluate_directions(first, second) * second[:, 2:]
+    expected = rgb @ np.stack([np.interp(surface.wavelengths, WAVELENGTHS, row) for row in SPECTRA])
+    assert np.median(np.abs(np.array(values) - expected) / expected) < 0.01
+
+
+def test_fields_are_those_that_pbrt_asks_for(spectral_content: bytes) -> None:
+    fields = parse_tensors(spectral_content)
+    n_theta, n_wavelengths = fields["theta_i"].size, fields["wavelengths"].size
+    assert fields["phi_i"].size <= 2  # isotropic
+    assert fields["spectra"].shape == (1, n_theta, n_wavelengths, *fields["luminance"].shape[2:])
+    assert fields["luminance"].shape[:2] == fields["vndf"].shape[:2] == (1, n_theta)
+    assert fields["ndf"].ndim == fields["sigma"].ndim == 2
+    single = ("theta_i", "phi_i", "wavelengths", "ndf", "sigma", "vndf", "luminance", "spectra")
+    assert {fields[name].dtype.str for name in single} == {"<f4"}
+    assert fields["description"].dtype.str == fields["jacobian"].dtype.str == "|u1"
+
+
+def test_spectra_lit_by_d65_have_the_colours_they_came_from(mitsuba: ModuleType) -> None:
+    wavelengths = np.arange(360.0, 831.0)
+    matching = np.array([mitsuba.cie1931_xyz(at) for at in wavelengths.tolist()])
+    weight = matching * np.array([mitsuba.cie_d65(at) for at in wavelengths.tolist()])[:, None]
+    spectra = np.stack([np.interp(wavelengths, WAVELENGTHS, row) for row in SPECTRA])
+    xyz = spectra @ weight / weight[:, 1].sum()
+    rgb = np.array([np.ravel(mitsuba.xyz_to_srgb(mitsuba.Color3f(row))) for row in xyz.tolist()])
+    assert rgb == pytest.approx(np.eye(3), abs=2e-4)
+    assert SPECTRA.min() >= 0.0
+    assert SPECTRA.sum(axis=0) == pytest.approx(1.0)

@@ -1,0 +1,81 @@
+"""Fits on a server: the engine behind ``dsbrdf fit --url``."""
+
+import asyncio
+from contextlib import AbstractAsyncContextManager
+from importlib import import_module
+from typing import Any
+
+from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError
+from dsbrdf.extras import require
+from dsbrdf.output.serialize import to_json
+
+
+class ServerEngine:
+    """Asks a service for the fits, with the key in the environment variable ``DSBRDF_KEY`` if there is one.
+
+    Parameters
+    ----------
+    url : str
+        Address of the service.
+    count : int
+        Most fits that are asked for at once.
+
+    Raises
+    ------
+    MissingExtraError
+        If httpx is not installed.
+    """
+
+    def __init__(self, url: str, count: int) -> None:
+        require("client", "httpx", purpose="dsbrdf fit --url")
+        self._url, self._count, self._closed = url, count, False
+        self._service: Any = import_module("service.client")
+        self._transport_error: Any = import_module("httpx").TransportError
+
+    async def start(self) -> None:
+        """Connect to the service."""
+        self._slots = asyncio.Semaphore(self._count)
+        self._client = self._service.Client(self._url)
+
+    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:  # noqa: ARG002 (there is one owner)
+        """Wait until one more fit may be asked for."""
+        return self._slots
+
+    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        """Ask for a fit and wait for it.
+
+        Raises
+        ------
+        ConnectionError
+            If the service cannot be reached, or fails for another reason than the measurement or the options.
+        InvalidArgumentError
+            If the service wants a key.
+        """
+        return await asyncio.to_thread(self._fit, task, on_progress)
+
+    async def check(self) -> None:
+        """Do nothing: the first fit says whether the service answers."""
+
+    async def close(self) -> None:
+        """End the waiting for fits and the connections."""
+        self._closed = True
+        self._client.close()
+
+    def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        def report(share: float) -> None:
+            if self._closed:
+                raise InterruptedError("the command was interrupted")
+            on_progress(share)
+
+        try:
+            fit = self._client.fit(task.path, task.options, progress=report)
+            return Fitted(to_json(fit.model, fit.report), fit.metrics)
+        except DSBRDFError as error:
+            return Fault("input", type(error).__name__, str(error))
+        except self._service.AccessError as error:
+            raise InvalidArgumentError(
+                f"{self._url}: {error}; the environment variable DSBRDF_KEY gives the key"
+            ) from error
+        except (self._service.ServiceError, self._transport_error) as error:
+            raise ConnectionError(f"{self._url}: {error}") from error

@@ -1,0 +1,176 @@
+"""A model as a MaterialX file: the OpenPBR surface that looks most like it.
+
+A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
+`dsbrdf.render_sphere`; least squares of the difference finds the inputs.  OpenPBR has about a dozen numbers, so some
+difference is left: it is stated in the file, as PSNR.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import LIGHTINGS, Evaluate, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.output.export.openpbr import Color, OpenPBR
+from dsbrdf.version import __version__
+
+__all__ = ["FittedSurface", "fit_openpbr", "materialx_document"]
+
+Array = NDArray[np.float64]
+
+_DOCUMENT = """\
+<?xml version="1.0"?>
+<materialx version="1.39" colorspace="lin_rec709">
+  <open_pbr_surface name="dsbrdf_surface" type="surfaceshader" doc="{doc}">
+{inputs}
+  </open_pbr_surface>
+  <surfacematerial name="dsbrdf_material" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="dsbrdf_surface" />
+  </surfacematerial>
+</materialx>
+"""
+_FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of the spheres that are fitted
+_STATED_SIZE = 128  # of those whose PSNR is stated
+_BRIGHTEST = 1e100
+_STEPS = [1e-4]  # of derivatives, relative
+_LEAST_ROUGHNESS = 0.03
+_NAMES = ("base_metalness", "specular_weight", "specular_roughness", "coat_weight", "coat_roughness")
+# Metalness, weight and roughness of the highlight, weight and roughness of the coat.
+_STARTS = [
+    start
+    for roughness in (0.15, 0.3, 0.5)
+    for start in (
+        (0.02, 0.8, roughness, 0.05, 0.1),
+        (0.95, 0.9, roughness, 0.05, 0.1),
+        (0.1, 0.8, 0.5 + 0.5 * roughness, 0.8, 0.6 * roughness),
+    )
+]
+_POLISHED = 2  # starts, the best ones, that least squares improves
+
+
+@dataclass(frozen=True)
+class FittedSurface:
+    """A surface and how much it looks like the material.
+
+    Attributes
+    ----------
+    surface : OpenPBR
+    psnr : dict
+        PSNR [dB] of a lit sphere under each of `dsbrdf.model.render.LIGHTINGS`.
+    """
+
+    surface: OpenPBR
+    psnr: dict[str, float]
+
+
+def materialx_document(model: DSBRDF) -> str:
+    """Return a MaterialX 1.39 document with one material.
+
+    Parameters
+    ----------
+    model : DSBRDF
+
+    Returns
+    -------
+    str
+        XML; see `fit_openpbr` for the surface in it.
+    """
+    fitted = fit_openpbr(model.evaluate)
+    error = ", ".join(f"{value:.1f} dB ({name})" for name, value in fitted.psnr.items())
+    doc = (
+        f"The OpenPBR surface nearest to a Directional Statistics BRDF model, written by dsbrdf {__version__}. "
+        f"PSNR of a lit sphere against the model: {error}."
+    )
+    inputs = [_input(field.name, getattr(fitted.surface, field.name)) for field in fields(OpenPBR)]
+    return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs))
+
+
+def _input(name: str, value: float | Color) -> str:
+    numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
+    text = ", ".join(f"{number:.6g}" for number in numbers)
+    return f'    <input name="{name}" type="{kind}" value="{text}" />'
+
+
+def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
+    """Find the OpenPBR surface that looks most like a material.
+
+    Parameters
+    ----------
+    evaluate : callable
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (n, 3)`` [1/sr] for angles (n,).
+
+    Returns
+    -------
+    FittedSurface
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the values are too large for a picture.
+    """
+    targets = [_Target.of(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
+
+    def difference(numbers: Array) -> Array:
+        surface = _surface(numbers)
+        return np.concatenate([target.difference(surface.evaluate) for target in targets])
+
+    color = np.clip(np.median(evaluate(*_away_from_the_highlight()), axis=0) * np.pi, 0.02, 0.95)
+    starts = [np.concatenate([color, np.full(3, 0.9), start]) for start in _STARTS]
+    starts.sort(key=lambda numbers: float(np.sum(difference(numbers) ** 2)))
+    ends = [
+        least_squares(difference, start, bounds=_bounds(), diff_step=_STEPS, max_nfev=30)
+        for start in starts[:_POLISHED]
+    ]
+    surface = _surface(min(ends, key=lambda end: end.cost).x)
+    return FittedSurface(surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS})
+
+
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """A picture that the surface's should be like."""
+
+    lighting: str
+    size: int
+    factor: float
+    seen: Array
+
+    @classmethod
+    def of(cls, evaluate: Evaluate, lighting: str, size: int) -> "_Target":
+        picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
+        if not picture.max() < _BRIGHTEST:
+            raise InvalidArgumentError("the values of the model are too large for a picture")
+        factor = exposure(picture, mask)
+        return cls(lighting, size, factor, displayed(picture, factor)[mask])
+
+    def difference(self, evaluate: Evaluate) -> Array:
+        """Differences of the pixels of a sphere, whose mean square counts as much as that of any other picture."""
+        picture = render_sphere(evaluate, lighting=self.lighting, size=self.size)
+        seen = displayed(picture, self.factor)[sphere_normals(self.size)[1]]
+        return np.ravel(seen - self.seen) / np.sqrt(self.seen.size)
+
+
+def _surface(numbers: Array) -> OpenPBR:
+    red, green, blue, *rest = numbers.tolist()
+    return OpenPBR(
+        (red, green, blue), specular_color=(rest[0], rest[1], rest[2]), **dict(zip(_NAMES, rest[3:], strict=True))
+    )
+
+
+def _bounds() -> tuple[Array, Array]:
+    low = np.zeros(6 + len(_NAMES))
+    low[[8, 10]] = _LEAST_ROUGHNESS
+    return low, np.ones_like(low)
+
+
+def _away_from_the_highlight() -> tuple[Array, Array, Array]:
+    angles = np.radians([[40.0, 10.0, 90.0], [50.0, 20.0, 90.0], [60.0, 5.0, 90.0]]).T
+    return angles[0], angles[1], angles[2]
+
+
+def _psnr(evaluate: Evaluate, surface: OpenPBR, lighting: str) -> float:
+    pair = [render_sphere(one, lighting=lighting, size=_STATED_SIZE) for one in (evaluate, surface.evaluate)]
+    return sphere_likeness(pair[0], pair[1])[0]

@@ -1,0 +1,112 @@
+"""A model as a BSDF of Mitsuba 3, with the model's own sampling.
+
+    import mitsuba
+    from dsbrdf.output.export.mitsuba_bsdf import register
+
+    mitsuba.set_variant("llvm_ad_rgb")
+    register()
+    bsdf = mitsuba.load_dict({"type": "dsbrdf", "filename": "nickel.json"})
+
+All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
+once.  Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgb_spectra`.
+
+Formulas and names are those of `dsbrdf.model.lobes` and `dsbrdf.model.sampling`, in single precision, where Mitsuba's
+``si.wi`` is the omega_out of the model and ``wo`` its omega_in: a path is followed from the camera.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.extras import require
+from dsbrdf.output.export.mitsuba_math import Number, Table
+from dsbrdf.output.export.mitsuba_model import MitsubaModel
+from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
+from dsbrdf.output.serialize import load
+
+__all__ = ["register"]
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB
+
+
+def register() -> None:
+    """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
+
+    Its only parameter is ``filename``, of a model in JSON or ``.npz``.
+
+    Raises
+    ------
+    MissingExtraError
+        If Mitsuba is not installed.
+    InvalidArgumentError
+        If no variant is set, or one with polarisation.
+    """
+    require("mitsuba", "mitsuba", purpose="the BSDF of a model")
+    mitsuba = import_module("mitsuba")
+    if mitsuba.variant() is None or mitsuba.is_polarized:
+        raise InvalidArgumentError(
+            "set a variant of Mitsuba without polarisation first, such as mitsuba.set_variant('llvm_ad_rgb')"
+        )
+    mitsuba.register_bsdf("dsbrdf", _bsdf_class(mitsuba))
+
+
+def _bsdf_class(mitsuba: Any) -> Any:
+    """Return the class of BSDF for the variant that is set."""
+    dr = import_module("drjit")
+
+    class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
+        def __init__(self, properties: Any) -> None:
+            super().__init__(properties)
+            self.filename = str(mitsuba.file_resolver().resolve(properties["filename"]))
+            self.material = MitsubaModel(load(self.filename))
+            self.spectra = Table(SPECTRA)
+            self.m_components = [mitsuba.BSDFFlags.GlossyReflection | mitsuba.BSDFFlags.FrontSide]
+            self.m_flags = self.m_components[0]
+
+        def eval(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
+            value = self._spectrum(surface, self.material.brdf(wo, surface.wi)) * wo.z
+            return dr.select(active & self._reflects(context, surface, wo), value, 0.0)
+
+        def pdf(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
+            return dr.select(active & self._reflects(context, surface, wo), self.material.pdf(wo, surface.wi), 0.0)
+
+        def eval_pdf(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval(context, surface, wo, active), self.pdf(context, surface, wo, active)
+
+        def sample(self, context: Any, surface: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            result = mitsuba.BSDFSample3f()
+            result.wo = self.material.sample(surface.wi, sample1, sample2)
+            result.pdf = self.pdf(context, surface, result.wo, active)
+            result.eta = 1.0
+            result.sampled_type = mitsuba.UInt32(+mitsuba.BSDFFlags.GlossyReflection)
+            result.sampled_component = mitsuba.UInt32(0)
+            drawn = result.pdf > 0.0
+            weight = self.eval(context, surface, result.wo, active & drawn) / dr.select(drawn, result.pdf, 1.0)
+            return result, weight
+
+        def to_string(self) -> str:
+            return f"DirectionalStatistics[filename = {self.filename}]"
+
+        def _reflects(self, context: Any, surface: Any, wo: Any) -> Any:
+            enabled = context.is_enabled(mitsuba.BSDFFlags.GlossyReflection)
+            return (surface.wi.z > 0.0) & (wo.z > 0.0) & enabled
+
+        def _spectrum(self, surface: Any, color: list[Number]) -> Any:
+            if mitsuba.is_spectral:
+                return mitsuba.Spectrum([self._at_wavelength(color, at) for at in surface.wavelengths])
+            if mitsuba.is_monochromatic:
+                return mitsuba.Spectrum(sum(part * weight for part, weight in zip(color, _LUMINANCE, strict=True)))
+            return mitsuba.Spectrum(*color)
+
+        def _at_wavelength(self, color: list[Number], wavelength: Number) -> Number:
+            first, step, count = float(WAVELENGTHS[0]), float(WAVELENGTHS[1] - WAVELENGTHS[0]), WAVELENGTHS.size
+            place = dr.clip((wavelength - first) / step, 0.0, count - 1.0)
+            node = dr.minimum(mitsuba.UInt32(place), count - 2)
+            share = place - mitsuba.Float(node)
+            total = mitsuba.Float(0.0)
+            for channel, value in enumerate(color):
+                left, right = (self.spectra[channel * count + node + i] for i in (0, 1))
+                total = total + value * (left + share * (right - left))
+            return total
+
+    return DirectionalStatistics

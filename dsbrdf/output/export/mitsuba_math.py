@@ -1,0 +1,78 @@
+"""Functions on the numbers of the variant of Mitsuba that is set: floats of Python, or arrays of drjit.
+
+What single precision would lose is kept: ``expm1`` and ``log1p``, which drjit does not have, are series near 0.
+"""
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["Number", "Table", "expm1", "find", "lobe_value", "log1p"]
+
+Number = Any
+"""A float or int of Python, or an array of drjit."""
+
+
+class Table:
+    """Numbers that are looked up by their index.
+
+    Parameters
+    ----------
+    values : array_like
+        Of any shape; the index is that of the flat array.
+    """
+
+    def __init__(self, values: ArrayLike) -> None:
+        self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
+        flat = np.ravel(np.asarray(values, dtype=np.float32))
+        self._values = flat.tolist() if self._float is float else self._float(flat)
+
+    def __getitem__(self, index: Number) -> Number:
+        return self._values[index] if self._float is float else self._drjit.gather(self._float, self._values, index)
+
+
+def find(table: Table, start: Number, count: int, value: Number) -> Number:
+    """First of ``count`` increasing numbers, from an index on, that is above a value; the last one if none is."""
+    dr, index_type = import_module("drjit"), import_module("mitsuba").UInt32
+    found, step = index_type(0), 1 << (count.bit_length() - 1)
+    while step:
+        probe = found + step
+        below = (probe < count) & (table[start + dr.minimum(probe, count - 1) - 1] <= value)
+        found = dr.select(below, probe, found)
+        step //= 2
+    return found
+
+
+def log1p(x: Number) -> Number:
+    """Logarithm of 1 + x, x zero or positive."""
+    dr = import_module("drjit")
+    s = x / (2.0 + x)
+    t = s * s
+    series = 2.0 * s * (1.0 + t * (1.0 / 3.0 + t * (0.2 + t * (1.0 / 7.0 + t * (1.0 / 9.0)))))
+    return dr.select(x < 0.5, series, dr.log(1.0 + x))
+
+
+def expm1(x: Number) -> Number:
+    """Exponential of x less 1."""
+    dr = import_module("drjit")
+    series = x * (1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x * (1.0 / 720.0))))))
+    return dr.select(dr.abs(x) < 0.3, series, dr.exp(dr.clip(x, -80.0, 88.0)) - 1.0)
+
+
+def lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | None, family: str) -> Number:
+    """Value of a lobe of height 1; see `dsbrdf.model.lobes.lobe_values`."""
+    dr = import_module("drjit")
+    top_squared: Number = 0.0
+    if center is not None:
+        root, tan_center = dr.sqrt(squared), dr.tan(center)
+        tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
+        squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
+    if family == "student":
+        return dr.exp(-kappa * (log1p(gamma * squared) - log1p(gamma * top_squared)))
+    log_cos, log_cos_top = -0.5 * log1p(squared), -0.5 * log1p(top_squared)
+    top = kappa * dr.exp(gamma * log_cos_top)
+    # expm1(top * ratio) / expm1(top), without overflow.
+    log_ratio = gamma * (log_cos - log_cos_top)
+    return dr.exp(top * expm1(log_ratio)) * expm1(-top * dr.exp(log_ratio)) / expm1(-top)

@@ -1,0 +1,184 @@
+"""The OpenPBR surface model, version 1.1, for opaque materials: a rough base under a clear coat.
+
+    f = coat + (1 - coat's albedo) darkening (metalness metal + (1 - metalness) (specular + (1 - albedo) diffuse))
+
+as the MaterialX library's own shaders compute it, because that is what most programs do with the file: GGX with
+height-correlated masking, Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics and
+the F82 tint for the metal, layers dimmed by a rational fit of the directional albedo of the layer above.  What the fit
+of `dsbrdf.output.export.materialx` does not use is left out: transmission, subsurface, fuzz, thin film, anisotropy and
+the roughness of the diffuse part.
+
+Layering dims by the view's direction only, so that OpenPBR is not quite reciprocal; the view is omega_out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import incident_cosines
+
+__all__ = ["Color", "OpenPBR"]
+
+Array = NDArray[np.float64]
+Color = tuple[float, float, float]
+
+_LEAST = 1e-6  # of a cosine and a roughness
+_F82_COSINE = 1.0 / 7.0
+# Directional albedo of GGX: polynomials in the cosine x and alpha y, by rows 1, x, y, xy, xx, yy, xxy, xyy, xxyy; the
+# shares of F0 and F90 are the quotients of the first and the third, and of the second and the fourth column.
+_ALBEDO = np.array(
+    [
+        [0.1003, 0.9345, 1.0, 1.0],
+        [-0.6303, -2.323, -1.765, 0.2281],
+        [9.748, 2.229, 8.263, 15.94],
+        [-2.038, -3.748, 11.53, -55.83],
+        [29.34, 1.424, 28.96, 13.08],
+        [-8.245, -0.7684, -7.507, 41.26],
+        [-26.44, 1.436, -36.11, 54.9],
+        [19.99, 0.2913, 15.86, 300.2],
+        [-5.448, 0.6286, 33.37, -285.1],
+    ]
+)
+
+
+@dataclass(frozen=True)
+class OpenPBR:
+    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1 but for the indices of refraction.
+
+    Attributes
+    ----------
+    base_color, specular_color : tuple of float
+        Linear RGB; the colour of the diffuse part or of the metal, and of the highlight or of the metal's edge.
+    base_metalness, specular_weight, specular_roughness, coat_weight, coat_roughness : float
+    specular_ior, coat_ior : float
+    """
+
+    base_color: Color = (0.8, 0.8, 0.8)
+    base_metalness: float = 0.0
+    specular_weight: float = 1.0
+    specular_color: Color = (1.0, 1.0, 1.0)
+    specular_roughness: float = 0.3
+    specular_ior: float = 1.5
+    coat_weight: float = 0.0
+    coat_roughness: float = 0.0
+    coat_ior: float = 1.6
+
+    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """BRDF values.
+
+        Parameters
+        ----------
+        theta_half, theta_diff, phi_diff : ndarray, shape (n,)
+            Angles [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            [1/sr]; 0 where a direction is below the horizon.
+        """
+        cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
+        above = ((cos_in > 0.0) & (cos_out > 0.0))[:, None]
+        at = _Directions(
+            np.cos(theta_half)[:, None],
+            np.clip(np.cos(theta_diff), _LEAST, 1.0)[:, None],
+            np.clip(cos_in, _LEAST, 1.0)[:, None],
+            np.clip(cos_out, _LEAST, 1.0)[:, None],
+        )
+        color, tint = np.array(self.base_color), np.array(self.specular_color)
+        rough = at.facets(self._base_roughness**2)
+        highlight, passed = rough.dielectric(self._base_index, 1.0)
+        dielectric = highlight * tint + passed * color / np.pi
+        metal = self.specular_weight * rough.metal(color, tint)
+        base = self._darkening * (self.base_metalness * metal + (1.0 - self.base_metalness) * dielectric)
+        coat, passed = at.facets(self.coat_roughness**2).dielectric(self.coat_ior, self.coat_weight)
+        return np.where(above, coat + passed * base, 0.0)
+
+    @property
+    def _base_roughness(self) -> float:
+        """Roughness of the base as seen through the coat."""
+        rougher = min(1.0, 2.0 * self.coat_roughness**4 + self.specular_roughness**4) ** 0.25
+        return self.coat_weight * rougher + (1.0 - self.coat_weight) * self.specular_roughness
+
+    @property
+    def _base_index(self) -> float:
+        """Relative index of refraction of the base, whose F0 is scaled by ``specular_weight``."""
+        inside = self.specular_ior / self.coat_ior
+        inside = max(inside, 1.0 / inside)
+        index = self.coat_weight * inside + (1.0 - self.coat_weight) * self.specular_ior
+        root = np.sqrt(np.clip(self.specular_weight * _normal_reflectance(index), 0.0, 0.99999))
+        root = np.sign(index - 1.0) * root
+        return float((1.0 + root) / (1.0 - root))
+
+    @property
+    def _darkening(self) -> Array:
+        """What of the base's light is left after reflections inside the coat."""
+        inner = 1.0 - (1.0 - _normal_reflectance(self.coat_ior)) / self.coat_ior**2
+        metal = self.base_metalness * self.specular_weight + 1.0 - self.base_metalness
+        dimmed = (1.0 - inner) / (1.0 - np.array(self.base_color) * metal * inner)
+        return np.asarray(self.coat_weight * dimmed + 1.0 - self.coat_weight)
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Cosines of pairs of directions, each of shape (n, 1)."""
+
+    half: Array
+    diff: Array
+    incident: Array
+    view: Array
+
+    def facets(self, alpha: float) -> "_Facets":
+        """Microfacets with the distribution GGX."""
+        alpha = max(alpha, _LEAST)
+        square = alpha**2
+        tangent2 = (1.0 - self.half**2) / square
+        distribution = 1.0 / (np.pi * square * (tangent2 + self.half**2) ** 2)
+        to_light = np.sqrt(square + (1.0 - square) * self.incident**2)
+        to_view = np.sqrt(square + (1.0 - square) * self.view**2)
+        value = 0.5 * distribution / (to_light * self.view + to_view * self.incident)
+        of_alpha = np.array([1.0, alpha, square])
+        constant, linear, quadratic = (of_alpha @ _ALBEDO[rows] for rows in ([0, 2, 5], [1, 3, 7], [4, 6, 8]))
+        first, second, below, under = ((constant + self.view * (linear + self.view * quadratic)).T)[..., None]
+        return _Facets(self.diff, value, np.clip(first / below, 0.0, 1.0), np.clip(second / under, 0.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Facets:
+    """A rough boundary: cosine of theta_diff, value that Fresnel's term scales, shares of F0 and F90 in the albedo."""
+
+    diff: Array
+    value: Array
+    to_normal: Array
+    to_grazing: Array
+
+    def dielectric(self, index: float, weight: float) -> tuple[Array, Array]:
+        """Values of a dielectric boundary (n, 1), and the share of light that passes it."""
+        fresnel = _fresnel(self.diff, index)
+        compensation = self._compensation(fresnel)
+        albedo = (_normal_reflectance(index) * self.to_normal + self.to_grazing) * compensation
+        return self.value * fresnel * compensation * weight, 1.0 - albedo * weight
+
+    def metal(self, color: Array, tint: Array) -> Array:
+        """Values (n, 3) of a metal with a colour at normal incidence and a tint at 82 degrees."""
+        at_82 = color + (1.0 - color) * (1.0 - _F82_COSINE) ** 5
+        slope = at_82 * (1.0 - tint) / (_F82_COSINE * (1.0 - _F82_COSINE) ** 6)
+        rest = 1.0 - self.diff
+        fresnel = color + (1.0 - color) * rest**5 - slope * self.diff * rest**6
+        return self.value * fresnel * self._compensation(fresnel)
+
+    def _compensation(self, fresnel: Array) -> Array:
+        """Light that is reflected more than once, as a factor."""
+        once = self.to_normal + self.to_grazing
+        return 1.0 + fresnel * (1.0 - once) / once
+
+
+def _normal_reflectance(index: float) -> float:
+    return ((index - 1.0) / (index + 1.0)) ** 2
+
+
+def _fresnel(cosine: Array, index: float) -> Array:
+    """Fresnel's reflectance of unpolarised light at a dielectric."""
+    g = np.sqrt(np.maximum(index**2 + cosine**2 - 1.0, 0.0))
+    parallel = ((g + cosine) * cosine - 1.0) / ((g - cosine) * cosine + 1.0)
+    return 0.5 * ((g - cosine) / (g + cosine)) ** 2 * (1.0 + parallel**2)

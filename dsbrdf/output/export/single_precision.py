@@ -1,0 +1,74 @@
+"""The parameters of a model as cubic polynomials for programs that compute in single precision, in Bernstein's form.
+
+In that form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.dsbrdf import DSBRDF
+
+__all__ = ["BernsteinPieces", "bernstein_pieces"]
+
+Array = NDArray[np.float64]
+
+_LARGEST = 3e38  # in single precision
+
+
+@dataclass(frozen=True, eq=False)
+class BernsteinPieces:
+    """Parameters over theta_diff.
+
+    Attributes
+    ----------
+    breaks : ndarray, shape (P + 1,)
+        Where the P pieces begin, and where the last one ends [rad]; theta_diff is held between the first and the last.
+    coefficients : ndarray, shape (R, P, 4)
+        Rows: those of `dsbrdf.model.evaluation.ParameterPieces`, then the three channels of the delta term.
+    """
+
+    breaks: Array
+    coefficients: Array
+
+
+def bernstein_pieces(model: DSBRDF, program: str) -> BernsteinPieces:
+    """Return the parameters of a model.
+
+    Parameters
+    ----------
+    model : DSBRDF
+    program : str
+        Which program they are for, for the error message.
+
+    Returns
+    -------
+    BernsteinPieces
+
+    Raises
+    ------
+    InvalidArgumentError
+        If a parameter is too large for single precision.
+    """
+    pieces = model.pieces
+    rows = np.concatenate([pieces.terms, _delta_terms(model, pieces.breaks)], axis=1)
+    largest = max(model.amplitude.max(initial=0.0), model.gamma.max(initial=0.0), np.abs(rows).max(initial=0.0))
+    if largest > _LARGEST:
+        raise InvalidArgumentError(f"a parameter of the model is too large for {program}, which has single precision")
+    return BernsteinPieces(pieces.breaks, _bernstein(rows, np.diff(pieces.breaks)))
+
+
+def _bernstein(terms: Array, width: Array) -> Array:
+    """Bernstein coefficients (R, P, 4) over a whole piece of polynomials (4, R, P), the highest power first."""
+    cubic, square, slope, level = (term * width**power for term, power in zip(terms, (3, 2, 1, 0), strict=True))
+    first, second = level + slope / 3.0, level + (2.0 * slope + square) / 3.0
+    return np.stack([level, first, second, level + slope + square + cubic], axis=-1)
+
+
+def _delta_terms(model: DSBRDF, breaks: Array) -> Array:
+    """The delta term of the paper's model as polynomials, shape (4, 3, P)."""
+    at = np.stack([np.interp(breaks, model.theta_diff, row) for row in model.delta])
+    slope = np.diff(at, axis=1) / np.diff(breaks)
+    return np.stack([np.zeros_like(slope), np.zeros_like(slope), slope, at[:, :-1]])

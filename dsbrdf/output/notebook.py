@@ -1,0 +1,96 @@
+"""How objects show themselves in a notebook: a lit sphere beside a few lines, and figures.
+
+Wings to the left call this module, and no other of this wing, from the methods `_repr_html_` and `plot`.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterable
+from dataclasses import asdict
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import profiles
+from dsbrdf.model.decomposition import decompose
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.figures import overview_figure
+from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.png import encode_png
+from dsbrdf.output.report_text import lobes_phrase
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dsbrdf.fitting.report import FitReport, FitResult
+    from dsbrdf.model.dsbrdf import DSBRDF
+
+_THUMBNAIL = 96  # pixels
+
+
+def plot_model(model: DSBRDF) -> Figure:
+    """Draw the parameters over theta_diff."""
+    return parameters_figure(model)
+
+
+def plot_result(result: FitResult, measurement: Measurement | None) -> Figure:
+    """Draw the measured profiles, the fit and its lobes; without the measurement, the parameters over theta_diff."""
+    if measurement is None:
+        return plot_model(result.model)
+    options = result.report.options
+    data = profiles(measurement, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
+    return overview_figure(data, result.model)
+
+
+def measurement_html(measurement: Measurement) -> str:
+    """Return a lit sphere of a measurement beside its name and the share of nodes with a value."""
+    share = np.count_nonzero(measurement.valid) / measurement.valid.size
+    rows = {"measurement": measurement.name, "nodes with a value": f"{share:.1%}", "sha256": measurement.sha256[:12]}
+    return _card(measurement, _table(rows))
+
+
+def model_html(model: DSBRDF) -> str:
+    """Return a lit sphere of a model beside its lobes and the albedo of its components."""
+    return _card(model, _model_table(model))
+
+
+def result_html(result: FitResult) -> str:
+    """Return a lit sphere of the model beside its lobes, the metrics and the warnings."""
+    return _card(result.model, _model_table(result.model), report_html(result.report))
+
+
+def report_html(report: FitReport) -> str:
+    """Return the metrics that have a value and the warnings."""
+    metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)
+    return _table(metrics) + (f"<ul>{sentences}</ul>" if sentences else "")
+
+
+def _model_table(model: DSBRDF) -> str:
+    rows = {"model": f"{lobes_phrase(model)}, {model.n_numbers} numbers"}
+    for component in decompose(model):
+        red, green, blue = component.albedo
+        rows[f"albedo, {component.label.replace('_', ' ')}"] = f"{red:.4f}, {green:.4f}, {blue:.4f}"
+    return _table(rows)
+
+
+def _card(source: DSBRDF | Measurement, *parts: str) -> str:
+    """Return a sphere, with nothing drawn around it, and parts to its right."""
+    sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
+    shown = np.concatenate([displayed(sphere, exposure(sphere, mask)), mask[..., np.newaxis]], axis=-1)
+    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{_base64(encode_png(shown))}">'
+    beside = "".join(f"<div>{part}</div>" for part in (image, *parts))
+    return f'<div style="display: flex; flex-wrap: wrap; gap: 1em; align-items: flex-start">{beside}</div>'
+
+
+def _table(rows: dict[str, str]) -> str:
+    cells: Iterable[str] = (f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
+    return f"<table>{''.join(cells)}</table>" if rows else ""
+
+
+def _base64(content: bytes) -> str:
+    return b64encode(content).decode("ascii")

@@ -1,0 +1,159 @@
+"""What a page shows of a fit beside its measurement: pictures of lit spheres, and slices of both.
+
+A view takes up to a second and reads the whole measurement; those used last stay in memory, some 300 kB each.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from anyio import CapacityLimiter, to_thread
+from numpy.typing import NDArray
+
+from dsbrdf import DSBRDF, Measurement, profiles, read_merl
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.model.decomposition import lobe_widths
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.figures import slice_means
+from dsbrdf.output.png import encode_png
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
+from service.jobs.model_cache import LoadedFit, ModelCache
+from service.storage.schema import FitKey, FitRow
+from service.storage.store import Store
+
+Array = NDArray[np.float64]
+
+_SIZE = 256
+_KEPT = 32
+_CURVE_ANGLES = np.linspace(0.0, 1.0, 160) ** 2 * np.pi / 2  # dense at the peak
+_DIGITS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One lobe of a fit, or its delta term."""
+
+    label: str
+    component: str
+    model: DSBRDF
+
+
+@dataclass(frozen=True, eq=False)
+class FitView:
+    """A fit beside its measurement.
+
+    Attributes
+    ----------
+    exposure : float
+        What the radiance of the pictures was multiplied by: that of the measurement, if there is one.
+    pictures : dict of str to bytes
+        PNG files: ``fit`` and, if the measurement is still stored, ``measured`` and ``difference``.
+    measured : ndarray, shape (3, 90, 90), or None
+        Mean over phi_diff for each (channel, theta_diff, theta_half) [1/sr]; NaN where there are no data.
+    horizon_cutoff : float or None
+        Largest angle to the normal of the samples in those means [rad].
+    model : DSBRDF
+    parts : tuple of Part
+        They add up to the model.
+    """
+
+    exposure: float
+    pictures: dict[str, bytes]
+    measured: Array | None
+    horizon_cutoff: float | None
+    model: DSBRDF
+    parts: tuple[Part, ...]
+
+    def profile(self, row: int) -> dict[str, Any]:
+        """Return curves over theta_half at one row of theta_diff, in JSON's types; values in 1/sr, by channel."""
+        measured = None if self.measured is None else self.measured[:, row]
+        return {
+            "theta_diff_deg": round(float(np.degrees(THETA_DIFF[row])), _DIGITS),
+            "node_theta_half_deg": _rounded(np.degrees(THETA_HALF)),
+            "measured": None if measured is None else [_rounded(channel) for channel in measured],
+            "theta_half_deg": _rounded(np.degrees(_CURVE_ANGLES)),
+            "fit": self._curves(self.model, row),
+            "lobes": [
+                {"label": part.label, "component": part.component, "values": self._curves(part.model, row)}
+                for part in self.parts
+            ],
+        }
+
+    def _curves(self, model: DSBRDF, row: int) -> list[list[float | None]]:
+        values = slice_means(model, row, self.horizon_cutoff, _CURVE_ANGLES)
+        return [_rounded(channel) for channel in values.T]
+
+
+class FitViews:
+    """The views used last, by fit."""
+
+    def __init__(self, store: Store, models: ModelCache) -> None:
+        self._store = store
+        self._models = models
+        self._views: OrderedDict[FitKey, FitView] = OrderedDict()
+        self._computing = CapacityLimiter(1)  # one takes a core for up to a second, and some 200 MB
+
+    async def get(self, row: FitRow) -> FitView:
+        """Return the view of a fit; raises as `ModelCache.get`."""
+        loaded = await self._models.get(row.key)
+        view = self._views.get(row.key)
+        if view is None or view.model is not loaded.model:
+            view = await to_thread.run_sync(self._make, row, loaded, limiter=self._computing)
+            self._views[row.key] = view
+            while len(self._views) > _KEPT:
+                self._views.popitem(last=False)
+        self._views.move_to_end(row.key)
+        return view
+
+    def _make(self, row: FitRow, loaded: LoadedFit) -> FitView:
+        cutoff = row.options["horizon_cutoff_deg"]
+        horizon_cutoff = None if cutoff is None else float(np.radians(cutoff))
+        measurement = self._measurement(row)
+        means = None
+        if measurement is not None:
+            reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
+            means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
+        factor, pictures = _pictures(loaded.model, measurement)
+        return FitView(factor, pictures, means, horizon_cutoff, loaded.model, _parts(loaded))
+
+    def _measurement(self, row: FitRow) -> Measurement | None:
+        """Return the fit's measurement, unless it has been deleted."""
+        if self._store.measurement(row.owner, row.measurement) is None:
+            return None
+        try:
+            return read_merl(self._store.blobs.path(row.measurement))
+        except FileNotFoundError:  # deleted since its row was read
+            return None
+
+
+def _pictures(model: DSBRDF, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
+    """Return the exposure and the pictures, which all have it."""
+    fit = render_sphere(model, size=_SIZE)
+    reference = fit if measurement is None else render_sphere(measurement, size=_SIZE)
+    factor = exposure(reference, sphere_normals(_SIZE)[1])
+    seen = displayed(fit, factor)
+    pictures = {"fit": seen}
+    if measurement is not None:
+        pictures["measured"] = displayed(reference, factor)
+        pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - seen), 0.0, 1.0)
+    return factor, {name: encode_png(picture) for name, picture in pictures.items()}
+
+
+def _parts(loaded: LoadedFit) -> tuple[Part, ...]:
+    model, parts = loaded.model, []
+    widths = np.degrees(lobe_widths(model))
+    if np.any(model.delta):
+        parts.append(Part("delta term", "specular_spike", model.select((), with_delta=True)))
+    for component in loaded.decomposition:
+        for lobe in component.lobes:
+            ring = ", a ring" if model.is_ring[lobe] else ""
+            label = f"lobe {lobe}: {component.label.replace('_', ' ')}, half width {widths[lobe]:.2g}°{ring}"
+            parts.append(Part(label, component.label, model.select((lobe,), with_delta=False)))
+    return tuple(parts)
+
+
+def _rounded(values: Array) -> list[float | None]:
+    """Return numbers to four digits, as many as a screen can show; None where there is none."""
+    return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values.tolist()]

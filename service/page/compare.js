@@ -1,0 +1,3 @@
+import { startSpheres } from "./sphere.js";
+
+startSpheres();

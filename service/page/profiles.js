@@ -1,0 +1,173 @@
+// Profiles over theta_half at one theta_diff, as SVG: measured points, the fit, and the lobes of one channel.
+const root = document.documentElement.dataset.root;
+const SVG = "http://www.w3.org/2000/svg";
+const CHANNELS = ["red", "green", "blue"];
+const MARGIN = { left: 62, right: 14, top: 12, bottom: 42 };
+const HEIGHT = 340;
+
+function element(name, attributes, text) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+function choice(name) {
+  return document.querySelector(`input[name="${name}"]:checked`).value;
+}
+
+// What is drawn: curves with their points, each with a class for its colour.
+function seriesOf(data, channel) {
+  if (channel === "all") {
+    const fits = CHANNELS.map((name, c) => ({ label: `${name}, fit`, colour: name, x: data.theta_half_deg, y: data.fit[c] }));
+    const points = CHANNELS.map((name, c) => ({
+      label: `${name}, measured`, colour: name, points: true, x: data.node_theta_half_deg, y: data.measured?.[c] ?? [],
+    }));
+    return data.measured ? [...points, ...fits] : fits;
+  }
+  const c = Number(channel);
+  const used = {};
+  const lobes = data.lobes.map((lobe) => {
+    used[lobe.component] = (used[lobe.component] ?? -1) + 1;
+    const dash = used[lobe.component] % 4;
+    return { label: lobe.label, colour: lobe.component, dash, x: data.theta_half_deg, y: lobe.values[c] };
+  });
+  const fit = { label: "fit, all lobes", colour: "ink", x: data.theta_half_deg, y: data.fit[c] };
+  const measured = { label: "measured", colour: "ink", points: true, x: data.node_theta_half_deg, y: data.measured?.[c] ?? [] };
+  return data.measured ? [measured, ...lobes, fit] : [...lobes, fit];
+}
+
+function limits(data, series, axis, range) {
+  const curves = series.filter((one) => one.colour === "ink" || CHANNELS.includes(one.colour));
+  const values = curves.flatMap((one) => one.y.filter((value) => value > 0));
+  const top = Math.max(...values, 1e-6);
+  const total = data.theta_half_deg.map((_, i) => data.fit.reduce((sum, curve) => sum + curve[i], 0));
+  const half = Math.max(...total) / 2;
+  const width = data.theta_half_deg[total.findLastIndex((value) => value >= half)] ?? 90;
+  const end = range === "peak" ? Math.min(Math.max(4 * width, 3), 90) : 90;
+  const inside = curves.flatMap((one) => one.y.filter((value, i) => value > 0 && one.x[i] <= end));
+  if (axis === "linear") return { end, low: 0, high: 1.06 * top };
+  const low = Math.min(...inside.filter((value) => value > 1e-7 * top), top / 2);
+  return { end, low: low / 1.6, high: 1.6 * top };
+}
+
+function linearTicks(high) {
+  const raw = high / 5;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= raw);
+  return Array.from({ length: Math.floor(high / step) + 1 }, (_, i) => i * step);
+}
+
+function logTicks(low, high) {
+  const ticks = [];
+  for (let power = Math.ceil(Math.log10(low)); power <= Math.floor(Math.log10(high)); power += 1) ticks.push(10 ** power);
+  if (ticks.length >= 2) return ticks;
+  const finer = ticks.concat([1, 2, 5].flatMap((f) => [-1, 0, 1].map((s) => f * 10 ** (Math.floor(Math.log10(high)) + s))));
+  return [...new Set(finer)].filter((tick) => tick >= low && tick <= high).sort((a, b) => a - b);
+}
+
+function plot(box, data, channel, axis, range) {
+  const width = Math.max(box.clientWidth, 280);
+  const series = seriesOf(data, channel);
+  const { end, low, high } = limits(data, series, axis, range);
+  const scale = axis === "log" ? Math.log : (value) => value;
+  const inner = { width: width - MARGIN.left - MARGIN.right, height: HEIGHT - MARGIN.top - MARGIN.bottom };
+  const px = (degrees) => MARGIN.left + (inner.width * degrees) / end;
+  const py = (value) => MARGIN.top + inner.height * (1 - (scale(value) - scale(low)) / (scale(high) - scale(low)));
+  const label = `BRDF over theta_half at theta_diff ${data.theta_diff_deg} degrees, ${axis} axis`;
+  const svg = element("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, role: "img", "aria-label": label });
+  const clip = element("clipPath", { id: "inside" });
+  clip.append(element("rect", { x: MARGIN.left, y: MARGIN.top, width: inner.width, height: inner.height }));
+  svg.append(clip);
+  const step = [0.5, 1, 2, 5, 10, 15, 30].find((candidate) => end / candidate <= (width < 500 ? 6 : 9)) ?? 30;
+  for (let degrees = 0; degrees <= end + 1e-9; degrees += step) {
+    svg.append(element("path", { class: "grid", d: `M${px(degrees)} ${MARGIN.top}V${MARGIN.top + inner.height}` }));
+    svg.append(element("text", { x: px(degrees), y: HEIGHT - 24, "text-anchor": "middle" }, `${degrees}°`));
+  }
+  for (const tick of axis === "log" ? logTicks(low, high) : linearTicks(high)) {
+    svg.append(element("path", { class: "grid", d: `M${MARGIN.left} ${py(tick)}H${width - MARGIN.right}` }));
+    const text = tick !== 0 && (tick < 0.01 || tick >= 1e4) ? tick.toExponential(0).replace("e+", "e") : String(Number(tick.toPrecision(3)));
+    svg.append(element("text", { x: MARGIN.left - 8, y: py(tick) + 4, "text-anchor": "end" }, text));
+  }
+  svg.append(element("path", { class: "axis", d: `M${MARGIN.left} ${MARGIN.top}V${MARGIN.top + inner.height}H${width - MARGIN.right}` }));
+  svg.append(element("text", { x: MARGIN.left + inner.width / 2, y: HEIGHT - 6, "text-anchor": "middle" }, "θ half"));
+  const middle = MARGIN.top + inner.height / 2;
+  svg.append(element("text", { x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})` }, "BRDF in 1/sr"));
+  const group = element("g", { "clip-path": "url(#inside)" });
+  for (const one of series) draw(group, one, { px, py, low, axis, end });
+  svg.append(group);
+  box.replaceChildren(svg);
+  showLegend(series);
+}
+
+function draw(group, one, { px, py, low, axis, end }) {
+  const visible = one.y.map((value, i) => [one.x[i], value]).filter(([x, value]) => value !== null && x <= 1.1 * end && (axis === "linear" || value > 0));
+  if (one.points) {
+    let last = -Infinity;
+    let d = "";
+    for (const [x, value] of visible) {
+      if (px(x) - last < 6) continue;
+      last = px(x);
+      d += `M${(px(x) - 2.5).toFixed(1)} ${(py(value) - 2.5).toFixed(1)}h5v5h-5z`;
+    }
+    group.append(element("path", { class: `point c-${one.colour}`, d }));
+    return;
+  }
+  const floor = axis === "log" ? low / 100 : low - 1e9;
+  const d = visible.map(([x, value], i) => `${i ? "L" : "M"}${px(x).toFixed(1)} ${py(Math.max(value, floor)).toFixed(1)}`).join("");
+  group.append(element("path", { class: `curve c-${one.colour} dash-${one.dash ?? 0}`, d }));
+}
+
+function showLegend(series) {
+  const items = series.map((one) => {
+    const item = document.createElement("li");
+    const svg = element("svg", { viewBox: "0 0 30 12", "aria-hidden": "true" });
+    if (one.points) svg.append(element("path", { class: `point c-${one.colour}`, d: "M12 3h6v6h-6z" }));
+    else svg.append(element("path", { class: `curve c-${one.colour} dash-${one.dash ?? 0}`, d: "M1 6H29" }));
+    item.append(svg, one.label);
+    return item;
+  });
+  document.getElementById("legend").replaceChildren(...items);
+}
+
+export function startProfiles(id) {
+  const slider = document.getElementById("theta-diff");
+  const fault = document.getElementById("profiles-fault");
+  const box = document.getElementById("plot");
+  const known = new Map();
+  let busy = false;
+
+  async function show() {
+    document.getElementById("theta-diff-value").textContent = `${slider.value}°`;
+    if (busy) return;
+    busy = true;
+    try {
+      let row;
+      do { // the slider may move on while a slice is on its way
+        row = slider.value;
+        if (!known.has(row)) {
+          const answer = await fetch(`${root}fits/${id}/profiles/${row}`);
+          const content = await answer.json();
+          if (!answer.ok) throw new Error(content.detail);
+          known.set(row, content);
+        }
+      } while (row !== slider.value);
+      fault.hidden = true;
+      plot(box, known.get(row), choice("channel"), choice("axis"), choice("range"));
+    } catch (error) {
+      fault.hidden = false;
+      fault.textContent = error.message;
+    } finally {
+      busy = false;
+    }
+  }
+
+  slider.addEventListener("input", show);
+  document.getElementById("profiles").addEventListener("change", show);
+  let width = 0;
+  new ResizeObserver(() => {
+    if (box.clientWidth === width) return;
+    width = box.clientWidth;
+    show();
+  }).observe(box);
+}

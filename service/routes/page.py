@@ -1,0 +1,183 @@
+"""The web page: upload and list, a fit, two fits side by side, and signing in with a key."""
+
+from collections.abc import Callable, Coroutine
+from functools import partial
+from json import loads
+from typing import Annotated, Any
+from urllib.parse import parse_qs, urlencode
+
+from fastapi import APIRouter, Path, Query, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import MAX_LOBES
+from dsbrdf.model.environment import THREE_LIGHTS
+from service.access.authentication import COOKIE, same_origin
+from service.errors import FitNotFoundError, ProblemError
+from service.http.pages import PAGE_PATHS, STATIC_FILES, render, sign_in_page, static_file
+from service.http.problems import answer_exception
+from service.http.request_body import receive_body
+from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
+from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
+from service.routes.page_text import DOWNLOADS, facts_of, metrics_in_words, options_in_words, reproduction
+from service.storage.schema import FitKey, FitRow
+from service.wire.schemas import Page
+
+_PNG = "image/png"
+_MAX_FORM = 1 << 12
+
+
+class _PageRoute(APIRoute):
+    """A route whose errors are pages too."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the handler of a request."""
+        handler = super().get_route_handler()
+
+        async def answer(request: Request) -> Response:
+            try:
+                return await handler(request)
+            except (ProblemError, InvalidArgumentError, RequestValidationError) as error:
+                response = await answer_exception(request, error)
+                problem = loads(bytes(response.body))
+                shown = partial(render, "error.html", request.url.path, signed_in=COOKIE in request.cookies)
+                return shown(status=response.status_code, title=problem["title"], detail=problem["detail"])
+
+        return answer
+
+
+router = APIRouter(include_in_schema=False)
+_pages = APIRouter(route_class=_PageRoute)
+
+
+@_pages.get("/")
+async def get_index(
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> Response:
+    """Return the page to upload a measurement, with the list of fits."""
+    name = page.name or None  # an empty field of the search
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, name)
+    shown = rows[: page.limit]
+    query = {"name": name} if name else {}
+    older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
+    items = [{"row": row, "facts": facts_of(row), "progress": context.jobs.progress(row)} for row in shown]
+    return _render("index.html", request, items=items, name=name or "", older=older, max_lobes=MAX_LOBES)
+
+
+@_pages.get("/fits/{fit_id}")
+async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Return the page of one fit: its progress, why it failed, or the result."""
+    row = await _existing(context, fit)
+    if row.status != "succeeded":
+        return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
+    code = reproduction(row, str(request.base_url))
+    return _render("fit.html", request, code=code, downloads=DOWNLOADS, **await _shown(context, row))
+
+
+@_pages.get("/compare")
+async def get_comparison(
+    request: Request, context: TheContext, caller: TheCaller, fits: Annotated[list[str], Query(alias="fit")]
+) -> Response:
+    """Return the page with two fits side by side."""
+    if len(fits) != 2:
+        raise InvalidArgumentError(f"Two fits are compared at a time; tick two in the list, not {len(fits)}.")
+    rows = [await _existing(context, FitKey(caller.owner, fit_id)) for fit_id in fits]
+    return _render("compare.html", request, sides=[await _shown(context, row) for row in rows])
+
+
+@router.get("/fits/{fit_id}/view")
+async def get_view(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+    """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
+    view = await context.views.get(await _existing(context, fit))
+    lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
+    return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
+
+
+@router.get("/fits/{fit_id}/spheres/{name}.png")
+async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = "") -> Response:
+    """Return the picture of a sphere: measured, fit or difference."""
+    view = await context.views.get(await _existing(context, fit))
+    if name not in view.pictures:
+        raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
+    return tagged_reply(view.pictures[name], if_none_match, _PNG)
+
+
+@router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
+async def get_profile(
+    context: TheContext, fit: TheFit, theta_diff_deg: Annotated[int, Path(ge=0, le=89)], if_none_match: IfNoneMatch = ""
+) -> Response:
+    """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
+    view = await context.views.get(await _existing(context, fit))
+    return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
+
+
+@router.get("/page/{name}")
+async def get_static(name: str, if_none_match: IfNoneMatch = "") -> Response:
+    """Return a script, style sheet or picture that the pages load."""
+    if name not in STATIC_FILES:
+        raise ProblemError("not-found", f"There is nothing at /page/{name[:60]}.")
+    return tagged_reply(await run_in_threadpool(static_file, name), if_none_match, STATIC_FILES[name])
+
+
+@router.get("/sign-in")
+async def get_sign_in() -> Response:
+    """Return the page to sign in."""
+    return sign_in_page("/", "")
+
+
+@router.post("/sign-in")
+async def sign_in(request: Request, context: TheContext) -> Response:
+    """Keep a key in a cookie that no script can read, and lead to the page that was wanted."""
+    form = parse_qs(bytes(await receive_body(request, _MAX_FORM, context.store.blobs.temporary)).decode("latin-1"))
+    key, wanted = (form.get(name, [""])[0].strip() for name in ("key", "wanted"))
+    wanted = wanted if PAGE_PATHS.fullmatch(wanted) else "/"
+    if not same_origin(request.scope["headers"]):
+        return sign_in_page("/", "Signing in works from this page only; please try again.")
+    if context.keys.find(key.encode()) is None:
+        return sign_in_page("/", "This is no valid key. It may have been revoked, or a character is missing.")
+    secure = "https" in (request.url.scheme, request.headers.get("origin", "").partition(":")[0])
+    response = Response(status_code=303, headers={"Location": f".{wanted}"})
+    response.set_cookie(COOKIE, key, httponly=True, samesite="strict", secure=secure)
+    return response
+
+
+@router.post("/sign-out")
+async def sign_out() -> Response:
+    """Forget the key of the browser."""
+    response = Response(status_code=303, headers={"Location": "./"})
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    return response
+
+
+router.include_router(_pages)
+
+
+def _render(template: str, request: Request, **values: Any) -> Response:
+    return render(template, request.url.path, signed_in=COOKIE in request.cookies, **values)
+
+
+async def _existing(context: Context, fit: FitKey) -> FitRow:
+    row = await run_in_threadpool(context.store.fit, fit)
+    if row is None:
+        raise FitNotFoundError(fit.id)
+    return row
+
+
+async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
+    """Return what a page shows of a fit that has succeeded."""
+    loaded = await context.models.get(row.key)
+    decomposition = await context.models.decomposition(row.key)
+    components = [component for component in decomposition if component.lobes or component.model.delta.any()]
+    await run_in_threadpool(lambda: [component.albedo for component in components])  # not while rendering
+    return {
+        "row": row,
+        "facts": facts_of(row),
+        "options": options_in_words(row.options),
+        "metrics": metrics_in_words(row.metrics or {}),
+        "warnings": loaded.report.warnings if loaded.report else (),
+        "model": loaded.model,
+        "components": components,
+    }

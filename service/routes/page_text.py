@@ -1,0 +1,143 @@
+"""What the pages say of a fit in words."""
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from dsbrdf.fitting.options import FitOptions
+from service.storage.schema import FitRow
+from service.wire.fit_options import DEFAULTS, canonical
+
+_LOOKS = (
+    (45.0, "cannot be told from"),
+    (38.0, "is very close to"),
+    (32.0, "is close to"),
+    (26.0, "differs visibly from"),
+)
+_FIT = "result = dsbrdf.fit(measurement)"
+
+
+@dataclass(frozen=True)
+class Download:
+    """A format of the export, and what it is for."""
+
+    name: str
+    meaning: str
+
+
+DOWNLOADS = (
+    Download("json", "the model and its report, without loss"),
+    Download("npz", "the same for NumPy"),
+    Download("csv", "a table of the parameters"),
+    Download("merl", "a table in the MERL format, 35 MB"),
+    Download("glsl", "a function for shaders, as in the sphere above"),
+    Download("brdf", "for Disney's BRDF Explorer"),
+    Download("bsdf", "for Mitsuba 3"),
+    Download("bsdf-spectral", "for its spectral variants and pbrt-v4"),
+    Download("materialx", "the OpenPBR surface that looks most like it; takes some seconds"),
+)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number, what it is called, and what it means."""
+
+    name: str
+    value: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What every page says of a fit: its name, when it was made, how good it is in a few words."""
+
+    name: str
+    date: str
+    error: str
+
+
+def facts_of(row: FitRow) -> Facts:
+    """Return the facts of a fit."""
+    error = (row.metrics or {}).get("relative_rms")
+    date = datetime.fromtimestamp(row.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return Facts(row.name or f"{row.measurement[:12]}…", date, "" if error is None else _percent(error))
+
+
+def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
+    """Return the metrics that a fit has, the most telling first."""
+    found = []
+    error, floor, excess, psnr = (metrics.get(name) for name in ("relative_rms", "floor", "excess", "psnr"))
+    least = metrics.get("symmetric_floor")
+    if psnr is not None:
+        words = next((words for level, words in _LOOKS if psnr >= level), "differs strongly from")
+        found.append(Metric("psnr", f"{psnr:.1f} dB", f"A lit sphere of the fit {words} one of the measurement."))
+    if error is not None:
+        found.append(Metric("relative_rms", _percent(error), "Error of the values, relative to their size."))
+    if least is not None:
+        found.append(Metric("symmetric_floor", _percent(least), "What that error is for the best reciprocal model."))
+    if floor is not None:
+        found.append(Metric("floor", _percent(floor), "What it is for the best model that ignores φ_diff."))
+    if excess is not None:
+        found.append(Metric("excess", f"{excess:.3f}", "Error / floor; below 1, the fit gains by regarding φ_diff."))
+    albedo, male, ssim = (metrics.get(name) for name in ("albedo_error", "male", "ssim"))
+    if albedo is not None:
+        found.append(Metric("albedo_error", _percent(albedo), "Mean error of how much light is reflected in all."))
+    if male is not None:
+        found.append(Metric("male", f"{male:.4f}", "Mean error of the logarithm, which counts dark parts as well."))
+    if ssim is not None:
+        found.append(Metric("ssim", f"{ssim:.4f}", "Likeness of the two spheres' structure; 1 is equal."))
+    return found
+
+
+def options_in_words(options: Mapping[str, Any]) -> str:
+    """Return the options that are not the default."""
+    return ", ".join(f"{name} = {_word(value)}" for name, value in _unusual(options).items()) or "default options"
+
+
+def reproduction(row: FitRow, address: str) -> dict[str, str]:
+    """Return the lines that give the same model from Python and by curl."""
+    name, given = row.name or row.measurement[:12], _unusual(row.options)
+    arguments = "".join(f", {option}={value!r}" for option, value in given.items() if not option.endswith("_deg"))
+    angles = {option: value for option, value in given.items() if option.endswith("_deg")}
+    for option, value in angles.items():
+        radians = "None" if value is None else f"numpy.radians({value})"
+        arguments += f", {option.removesuffix('_deg')}={radians}"
+    python = [
+        "import dsbrdf" + ("\nimport numpy" if angles else ""),
+        "",
+        f'measurement = dsbrdf.read_merl("{name}.binary")',
+        f"result = dsbrdf.fit(measurement, dsbrdf.FitOptions({arguments[2:]}))" if given else _FIT,
+        'print(result.report.metrics["relative_rms"])',
+        f'dsbrdf.save(result, "{name}.json")',
+    ]
+    query = "&".join(f"{option}={_word(value)}" for option, value in given.items())
+    fits = f"{address}v1/fits"
+    curl = [
+        "# the fit, from the file",
+        f"curl --data-binary {shlex.quote(f'@{name}.binary')} -H 'Content-Type: application/octet-stream' \\",
+        f"  '{fits}{'?' if query else ''}{query}'",
+        "# a picture of it",
+        f"curl -o sphere.png '{fits}/{row.id}/figures/sphere.png?size=256'",
+        "# values of the BRDF in 1/sr",
+        f"curl '{fits}/{row.id}/brdf?theta_half_deg=10&theta_diff_deg=30'",
+    ]
+    return {"Python": "\n".join(python), "curl": "\n".join(curl)}
+
+
+def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that are not what their method does by default."""
+    usual = canonical(FitOptions(method=options["method"]))
+    given = {name: value for name, value in options.items() if value != usual[name]}
+    return given if options["method"] == DEFAULTS["method"] else {"method": options["method"], **given}
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %"
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(map(str, value))
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,106 @@
+"""What ``dsbrdf fit`` gives of several files: a line each, a table, CSV, figures; and fits on a server."""
+
+import asyncio
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dsbrdf
+from dsbrdf.cli import fit_command
+from dsbrdf.cli import main as cli
+from dsbrdf.cli.server_engine import ServerEngine
+from dsbrdf.engines.batch import FileFit
+from dsbrdf.engines.engine import FitTask
+from dsbrdf.fitting.report import FitResult
+from tests.support.command_line import QUICK, Capture, document, sentence
+from tests.support.server import Server
+
+
+@pytest.fixture
+def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the fits of three files be known: a good one, a failed one, a bad one."""
+
+    def known(files: list[Path], *_: Any, **__: Any) -> Iterator[FileFit]:
+        report = two_lobe_fit.report
+        worse = replace(report, metrics=replace(report.metrics, relative_rms=0.9), warnings=("Look at it.",))
+        yield FileFit(files[0], result=two_lobe_fit)
+        yield FileFit(files[1], error="no measurement")
+        yield FileFit(files[2], result=FitResult(two_lobe_fit.model, worse))
+
+    monkeypatch.setattr(fit_command, "fit_files", known)
+
+
+@pytest.mark.usefixtures("three_files")
+def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp_path: Path, capsys: Capture) -> None:
+    table = tmp_path / "fits.csv"
+    assert cli.main(["fit", "good.binary", "none.binary", "bad.binary", "--csv", str(table)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
+    first, second, _, head, *rows, failed = captured.out.splitlines()
+    assert first.startswith("good: 2 lobes; relative_rms ")
+    assert second.startswith("bad: 2 lobes; relative_rms 0.9, ")
+    assert head.split()[:3] == ["worst", "first", "lobes"]
+    assert [row.split()[0] for row in rows] == ["bad", "good"]
+    assert rows[0].split()[3] == "0.9"
+    assert failed == "1 file could not be fitted"
+
+    written = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
+    assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
+    assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
+    assert (written[0]["n_lobes"], written[0]["ring_lobes"]) == ("2", "0")
+    assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
+
+
+def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), "--plot", *QUICK]) == 0
+    out = capsys.readouterr().out
+    assert "component       lobes" in out
+    assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
+    assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
+    assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1
+
+
+def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    address = ["--url", str(server.http.base_url)]
+    assert cli.main(["fit", str(plastic_file), "--json", "-o", str(tmp_path), *address, *QUICK]) == 0
+    there = document(capsys)
+    assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
+    assert there["model"] == document(capsys)["model"]
+    assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
+    no_measurement = tmp_path / "cut.binary"
+    no_measurement.write_bytes(plastic_file.read_bytes()[:1000])
+    assert cli.main(["fit", str(no_measurement), *address]) == 2
+    assert "1000" in sentence(capsys)
+
+
+def test_server_that_does_not_answer_is_named(plastic_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--url", "http://127.0.0.1:9"]) == 1
+    assert sentence(capsys).startswith("dsbrdf: http://127.0.0.1:9: ")
+
+
+def test_server_that_wants_a_key_is_named(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = ServerEngine("http://127.0.0.1:9", 1)
+
+    class Locked:
+        def __init__(self, url: str) -> None:
+            pass
+
+        def fit(self, *_: Any, **__: Any) -> None:
+            raise engine._service.AccessError({"detail": "The service wants a valid API key."})
+
+        def close(self) -> None:
+            pass
+
+    async def ask() -> None:
+        monkeypatch.setattr(engine._service, "Client", Locked)
+        await engine.start()
+        await engine.run(FitTask("plastic", plastic_file, dsbrdf.FitOptions()), lambda _: None)
+
+    with pytest.raises(dsbrdf.InvalidArgumentError, match=r"valid API key\.; the environment variable DSBRDF_KEY"):
+        asyncio.run(ask())

@@ -1,0 +1,86 @@
+"""``dsbrdf plot``, ``compare`` and ``completion``."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from dsbrdf.cli import main as cli
+from dsbrdf.cli import plot_command
+from dsbrdf.cli.completion_command import SHELLS
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.render import render_sphere, sphere_likeness
+from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.serialize import save
+from tests.support.command_line import Capture, document
+
+
+@pytest.fixture(scope="module")
+def model_file(two_lobe_fit: FitResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("models") / "fitted.json"
+    save(two_lobe_fit, path)
+    return path
+
+
+def test_plot_writes_a_figure(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "figure.pdf"
+    assert cli.main(["plot", str(model_file), "-o", str(output), "--json"]) == 0
+    content = output.read_bytes()
+    assert content.startswith(b"%PDF")
+    assert document(capsys) == {"output": str(output), "format": "pdf", "bytes": len(content)}
+
+
+def test_plot_with_the_measurement_draws_its_profiles(
+    model_file: Path, plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+
+    def overview(data: Profiles, model: DSBRDF) -> Figure:
+        drawn.append(data.name)
+        return parameters_figure(model)
+
+    monkeypatch.setattr(plot_command, "overview_figure", overview)
+    assert cli.main(["plot", str(model_file), str(plastic_file), "-o", str(tmp_path / "figure.png")]) == 0
+    assert drawn == ["plastic"]
+
+
+def test_compare_a_measurement_with_its_fit(
+    model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path, capsys: Capture
+) -> None:
+    picture = tmp_path / "both.png"
+    assert cli.main(["compare", str(plastic_file), str(model_file), "-o", str(picture)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["plastic.binary", "fitted.json"]
+    assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
+    (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
+    assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
+    assert picture.read_bytes()[16:24] == (3 * 256).to_bytes(4, "big") + (256).to_bytes(4, "big")
+
+
+def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult, capsys: Capture) -> None:
+    assert cli.main(["compare", str(model_file), str(model_file), "--json"]) == 0
+    answer = document(capsys)
+    assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
+    sphere = render_sphere(two_lobe_fit.model, size=256)
+    assert answer["likeness"] == {"psnr": None, "ssim": sphere_likeness(sphere, sphere)[1]}
+    assert answer["output"] is None
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_completion_knows_commands_options_and_files(shell: str, capsys: Capture) -> None:
+    assert cli.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for word in ("compare", "serve", "n-lobes", "theta-half", "specular_spike"):
+        assert word in script
+
+
+def test_bash_completes_a_command(tmp_path: Path, capsys: Capture) -> None:
+    assert cli.main(["completion", "bash"]) == 0
+    script = tmp_path / "completion.sh"
+    script.write_text(capsys.readouterr().out)
+    ask = "COMP_WORDS=(dsbrdf comp); COMP_CWORD=1; _shtab_dsbrdf; echo ${COMPREPLY[@]}"
+    answer = subprocess.run(["bash", "-c", f"source '{script}'; {ask}"], capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == ["compare", "completion"]

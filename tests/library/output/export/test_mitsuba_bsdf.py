@@ -1,0 +1,156 @@
+"""The BSDF for Mitsuba 3 against the model itself, in scalar and LLVM variants, and Mitsuba's chi-square test."""
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import dsbrdf
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.output.export import mitsuba_bsdf
+from dsbrdf.output.export.mitsuba_bsdf import register
+from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
+from tests.support.mitsuba_variants import mitsuba_variant, surface_at
+from tests.support.mixtures import mixture
+from tests.support.random_models import papers_model, random_model
+
+Array = NDArray[np.float64]
+
+MODELS = {
+    "mixture": mixture(3, 0),
+    "elongated rings and cusps": random_model(1),
+    "student": random_model(2, family="student"),
+    "paper": papers_model(),
+}
+UNIFORM = np.random.default_rng(0).random((3, 50_000)).astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=["scalar_rgb", "llvm_ad_rgb"])
+def variant(request: pytest.FixtureRequest) -> ModuleType:
+    return prepared(request.param)
+
+
+@pytest.fixture(scope="module")
+def llvm() -> ModuleType:
+    return prepared("llvm_ad_rgb")
+
+
+def prepared(name: str) -> ModuleType:
+    module = mitsuba_variant(name)
+    register()
+    return module
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("models")
+    paths = {name: folder / f"{name}.json" for name in MODELS}
+    for name, path in paths.items():
+        dsbrdf.save(MODELS[name], path)
+    return paths
+
+
+def pairs_of_directions(number: int) -> tuple[Array, Array]:
+    """Pairs in single precision, half of them near the mirror direction."""
+    random = np.random.default_rng(0)
+    cosine, turn = random.uniform(0.05, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
+    sine = np.sqrt(1.0 - cosine**2)
+    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    mirrored = first * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.03, first.shape)
+    mirrored[:, 2] = np.maximum(mirrored[:, 2], 0.01)
+    second[::2] = (mirrored / np.linalg.norm(mirrored, axis=1)[:, None])[::2]
+    return first.astype(np.float32).astype(float), second.astype(np.float32).astype(float)
+
+
+def loaded(module: ModuleType, path: Path) -> Any:
+    return module.load_dict({"type": "dsbrdf", "filename": str(path)})
+
+
+def evaluated(module: ModuleType, bsdf: Any, wi: Array, wo: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield values times cosine and densities, for each pair or for all at once."""
+    if module.variant().startswith("scalar"):
+        for first, second in zip(wi.tolist(), wo.tolist(), strict=True):
+            arguments = module.BSDFContext(), surface_at(module, first), module.Vector3f(second)
+            yield np.ravel(bsdf.eval(*arguments)), np.array([bsdf.pdf(*arguments)])
+        return
+    surface = surface_at(module, wi.T.astype(np.float32))
+    arguments = module.BSDFContext(), surface, module.Vector3f(wo.T.astype(np.float32))
+    yield np.array(bsdf.eval(*arguments)).T, np.array(bsdf.pdf(*arguments))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_values_and_densities_are_those_of_the_model(name: str, variant: ModuleType, files: dict[str, Path]) -> None:
+    model = MODELS[name]
+    wi, wo = pairs_of_directions(20 if variant.variant().startswith("scalar") else 10_000)
+    found = list(evaluated(variant, loaded(variant, files[name]), wi, wo))
+    values, densities = (np.concatenate([np.atleast_2d(one[i].T).T for one in found]) for i in (0, 1))
+    expected = model.evaluate(*half_difference(wo, wi)) * wo[:, 2:]
+    error = np.abs(values.reshape(-1, 3) - expected) / np.maximum(expected, 1e-5 * wo[:, 2:])
+    # The random gammas of the paper's model differ a thousandfold between slices: theta_diff itself is then too coarse.
+    assert error.max() < (5e-3 if name == "paper" else 1e-4)
+    unit = [one / np.linalg.norm(one, axis=1)[:, None] for one in (wo, wi)]
+    density = model.pdf(*unit)
+    assert np.abs(densities.ravel() - density).max() < 1e-3 * density.max()
+    assert np.median(np.abs(densities.ravel() / density - 1.0)) < 1e-5
+
+
+@pytest.mark.parametrize("name", ["elongated rings and cusps", "paper"])
+def test_weights_of_samples_are_those_of_the_model(name: str, llvm: ModuleType, files: dict[str, Path]) -> None:
+    model, theta = MODELS[name], np.radians(50.0)
+    towards = [float(np.sin(theta)), 0.0, float(np.cos(theta))]
+    surface = surface_at(llvm, np.repeat(np.array(towards, np.float32)[:, None], UNIFORM.shape[1], axis=1))
+    one, two = llvm.Float(UNIFORM[0]), llvm.Point2f(UNIFORM[1:])
+    drawn, weight = loaded(llvm, files[name]).sample(llvm.BSDFContext(), surface, one, two)
+    wo, weights = np.array(drawn.wo).T.astype(float), np.array(weight).T.astype(float)
+    error = 5.0 * weights.std(axis=0) / np.sqrt(len(weights))
+    assert np.all(np.abs(weights.mean(axis=0) - model.albedo(theta)) < error)
+    spread = model.sample(np.broadcast_to(towards, (20_000, 3)), np.random.default_rng(0)).weight.std(axis=0)
+    assert weights.std(axis=0) == pytest.approx(spread, rel=0.1)
+    density = model.pdf(wo / np.linalg.norm(wo, axis=1)[:, None], towards)
+    some = density > 0.0
+    assert np.median(np.abs(np.array(drawn.pdf)[some] / density[some] - 1.0)) < 1e-4
+
+
+def test_chi_square_of_mitsuba_passes(llvm: ModuleType, files: dict[str, Path]) -> None:
+    chi2 = importlib.import_module("mitsuba.chi2")
+    file = f'<string name="filename" value="{files["elongated rings and cusps"]}"/>'
+    sample, pdf = chi2.BSDFAdapter("dsbrdf", file, wi=[0.6, 0.0, 0.8])
+    test = chi2.ChiSquareTest(chi2.SphericalDomain(), sample, pdf, sample_dim=3, sample_count=200_000, res=101, ires=8)
+    assert test.run(0.01, 2)
+
+
+def test_nothing_is_reflected_below_the_horizon(variant: ModuleType, files: dict[str, Path]) -> None:
+    bsdf, up, down = loaded(variant, files["mixture"]), [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
+    for wi, wo in ((up, down), (down, up)):
+        arguments = variant.BSDFContext(), surface_at(variant, wi), variant.Vector3f(wo)
+        assert np.ravel(bsdf.eval(*arguments)).tolist() == [0.0, 0.0, 0.0]
+        assert np.ravel(bsdf.pdf(*arguments)).tolist() == [0.0]
+
+
+def test_spectral_variants_add_three_spectra(files: dict[str, Path]) -> None:
+    module = prepared("scalar_spectral")
+    wi, wo = [0.6, 0.0, 0.8], [0.0, 0.28, 0.96]
+    surface = surface_at(module, wi)
+    surface.wavelengths = [400.0, 510.0, 615.0, 800.0]
+    value = np.ravel(loaded(module, files["mixture"]).eval(module.BSDFContext(), surface, module.Vector3f(wo)))
+    rgb = MODELS["mixture"].evaluate_directions(wi, wo) * wo[2]
+    spectrum = np.stack([np.interp(surface.wavelengths, WAVELENGTHS, row) for row in SPECTRA], axis=-1)
+    assert value == pytest.approx(spectrum @ rgb, rel=1e-5)
+
+
+def test_a_variant_with_polarisation_is_refused() -> None:
+    mitsuba_variant("scalar_spectral_polarized")
+    with pytest.raises(InvalidArgumentError, match="without polarisation"):
+        register()
+
+
+def test_missing_mitsuba_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsbrdf.extras.find_spec", lambda _: None)
+    with pytest.raises(ImportError, match=r"^mitsuba must be installed .* pip install 'dsbrdf\[mitsuba\]'$"):
+        mitsuba_bsdf.register()

@@ -1,0 +1,87 @@
+"""How results, models and measurements show themselves in Python and in a notebook."""
+
+import re
+from base64 import b64decode
+from dataclasses import replace
+
+import matplotlib.figure
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.fitting.report import FitResult
+
+
+def thumbnail(html: str) -> bytes:
+    (encoded,) = re.findall(r'src="data:image/png;base64,([\w+/=]+)"', html)
+    return b64decode(encoded)
+
+
+def test_repr_is_one_short_line(plastic: Measurement, plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
+    samples = dsbrdf.ScatteredSamples.from_arrays(
+        np.tile([0, 0, 1.0], (200, 1)), np.tile([0, 0, 1.0], (200, 1)), np.ones((200, 3))
+    )
+    light = dsbrdf.EnvironmentMap.from_pixels(np.ones((32, 64, 3)))
+    model, report = two_lobe_fit.model, two_lobe_fit.report
+    for shown in (
+        plastic,
+        plastic_profiles,
+        samples,
+        light,
+        two_lobe_fit,
+        model,
+        report,
+        dsbrdf.decompose(model).diffuse,
+    ):
+        assert 10 < len(repr(shown)) < 260
+        assert "\n" not in repr(shown)
+        assert type(shown).__name__ in repr(shown)
+
+
+def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_fit: FitResult) -> None:
+    warned = replace(two_lobe_fit, report=replace(two_lobe_fit.report, warnings=("less than <1 %>",)))
+    html = warned._repr_html_()
+    assert thumbnail(html) == thumbnail(two_lobe_fit.model._repr_html_())
+    assert thumbnail(html).startswith(b"\x89PNG")
+    assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in html
+    assert "<li>less than &lt;1 %&gt;</li>" in html
+    assert warned.report._repr_html_() in html
+    assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
+    assert "<td>&lt;b&gt;</td>" in replace(plastic, name="<b>")._repr_html_()
+
+
+def test_notebook_shows_a_model_without_lobes() -> None:
+    empty = dsbrdf.DSBRDF(
+        theta_diff=np.array([0.0, 1.0]),
+        amplitude=np.zeros((3, 2, 0)),
+        kappa=np.zeros((1, 2, 0)),
+        gamma=np.zeros((1, 2, 0)),
+        interpolation="linear",
+    )
+    assert "0 lobes" in empty._repr_html_()
+
+
+def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit: FitResult) -> None:
+    parameters, fitted = two_lobe_fit.plot(), two_lobe_fit.plot(plastic)
+    assert isinstance(parameters, matplotlib.figure.Figure)
+    assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [3, 8]
+    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 3
+    assert parameters._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
+def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement, metal: Measurement) -> None:
+    same = replace(plastic, stored=plastic.stored.copy())
+    assert plastic == same
+    assert len({plastic, same, metal, replace(plastic, name="other")}) == 3
+    assert plastic != "plastic"
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.uint8, np.float32])
+def test_options_taken_from_arrays_are_those_of_python(kind: type) -> None:
+    options = dsbrdf.FitOptions(mask=kind(1), robust=np.bool_(True))  # type: ignore[arg-type]
+    assert options == dsbrdf.FitOptions(mask=1, robust=True)
+    assert type(options.mask) in (int, float)
+    if kind is not np.float32:
+        assert repr(dsbrdf.FitOptions(n_lobes=kind(2))) == repr(dsbrdf.FitOptions(n_lobes=2))

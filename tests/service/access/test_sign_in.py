@@ -1,0 +1,107 @@
+"""Signing in on the page: the key in a cookie, which serves pages of the service itself and nobody else."""
+
+import httpx
+import pytest
+
+from tests.support.guarded import Guarded
+from tests.support.server import assert_problem
+
+FORM = {"Content-Type": "application/x-www-form-urlencoded"}
+
+
+def address_of(guarded: Guarded) -> str:
+    return str(guarded.server.http.base_url).rstrip("/")
+
+
+def key_of(guarded: Guarded) -> str:
+    return guarded.alice["Authorization"].removeprefix("Bearer ")
+
+
+def cookie_of(guarded: Guarded) -> dict[str, str]:
+    return {"Cookie": f"other=1; dsbrdf_key={key_of(guarded)}"}
+
+
+def sign_in(guarded: Guarded, origin: str, wanted: str = "/") -> httpx.Response:
+    headers = {**FORM, "Origin": origin}
+    body = f"key={key_of(guarded)}&wanted={wanted}"
+    return guarded.server.http.post("/sign-in", content=body, headers=headers)
+
+
+def test_key_in_a_cookie_reads_as_one_in_the_header(guarded: Guarded) -> None:
+    read = guarded.server.http.get
+    assert read("/v1/fits", headers=cookie_of(guarded)).content == read("/v1/fits", headers=guarded.alice).content
+    assert read("/", headers=cookie_of(guarded)).status_code == 200
+
+
+@pytest.mark.parametrize("value", ["", "x", "dsbrdf_000000000000_" + "A" * 43])
+def test_cookie_without_a_valid_key_counts_for_nothing(guarded: Guarded, value: str) -> None:
+    answer = guarded.server.http.get("/v1/fits", headers={"Cookie": f"dsbrdf_key={value}"})
+    assert_problem(answer, 401, "unauthorized")
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        {},
+        {"Origin": "null"},
+        {"Origin": "http://elsewhere.example"},
+        {"Sec-Fetch-Site": "same-site", "Origin": "own"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "none"},
+    ],
+)
+def test_cookie_changes_nothing_for_pages_of_other_sites(guarded: Guarded, origin: dict[str, str]) -> None:
+    sent = {name: address_of(guarded) if value == "own" else value for name, value in origin.items()}
+    headers = {**cookie_of(guarded), **sent}
+    for method, path in (("POST", "/v1/fits"), ("DELETE", f"/v1/fits/{'0' * 32}")):
+        answer = guarded.server.http.request(method, path, headers=headers, content=b"")
+        assert "pages of the service itself" in assert_problem(answer, 401, "unauthorized")
+
+
+@pytest.mark.parametrize("sent", [{"Sec-Fetch-Site": "same-origin"}, {"Origin": "own"}])
+def test_cookie_serves_the_pages_of_the_service(guarded: Guarded, sent: dict[str, str]) -> None:
+    sent = {name: address_of(guarded) if value == "own" else value for name, value in sent.items()}
+    answer = guarded.server.http.delete(f"/v1/fits/{'0' * 32}", headers={**cookie_of(guarded), **sent})
+    assert_problem(answer, 404, "not-found")
+
+
+def test_sign_in_sets_a_cookie_that_scripts_cannot_read(guarded: Guarded) -> None:
+    answer = sign_in(guarded, address_of(guarded), f"/fits/{'0' * 32}")
+    assert (answer.status_code, answer.headers["location"]) == (303, f"./fits/{'0' * 32}")
+    cookie = answer.headers["set-cookie"]
+    assert cookie == f"dsbrdf_key={key_of(guarded)}; HttpOnly; Path=/; SameSite=strict"
+
+
+def test_cookie_is_secure_under_https(guarded: Guarded) -> None:
+    origin = address_of(guarded).replace("http:", "https:")
+    assert "; Secure" in sign_in(guarded, origin).headers["set-cookie"]
+
+
+@pytest.mark.parametrize("wanted", ["//elsewhere.example", "https://elsewhere.example/", "/v1/fits", "/fits/..", ""])
+def test_sign_in_leads_to_pages_of_the_service_only(guarded: Guarded, wanted: str) -> None:
+    assert sign_in(guarded, address_of(guarded), wanted).headers["location"] == "./"
+
+
+def test_sign_in_from_another_site_or_with_a_wrong_key_sets_nothing(guarded: Guarded) -> None:
+    wrong = guarded.server.http.post("/sign-in", content="key=x", headers={**FORM, "Origin": address_of(guarded)})
+    for answer in (sign_in(guarded, "http://elsewhere.example"), wrong):
+        assert answer.status_code == 401
+        assert "set-cookie" not in answer.headers
+        assert 'role="alert"' in answer.text
+        assert key_of(guarded) not in answer.text
+
+
+def test_sign_out_removes_the_cookie(guarded: Guarded) -> None:
+    answer = guarded.server.http.post("/sign-out", headers=cookie_of(guarded))
+    assert answer.status_code == 303
+    assert 'dsbrdf_key=""; ' in answer.headers["set-cookie"]
+    assert "Max-Age=0" in answer.headers["set-cookie"]
+
+
+def test_page_without_a_key_asks_for_it_and_the_api_answers_as_ever(guarded: Guarded) -> None:
+    read = guarded.server.http.get
+    page = read("/")
+    assert (page.status_code, page.headers["www-authenticate"]) == (401, "Bearer")
+    assert "<h1>Sign in</h1>" in page.text
+    assert_problem(read("/", headers={"Authorization": "Bearer x"}), 401, "unauthorized")
+    assert_problem(read(f"/fits/{'0' * 32}/view"), 401, "unauthorized")

@@ -1,0 +1,234 @@
+"""The pages in a browser: every state and control, no message of the browser, no request to another host."""
+
+import base64
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.serialize import from_json
+from tests.service.page.conftest import Site
+from tests.support.guarded import Guarded
+from tests.support.server import ENDLESS
+from tests.support.webgl import CHROMIUM
+
+if CHROMIUM is None:
+    pytest.skip('"chromium" is not installed', allow_module_level=True)
+
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
+from playwright.sync_api import Page, expect
+
+from tests.support.browser import Visitor
+
+Visit = Callable[..., Visitor]
+PAINTED = "canvas[data-painted]"
+PIXELS = """canvas => {
+  const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  let text = "";
+  for (let i = 0; i < pixels.length; i += 4096) text += String.fromCharCode(...pixels.subarray(i, i + 4096));
+  return btoa(text);
+}"""
+
+
+def pixels(page: Page) -> np.ndarray:
+    """What the canvas shows, shape (size, size, 4), from the top, in [0, 1]."""
+    values = np.frombuffer(base64.b64decode(page.locator("canvas").evaluate(PIXELS)), np.uint8)
+    size = round((values.size / 4) ** 0.5)
+    return values.reshape(size, size, 4)[::-1] / 255.0
+
+
+def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
+    """What the canvas shows after an act that paints it again."""
+    canvas = page.locator("canvas")
+    before = canvas.get_attribute("data-painted") or ""
+    act()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    return pixels(page)
+
+
+def test_sign_in_keeps_the_key_in_a_cookie_and_out_of_addresses(visit: Visit, site: Site) -> None:
+    wanted = f"/fits/{site.fits['glossy']}"
+    visitor = visit(wanted, key=None)
+    page = visitor.page
+    expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+    page.get_by_label("API key").fill("dsbrdf_wrong")
+    page.get_by_role("button", name="Sign in").click()
+    expect(page.get_by_role("alert")).to_contain_text("no valid key")
+    page.goto(wanted)
+    page.get_by_label("API key").fill(site.key)
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="glossy")).to_be_visible()
+    (cookie,) = visitor.context.cookies()
+    assert (cookie["value"], cookie["httpOnly"], cookie["sameSite"]) == (site.key, True, "Strict")
+    assert page.evaluate("document.cookie") == ""
+    assert [url for _, url, _ in visitor.requests if site.key in url] == []
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+    assert visitor.context.cookies() == []
+
+
+def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
+    key = guarded.new_key("first")["Authorization"].removeprefix("Bearer ")
+    visitor = visit("/", key=key)
+    page = visitor.page
+    expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
+    for number in (1, 2):
+        page.get_by_text("Options").click()
+        page.get_by_label("Lobes").select_option(str(number))
+        page.get_by_label("Method").select_option("paper")
+        page.locator("#file").set_input_files(plastic_file)
+        page.wait_for_url("**/fits/*")
+        expect(page.locator(PAINTED)).to_have_count(1)
+        expect(page.get_by_role("heading", name="plastic")).to_be_visible()
+        expect(page.get_by_text(f"{number} lobe", exact=False).first).to_be_visible()
+        page.get_by_role("link", name="Fits").click()
+    sent = [(method, kind) for method, url, kind in visitor.requests if method in ("HEAD", "POST")]
+    assert sent == [("HEAD", ""), ("POST", "application/octet-stream"), ("HEAD", ""), ("POST", "application/json")]
+
+
+def test_faults_of_a_file_are_told_in_the_services_words(visit: Visit, tmp_path: Path) -> None:
+    page = visit("/").page
+    bad = tmp_path / "bad.binary"
+    bad.write_bytes(bytes(1000))
+    page.locator("#file").set_input_files(bad)
+    expect(page.locator("#upload-fault")).to_contain_text(re.compile(r"dimensions|bytes"))
+    expect(page.get_by_text("Drop a measurement here")).to_be_visible()
+
+
+def test_running_fit_shows_its_progress_and_can_be_cancelled(visit: Visit, site: Site, data: bytes) -> None:
+    options = {name: ",".join(map(str, value)) if isinstance(value, list) else value for name, value in ENDLESS.items()}
+    fit = site.submit(data, "endless", prefer="respond-async", **options)
+    page = visit(f"/fits/{fit}").page
+    expect(page.locator("#state")).to_have_text(re.compile("Fitting|Waiting for its turn"))
+    expect(page.get_by_role("progressbar")).to_be_visible()
+    page.get_by_role("button", name="Cancel the fit").click()
+    expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
+
+
+def test_sphere_shows_the_fit_as_the_library_renders_it(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", device_scale_factor=0.5).page
+    page.locator(PAINTED).wait_for()
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
+    shown = pixels(page)
+    size = len(shown)
+    _, mask = sphere_normals(size)
+    expected = displayed(render_sphere(model, size=size), factor)
+    assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
+    assert np.array_equal(shown[..., 3] == 1.0, mask)
+
+
+def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    canvas = page.locator(PAINTED)
+    canvas.wait_for()
+    first = pixels(page)
+    box = canvas.bounding_box()
+    assert box is not None
+    dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"]))
+    assert np.abs(dragged - first).mean() > 0.01
+    canvas.focus()
+    assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    darker = repaint(page, lambda: page.keyboard.press("-"))
+    expect(page.locator("#exposure-value")).to_have_text("-0.5 EV")
+    assert darker.mean() < dragged.mean()
+    assert repaint(page, lambda: page.get_by_label("one light only").check()).mean() < darker.mean()
+    canvas.focus()
+    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
+    boxes = page.locator("[data-component]").all()
+    parts = [first] + [repaint(page, box.uncheck) for box in boxes]
+    assert len(parts) > 2
+    assert all(part.mean() < whole.mean() for whole, part in pairwise(parts))
+    assert parts[-1][..., :3].max() == 0.0
+
+
+def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    curves, points = page.locator("#plot .curve"), page.locator("#plot .point")
+    expect(curves).to_have_count(3)
+    expect(points).to_have_count(3)
+    before = curves.first.get_attribute("d")
+    page.get_by_label("theta_diff in degrees").fill("60")
+    expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("theta_diff 60 degrees, log"))
+    assert curves.first.get_attribute("d") != before
+    page.get_by_label("green").check()
+    fit = site.http.get(f"/v1/fits/{site.fits['glossy']}", headers=site.header).json()
+    lobes = len(fit["lobes"]["kappa"][0][0])
+    expect(page.locator("#legend li")).to_have_count(lobes + 2)  # measured, and the fit
+    expect(page.locator("#legend")).to_contain_text("half width")
+    page.get_by_label("linear").check()
+    expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
+    page.get_by_label("the peak").check()
+    expect(page.locator("#plot")).not_to_contain_text("90°")
+
+
+def test_page_of_a_fit_has_pictures_downloads_and_lines_to_copy(visit: Visit, site: Site) -> None:
+    visitor = visit(f"/fits/{site.fits['glossy']}", viewport={"width": 390, "height": 844})
+    page = visitor.page
+    expect(page.locator("#pictures img")).to_have_count(3)
+    for name in ("measured", "fitted", "difference × 4"):
+        expect(page.locator("#pictures")).to_contain_text(name)
+    page.locator(PAINTED).wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    with page.expect_download() as download:
+        page.get_by_role("link", name="glsl").click()
+    assert download.value.suggested_filename == "glossy.glsl"
+    expect(page.locator("pre").first).to_contain_text("dsbrdf.FitOptions(n_lobes=2)")
+    page.get_by_role("button", name="Copy").first.click()
+    expect(page.locator(".copy").first).to_have_text(re.compile("Copied|Selected"))
+
+
+def test_picture_of_the_service_stands_where_webgl_is_missing(visit: Visit, site: Site) -> None:
+    visitor = visit("/health/live")
+    visitor.context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page = visitor.page
+    page.goto(f"/fits/{site.fits['glossy']}")
+    expect(page.get_by_text("This browser has no WebGL 2")).to_be_visible()
+    picture = page.locator("img.fallback")
+    expect(picture).to_be_visible()
+    assert picture.evaluate("image => image.naturalWidth") == 256
+    expect(page.locator("canvas")).to_be_hidden()
+    expect(page.locator("#pictures img")).to_have_count(3)
+
+
+def test_list_is_searched_and_two_fits_are_compared(visit: Visit, site: Site) -> None:
+    page = visit("/").page
+    cards = page.locator(".card:visible")
+    assert cards.count() >= 2
+    search = page.get_by_role("searchbox")
+    search.fill("GLOS")
+    expect(cards).to_have_count(1)
+    search.fill("nothing like it")
+    expect(page.get_by_text("No fit here has this name.")).to_be_visible()
+    search.fill("")
+    button = page.get_by_role("button", name="Compare two")
+    expect(button).to_be_disabled()
+    page.get_by_label("compare glossy").check()
+    page.get_by_label("compare rough").check()
+    button.click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
+    expect(page.locator(PAINTED)).to_have_count(2)
+    painted = page.locator("canvas").nth(1)
+    before = painted.get_attribute("data-painted") or ""
+    page.locator("canvas").first.click()
+    expect(painted).not_to_have_attribute("data-painted", before)
+
+
+def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site) -> None:
+    glossy, rough = site.fits["glossy"], site.fits["rough"]
+    page = visit("/", bypass_csp=True).page  # the policy of the pages keeps axe out too
+    for path in ("/", "/sign-in", f"/fits/{glossy}", f"/compare?fit={glossy}&fit={rough}", f"/fits/{'0' * 32}"):
+        page.goto(path)
+        if glossy in path:
+            page.locator(PAINTED).first.wait_for()
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+            found = Axe().run(page)
+            assert found.violations_count == 0, f"{path}, {scheme}: {found.generate_report()}"

@@ -1,0 +1,135 @@
+"""The pages as they are sent: what they say, what they load, and their errors."""
+
+import re
+from html import unescape
+from urllib.parse import parse_qsl
+
+import httpx
+import numpy as np
+
+import dsbrdf
+from service.http.pages import STATIC_FILES
+from service.wire.fit_options import canonical, from_query
+from service.wire.schemas import Export
+from tests.support.guarded import Guarded
+from tests.support.server import QUICK, SLOW, Server, assert_problem
+
+MISSING = "0" * 32
+
+
+def page_at(server: Server, path: str, status: int = 200) -> httpx.Response:
+    answer = server.http.get(path)
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    return answer
+
+
+def test_pages_load_nothing_from_other_hosts(server: Server, fitted: str) -> None:
+    for path in ("/", f"/fits/{fitted}", f"/compare?fit={fitted}&fit={fitted}", "/sign-in", f"/fits/{MISSING}"):
+        answer = server.http.get(path)
+        policy = dict(part.split(" ", 1) for part in answer.headers["content-security-policy"].split("; "))
+        assert {source for sources in policy.values() for source in sources.split()} == {"'none'", "'self'", "data:"}
+        assert re.findall(r"<script(?! type=\"module\" src=)|<style| style=| on[a-z]+=", answer.text) == []
+        for address in re.findall(r'(?:src|href|action)="([^"]+)"', answer.text):
+            assert re.match(r"(\./|\.\./|#)", address), address
+        for address in re.findall(r'(?:src|href)="([^"]*page/[^"]+)"', answer.text):
+            assert server.http.get(answer.url.join(address)).status_code == 200
+
+
+def test_every_static_file_is_there_and_the_whole_is_small(server: Server) -> None:
+    answers = {name: server.http.get(f"/page/{name}") for name in STATIC_FILES}
+    for name, answer in answers.items():
+        assert answer.headers["content-type"].partition(";")[0] == STATIC_FILES[name]
+        known = server.http.get(f"/page/{name}", headers={"If-None-Match": answer.headers["etag"]})
+        assert known.status_code == 304
+    assert sum(len(answer.content) for answer in answers.values()) < 100_000
+    assert_problem(server.http.get("/page/fit.html"), 404, "not-found")
+
+
+def test_errors_of_pages_are_pages(server: Server, fitted: str) -> None:
+    assert f"There is no fit &#39;{MISSING}&#39;" in page_at(server, f"/fits/{MISSING}", 404).text
+    assert "There is nothing at /fits/x" in page_at(server, "/fits/x", 404).text
+    assert "tick two in the list, not 1" in page_at(server, f"/compare?fit={fitted}", 422).text
+    assert "fit" in page_at(server, "/compare", 422).text
+    assert "cursor" in page_at(server, "/?cursor=x", 422).text
+
+
+def test_names_are_text_not_markup(server: Server, data: bytes) -> None:
+    name = "<b>&'\"{{ 7 * 7 }}"
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    query = {"name": name, **QUICK, "em_iterations": 4}
+    fit = server.http.post("/v1/fits", params=query, content=data, headers=kind).json()["id"]
+    for path in ("/", f"/fits/{fit}", f"/compare?fit={fit}&fit={fit}"):
+        text = page_at(server, path).text
+        assert "&lt;b&gt;&amp;&#39;&#34;{{ 7 * 7 }}" in text
+        assert "<b>" not in text
+
+
+def test_fit_that_goes_on_says_how_far_it_is(server: Server, stored: str) -> None:
+    fit = server.submit(stored, "respond-async", **SLOW).json()["id"]
+    text = page_at(server, f"/fits/{fit}").text
+    assert '<progress id="bar" max="1"' in text
+    assert_problem(server.http.get(f"/fits/{fit}/view"), 409, "fit-not-finished")
+    server.http.delete(f"/v1/fits/{fit}")
+    assert "This fit was cancelled." in page_at(server, f"/fits/{fit}").text
+    server.http.delete(f"/v1/fits/{fit}")
+
+
+def test_profile_has_the_measurement_and_lobes_that_add_up(server: Server, fitted: str) -> None:
+    profile = server.http.get(f"/fits/{fitted}/profiles/30").json()
+    assert profile["theta_diff_deg"] == 30.0
+    for c in range(3):
+        for k in range(0, len(profile["theta_half_deg"]), 20):
+            total = sum(lobe["values"][c][k] for lobe in profile["lobes"])
+            assert abs(total - profile["fit"][c][k]) <= 2e-3 * abs(profile["fit"][c][k]) + 1e-9
+    peak, fit = profile["measured"][1][1], profile["fit"][1]
+    assert 0.5 * peak < max(fit) < 2.0 * peak
+    assert_problem(server.http.get(f"/fits/{fitted}/profiles/90"), 404)
+
+
+def test_measured_and_fitted_have_pictures(server: Server, fitted: str) -> None:
+    assert server.http.get(f"/fits/{fitted}/view").json()["pictures"] == ["fit", "measured", "difference"]
+    assert server.http.get(f"/fits/{fitted}/spheres/difference.png").content.startswith(b"\x89PNG")
+    missing = server.http.get(f"/fits/{fitted}/spheres/other.png")
+    assert "there is fit, measured, difference" in assert_problem(missing, 404)
+
+
+def test_fit_without_its_measurement_is_shown_alone(guarded: Guarded, data: bytes) -> None:
+    own = guarded.new_key("alone")
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    fit = guarded.server.http.post("/v1/fits", params=QUICK, content=data, headers={**own, **kind}).json()
+    guarded.server.http.delete(f"/v1/measurements/{fit['measurement']}", headers=own)
+    assert guarded.server.http.get(f"/fits/{fit['id']}/view", headers=own).json()["pictures"] == ["fit"]
+    profile = guarded.server.http.get(f"/fits/{fit['id']}/profiles/0", headers=own).json()
+    assert (profile["measured"], len(profile["fit"])) == (None, 3)
+
+
+def test_list_has_pages(server: Server, fitted: str, stored: str) -> None:
+    server.submit(stored, **QUICK)
+    first = page_at(server, "/?limit=1")
+    found = re.search(r'href="\./\?(cursor=[0-9]+)">Older', first.text)
+    assert found
+    second = page_at(server, f"/?{found[1]}")
+    assert re.findall(r'value="([0-9a-f]{32})"', first.text)[0] not in second.text
+    assert "No fit here has this name" in page_at(server, "/?name=nobody").text
+
+
+def test_every_format_can_be_downloaded(server: Server, fitted: str) -> None:
+    text = page_at(server, f"/fits/{fitted}").text
+    offered = set(re.findall(rf'href="\.\./v1/fits/{fitted}/export\?format=([\w-]+)"', text))
+    assert offered == set(Export.model_json_schema()["properties"]["format"]["enum"])
+
+
+def test_lines_of_a_page_give_its_fit(server: Server, data: bytes) -> None:
+    options = {**QUICK, "horizon_cutoff_deg": 70, "robust": True}
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    fit = server.http.post("/v1/fits", params={"name": "it's", **options}, content=data, headers=kind).json()
+    text = unescape(page_at(server, f"/fits/{fit['id']}").text)
+    call = re.search(r"dsbrdf\.FitOptions\(.*?\)\)?(?=\)\n)", text)
+    assert call is not None
+    made = eval(call[0], {"dsbrdf": dsbrdf, "numpy": np})
+    assert canonical(made) == fit["options"]
+    query = re.search(r"/v1/fits\?([^']+)'", text)
+    assert query is not None
+    assert canonical(from_query(parse_qsl(query[1]))) == fit["options"]
+    assert "curl --data-binary '@it'\"'\"'s.binary' " in text

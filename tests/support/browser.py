@@ -1,0 +1,65 @@
+"""Pages of the service in a headless Chromium, and what the browser says of them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+
+from tests.support.webgl import CHROMIUM, SOFTWARE_RENDERER
+
+_PATIENCE = 60_000  # milliseconds until what should appear on a page is given up, on a busy machine
+# The browser reports each answer above 399 itself; the page shows what it says.
+_REPORTED = "Failed to load resource: the server responded with a status of 4"
+
+
+@contextmanager
+def running_browser() -> Iterator[Browser]:
+    """Start the browser that is installed."""
+    expect.set_options(timeout=_PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage", *SOFTWARE_RENDERER]
+        )
+        yield browser
+        browser.close()
+
+
+class Visitor:
+    """Someone who looks at pages of one site; `close` checks that nothing went wrong and nothing came from elsewhere.
+
+    `requests` are what the browser has asked for: method, address and type of the body.
+    """
+
+    def __init__(self, browser: Browser, site: str, key: str | None, **options: Any) -> None:
+        self.site = site.rstrip("/")
+        # Without a graphics card a sphere of many pixels takes seconds.
+        options = {"device_scale_factor": 0.25, **options}
+        self.context: BrowserContext = browser.new_context(base_url=self.site, **options)
+        self.context.set_default_timeout(_PATIENCE)
+        if key is not None:
+            cookie = {"name": "dsbrdf_key", "value": key, "url": self.site, "httpOnly": True, "sameSite": "Strict"}
+            self.context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members
+        self.page: Page = self.context.new_page()
+        self.faults: list[str] = []
+        self.requests: list[tuple[str, str, str]] = []
+        self.page.on("console", self._on_console)
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.context.on(
+            "request",
+            lambda request: self.requests.append(
+                (request.method, request.url, request.headers.get("content-type", ""))
+            ),
+        )
+
+    def _on_console(self, message: Any) -> None:
+        expected = message.text.startswith(_REPORTED) or "GPU stall due to ReadPixels" in message.text  # by the tests
+        if message.type in ("error", "warning") and not expected:
+            self.faults.append(message.text)
+
+    def close(self) -> None:
+        self.context.close()
+        assert self.faults == []
+        assert self.requests
+        elsewhere = [url for _, url, _ in self.requests if not url.startswith((f"{self.site}/", "data:"))]
+        assert elsewhere == []

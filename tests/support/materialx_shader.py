@@ -1,0 +1,95 @@
+"""A MaterialX document as its library reads it, and the GLSL function that the library generates from it."""
+
+import importlib
+import re
+from dataclasses import fields
+from typing import Any
+
+from dsbrdf.output.export.openpbr import OpenPBR
+
+_SHADER = "dsbrdf_surface"
+_OTHER_INPUTS = {
+    "base_weight": "1.0",
+    "transmission_color": "vec3(1.0)",
+    "transmission_dispersion_abbe_number": "20.0",
+    "subsurface_color": "vec3(0.8)",
+    "subsurface_radius": "1.0",
+    "subsurface_radius_scale": "vec3(1.0, 0.5, 0.25)",
+    "fuzz_color": "vec3(1.0)",
+    "fuzz_roughness": "0.5",
+    "coat_color": "vec3(1.0)",
+    "coat_darkening": "1.0",
+    "thin_film_thickness": "0.5",
+    "thin_film_ior": "1.4",
+    "emission_color": "vec3(1.0)",
+    "geometry_opacity": "1.0",
+}
+"""Inputs that are not 0 and that the library's own documents leave as they are by default."""
+
+
+def materialx_document(text: str) -> Any:
+    """Return the document that MaterialX makes of a file's text, with its standard library."""
+    materialx = importlib.import_module("MaterialX")
+    library, document = materialx.createDocument(), materialx.createDocument()
+    materialx.loadLibraries(materialx.getDefaultDataLibraryFolders(), materialx.getDefaultDataSearchPath(), library)
+    materialx.readFromXmlString(document, text)
+    document.setDataLibrary(library)
+    return document
+
+
+def surface_of(document: Any) -> OpenPBR:
+    """Return the inputs of the document's only surface."""
+    node = document.getNode(_SHADER)
+    assert node.getCategory() == "open_pbr_surface"
+    values: dict[str, Any] = {}
+    for field in fields(OpenPBR):
+        value = node.getInput(field.name).getValue()
+        values[field.name] = value if isinstance(value, float) else tuple(value)
+    return OpenPBR(**values)
+
+
+def generated_function(document: Any) -> str:
+    """Return GLSL with ``vec3 reflected(vec3 omega_in, vec3 omega_out)``, the BRDF as MaterialX generates it."""
+    materialx = importlib.import_module("MaterialX")
+    shader_module = importlib.import_module("MaterialX.PyMaterialXGenShader")
+    generator = importlib.import_module("MaterialX.PyMaterialXGenGlsl").EsslShaderGenerator.create()
+    context = shader_module.GenContext(generator)
+    context.registerSourceCodeSearchPath(materialx.getDefaultDataSearchPath())
+    options = context.getOptions()
+    options.hwSpecularEnvironmentMethod = shader_module.HwSpecularEnvironmentMethod.SPECULAR_ENVIRONMENT_NONE
+    options.hwMaxActiveLightSources = 1
+    light = document.getDataLibrary().getNodeDef("ND_directional_light")
+    shader_module.HwShaderGenerator.bindLightShader(light, 1, context)
+    source = generator.generate("check", document.getMaterialNodes()[0], context).getSourceCode("pixel")
+    return _as_function(source, surface_of(document))
+
+
+def _as_function(source: str, surface: OpenPBR) -> str:
+    """Turn a shader's inputs into variables, and its ``main`` into a function."""
+    source = re.sub(r"#version.*|precision .*;|uniform \w*shader\w* .*", "", source)
+    source = "const bool u_refractionTwoSided = false;\n" + source  # used without an environment, but not declared
+    source = re.sub(r"^(uniform|in|out) (?=\w)", "", source, flags=re.MULTILINE).replace("void main()", "void shade()")
+    inputs = dict(_OTHER_INPUTS)
+    for field in fields(OpenPBR):
+        value = getattr(surface, field.name)
+        inputs[field.name] = f"vec3{value}" if isinstance(value, tuple) else repr(float(value))
+    assigned = "\n".join(f"  {_SHADER}_{name} = {value};" for name, value in inputs.items())
+    return (
+        source
+        + f"""
+vec3 reflected(vec3 omega_in, vec3 omega_out) {{
+{assigned}
+  normalWorld = vec3(0.0, 0.0, 1.0);
+  tangentWorld = vec3(1.0, 0.0, 0.0);
+  positionWorld = vec3(0.0);
+  u_viewPosition = omega_out;
+  u_numActiveLightSources = 1;
+  u_lightData[0].type = 1;
+  u_lightData[0].direction = -omega_in;
+  u_lightData[0].color = vec3(1.0);
+  u_lightData[0].intensity = 1.0;
+  shade();
+  return out1.rgb / omega_in.z;
+}}
+"""
+    )
