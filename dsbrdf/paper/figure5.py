@@ -154,8 +154,8 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             _verdict(of_default),
             "At or below the table of means over phi_diff, materials at each factor: the default fit"
             f" {_counts(of_default)}; the paper's procedure {_counts(of_paper)}. The error of the procedure hardly"
-            " grows with the factor as long as it finds nodes enough for its lobes, but with all rows it is above the floor"
-            " already, mostly beyond theta_diff = 75 degrees (Figure 4).",
+            " grows with the factor as long as it finds nodes enough for its lobes, but with all rows it is above the"
+            " floor already, mostly beyond theta_diff = 75 degrees (Figure 4).",
         ),
         Claim(
             "The model is robust against subsampling.",

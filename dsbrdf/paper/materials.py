@@ -9,7 +9,8 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
 from io import BytesIO
@@ -212,6 +213,13 @@ def compute(
         In the order of the materials.
     failures : list of Failure
         Materials that could not be read or fitted.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If ``jobs`` is less than 1.
+    ChildProcessError
+        If a process died.
     """
     if jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of processes, must be at least 1, not {jobs}")
@@ -256,6 +264,8 @@ def _outcomes(
         try:
             for future in as_completed(running):
                 yield running[future], future.result()
+        except BrokenProcessPool:
+            raise ChildProcessError(_PROCESS_DIED) from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -268,7 +278,7 @@ def _prepare_process() -> None:
 
 def _measure_one(material: Material, measure: Measure, folder: Path, settings: str) -> Numbers | Failure:
     try:
-        numbers = measure(material)
+        numbers = measure(replace(material))  # a copy, whose measurement does not stay in memory
     except DSBRDFError as error:
         return Failure(material.file, str(error))
     content = BytesIO()
@@ -279,6 +289,7 @@ def _measure_one(material: Material, measure: Measure, folder: Path, settings: s
 
 
 _ABOUT = "made_by"
+_PROCESS_DIED = "a process died; run the command again, with fewer --jobs if memory was short: what is known is kept"
 
 
 def _path(material: Material, folder: Path) -> Path:

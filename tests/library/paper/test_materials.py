@@ -105,6 +105,16 @@ def test_several_processes_give_the_same_in_order(folder: Path) -> None:
         compute([], name_length, folder, jobs=0)
 
 
+def die(material: Material) -> Numbers:
+    """End the process that computes."""
+    os._exit(1)
+
+
+def test_a_process_that_dies_is_told(folder: Path) -> None:
+    with pytest.raises(ChildProcessError, match="a process died; run the command again"):
+        compute(find_materials(folder, folder)[:2], die, folder / "n", jobs=2)
+
+
 def test_an_interrupted_run_goes_on(folder: Path) -> None:
     found, calls = find_materials(folder, folder), list[str]()
 
