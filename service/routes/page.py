@@ -50,10 +50,10 @@ class _PageRoute(APIRoute):
 
 
 router = APIRouter(include_in_schema=False)
-_pages = APIRouter(route_class=_PageRoute)
+pages = APIRouter(route_class=_PageRoute, include_in_schema=False)
 
 
-@_pages.get("/")
+@pages.get("/")
 async def get_index(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
@@ -67,7 +67,7 @@ async def get_index(
     return _render("index.html", request, items=items, name=name or "", older=older, max_lobes=MAX_LOBES)
 
 
-@_pages.get("/fits/{fit_id}")
+@pages.get("/fits/{fit_id}")
 async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the page of one fit: its progress, why it failed, or the result."""
     row = await _existing(context, fit)
@@ -77,7 +77,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     return _render("fit.html", request, code=code, downloads=DOWNLOADS, **await _shown(context, row))
 
 
-@_pages.get("/compare")
+@pages.get("/compare")
 async def get_comparison(
     request: Request, context: TheContext, caller: TheCaller, fits: Annotated[list[str], Query(alias="fit")]
 ) -> Response:
@@ -150,9 +150,6 @@ async def sign_out() -> Response:
     response = Response(status_code=303, headers={"Location": "./"})
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")
     return response
-
-
-router.include_router(_pages)
 
 
 def _render(template: str, request: Request, **values: Any) -> Response:
