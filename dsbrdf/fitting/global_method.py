@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import IN_BIN, Profiles
+from dsbrdf.data.reduction import IN_BIN, OUTLIER, Profiles
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.em import huber_weights
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
@@ -46,6 +46,9 @@ FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(3
 _QUARTER = PHI_DIFF.size // 2 + 1
 _SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
+_NEIGHBOURS = 5  # columns
+_DARK = 0.02  # of the mean of a row: residuals of values below are relative to it
+_SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
 
@@ -150,9 +153,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         if number > 0:
             exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
             if options.robust:
-                residual = (problem.values(unknowns) - exact.mean).reshape(3 * len(data.rows), -1)
-                trust = huber_weights(residual, weight.reshape(residual.shape)).reshape(weight.shape)
-                exact = replace(exact, weight=weight * trust)
+                exact = replace(exact, weight=weight * _trust(problem.values(unknowns), exact))
             problem = MixtureProblem(exact, mixture.structure)
         done = number / rounds
         solution = minimize(
@@ -164,6 +165,23 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         )
         unknowns, iterations = solution.unknowns, iterations + solution.iterations
     return replace(solution, iterations=iterations)
+
+
+def _trust(values: Array, data: FitData) -> Array:
+    """Weights, 0 for outliers to 1, of the shape (3, R, N, 9) of the data.
+
+    A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
+    relative residual is from the median of its neighbours' over theta_half.
+    """
+    seen = data.weight > 0.0
+    level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
+    level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + 1e-300
+    relative = np.where(seen, (data.mean - values) / (values + _DARK * level + 1e-12), 0.0)
+    alone = np.abs(relative - median_filter(relative, (1, 1, _NEIGHBOURS, 1), mode="nearest"))
+    usual = np.zeros(level.shape)
+    for channel, row in np.argwhere(seen.any(axis=(2, 3))):
+        usual[channel, row] = np.quantile(alone[channel, row][seen[channel, row]], 0.75)
+    return np.clip(2.0 - alone / (OUTLIER * usual + _SMALLEST_OUTLIER), 0.0, 1.0)
 
 
 def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
