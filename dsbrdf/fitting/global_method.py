@@ -32,7 +32,13 @@ AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
-_SEARCH_KNOTS = (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
+_CONSTANT = np.zeros(1)
+KNOTS = {
+    "full": (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS),
+    "parametric": (np.radians([0.0, 70.0, 89.0]), _CONSTANT, _CONSTANT),
+}
+"""Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
+_SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
 TOLERANCE = 1e-3
 MAX_ITERATIONS = 300
 _ROUNDS, _ROBUST_ROUNDS = 2, 3
@@ -86,15 +92,18 @@ def fit_global(
         If the options leave no data to fit.
     """
     weight = _weights(data, options)
-    coarse = _structure(weight, _SEARCH_KNOTS, options)
+    coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
     fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
     held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
     mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
-    fine = AMPLITUDE_KNOTS if options.knots is None else np.asarray(options.knots), SHAPE_KNOTS, ELONGATION_KNOTS
-    structure = replace(_structure(weight, fine, options), rings=mixture.structure.rings)
+    amplitude_knots, shape_knots, elongation_knots = KNOTS[options.variation]
+    if options.knots is not None:
+        amplitude_knots = np.asarray(options.knots)
+    fine = _structure(weight, (amplitude_knots, shape_knots, elongation_knots), options)
+    structure = replace(fine, rings=mixture.structure.rings)
     mixture = Mixture(structure, change_knots(mixture.structure, mixture.unknowns, structure))
     on_stage("search")
     solution = _refine(
@@ -127,6 +136,8 @@ def _structure(weight: Array, knots: tuple[Array, Array, Array], options: FitOpt
     theta_half = THETA_HALF[measured.any(axis=0)]
 
     def within(angles: Array) -> Array:
+        if angles.size == 1:
+            return angles
         inner = angles[(angles > first) & (angles < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
