@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.ggx import fit_ggx
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
@@ -33,6 +32,7 @@ from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.paper.ggx import fit_ggx
 
 Array = NDArray[np.float64]
 

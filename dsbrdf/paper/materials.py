@@ -65,11 +65,14 @@ class Material:
         Folder in which its fits are kept.
     measured : bool
         False for a stand-in, a table that was decoded from another program's description of a material.
+    peer : Path or None
+        A ``.binary`` file of the same material as another model encodes it.
     """
 
     file: Path
     kept: Path
     measured: bool = True
+    peer: Path | None = None
 
     @property
     def name(self) -> str:
@@ -137,7 +140,7 @@ class Failure:
 
 
 def find_materials(
-    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS
+    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS, peers: Path | None = None
 ) -> tuple[Material, ...]:
     """Find the measurements of a folder.
 
@@ -151,6 +154,8 @@ def find_materials(
         Only these, with or without what precedes the first ``_`` of a file's name; by default all.
     stand_ins : str, optional
         Pattern of the names that are no measurements.
+    peers : Path, optional
+        Folder with the materials as another model encodes them, ``peer_NAME.binary`` for NAME.
 
     Raises
     ------
@@ -165,10 +170,15 @@ def find_materials(
         if not any(name in known for known in found.values()):
             raise InvalidArgumentError(f"{folder} contains no material {name}")
     return tuple(
-        Material(file, kept, measured=not fnmatch(file.stem, stand_ins))
+        Material(file, kept, measured=not fnmatch(file.stem, stand_ins), peer=_peer(file, peers))
         for file, known in found.items()
         if not names or known & set(names)
     )
+
+
+def _peer(file: Path, peers: Path | None) -> Path | None:
+    path = None if peers is None else peers / f"peer_{file.name}"
+    return path if path is not None and path.exists() else None
 
 
 def choose(materials: Sequence[Material], preferred: Sequence[str], count: int) -> list[Material]:

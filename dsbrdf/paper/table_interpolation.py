@@ -15,7 +15,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
-__all__ = ["RowPredictor", "interpolated_rows", "means_over_phi", "table_error", "thinned"]
+__all__ = ["RowPredictor", "interpolated_rows", "means_over_phi", "relative_rms", "table_error", "thinned"]
 
 Array = NDArray[np.float64]
 RowPredictor = Callable[[int], Array]
@@ -70,10 +70,10 @@ def interpolated_rows(measurement: Measurement, coordinate: Array) -> RowPredict
 
 def table_error(full: Measurement, sparse: Measurement) -> float:
     """relative_rms on the full data of the sparse table, linear in theta_half or in its index, the better one."""
-    return min(_relative_rms(full, interpolated_rows(sparse, coordinate)) for coordinate in _COORDINATES)
+    return min(relative_rms(full, interpolated_rows(sparse, coordinate)) for coordinate in _COORDINATES)
 
 
-def _relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
+def relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
     """relative_rms as in `dsbrdf.fitting.metrics`, of values that may depend on phi_diff."""
     error = power = 0.0
     for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
