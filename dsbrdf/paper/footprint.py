@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import profiles
@@ -122,8 +121,8 @@ def _measure(material: Material) -> Numbers:
         found[TABLE].append(point(table.n_numbers, table.evaluate))
     if material.peer is not None:
         encoded = read_merl(material.peer)
-        values = interpolate(encoded).evaluate
-        found[PEER].append(point(PEER_NUMBERS, values))
+        error = relative_rms(measurement, lambda i: encoded.stored[:, i] * encoded.scale[:, None, None])
+        found[PEER].append([PEER_NUMBERS, error, likeness(encoded)])
     floor = material.fit().report.metrics.floor
     return {way: np.array(points).reshape(-1, 3) for way, points in found.items()} | {"floor": np.array(floor)}
 

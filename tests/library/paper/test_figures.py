@@ -152,6 +152,7 @@ def test_figure_5_tells_the_error_of_a_fit_of_fewer_rows(
     sparse = fit_quietly(thinned(plastic, 4), quick["global"]).model
     assert float(lines[1]["relative_rms_default"]) == pytest.approx(relative_rms(sparse, plastic), rel=1e-6)
     assert 0.0 < float(lines[1]["relative_rms_table"]) < 1.0
+    assert 0.0 < float(lines[1]["relative_rms_guided_table"]) < float(lines[1]["relative_rms_table"])
 
 
 def test_figure_5_counts_the_factors_at_which_the_model_is_not_worse() -> None:

@@ -7,7 +7,7 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.paper.table_interpolation import interpolated_rows, means_over_phi, table_error, thinned
+from dsbrdf.paper.table_interpolation import guided_table_error, interpolated_rows, means_over_phi, table_error, thinned
 
 
 def test_every_nth_row_is_kept(plastic: Measurement) -> None:
@@ -38,6 +38,13 @@ def test_means_are_those_of_the_profiles(plastic: Measurement) -> None:
 def test_error_of_the_table_of_means_is_the_floor(plastic: Measurement, quick_floor: float) -> None:
     assert table_error(plastic, plastic) == 0.0
     assert table_error(plastic, means_over_phi(plastic)) == pytest.approx(quick_floor, rel=1e-9)
+
+
+def test_a_table_guided_by_the_data_is_exact_and_guided_by_nothing_the_table_itself(plastic: Measurement) -> None:
+    sparse = thinned(plastic, 8)
+    assert guided_table_error(plastic, sparse, plastic.values) == pytest.approx(0.0, abs=1e-12)
+    nothing = np.zeros_like(plastic.values)
+    assert guided_table_error(plastic, sparse, nothing) == pytest.approx(table_error(plastic, sparse), rel=1e-12)
 
 
 @pytest.fixture
