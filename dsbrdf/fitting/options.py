@@ -40,8 +40,8 @@ class FitOptions:
         [rad]; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
     variation : {"full", "parametric"}
         How lobes change with theta_diff.  "full" has splines with several knots; "parametric" has a few coefficients a
-        lobe, 5 of each channel's amplitude and one shape for all theta_diff: a third of the numbers for half as much
-        error again.  The method "paper" has values at every slice, "full".
+        lobe, 5 of each channel's amplitude and one shape for all theta_diff: a third of the numbers for about a third
+        more error.  The method "paper" has values at every slice, "full".
     horizon_cutoff : float or None
         Samples with a direction further than this from the normal are left out of the metrics and of the method
         "paper"; the method "global" trusts them less, down to nothing at the horizon [rad].  None is the horizon.
