@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
-from dsbrdf.data.reduction import profiles
+from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.render import Evaluate, sphere_likeness
 from dsbrdf.paper.ggx import fit_ggx
@@ -60,9 +60,8 @@ class SmallTable:
     nodes: Array
 
     @classmethod
-    def of(cls, measurement: Measurement, side: int) -> SmallTable:
+    def of(cls, data: Profiles, side: int) -> SmallTable:
         """Take evenly spaced nodes; where there are no data, the nearest theta_half with data."""
-        data = profiles(measurement, horizon_cutoff=None)
         filled = data.mean.transpose(0, 2, 1).copy()
         seen = (data.weight.sum(axis=0) > 0.0).T
         rows = np.arange(len(seen))
@@ -116,8 +115,9 @@ def _measure(material: Material) -> Numbers:
     for count in GGX_LOBES:
         microfacets = fit_ggx(measurement, count, "plain", DEFAULT_HORIZON_CUTOFF)
         found[GGX].append(point(microfacets.n_numbers, microfacets.evaluate))
+    means = profiles(measurement, horizon_cutoff=None)
     for side in TABLE_SIDES:
-        table = SmallTable.of(measurement, side)
+        table = SmallTable.of(means, side)
         found[TABLE].append(point(table.n_numbers, table.evaluate))
     if material.peer is not None:
         encoded = read_merl(material.peer)

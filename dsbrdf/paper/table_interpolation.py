@@ -97,6 +97,8 @@ def relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
     error = power = 0.0
     for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
         used = used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)
+        if not used.any():
+            continue
         values = measurement.stored[:, i][:, used] * measurement.scale[:, None]
         error += float(np.sum((values - predict(i)[:, used]) ** 2))
         power += float(np.sum(values**2))

@@ -13,12 +13,13 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import fall_to_half
-from dsbrdf.paper import footprint, interpolation
+from dsbrdf.paper import footprint, interpolation, materials
 from dsbrdf.paper.footprint import SmallTable
 from dsbrdf.paper.ggx import GGXModel
 from dsbrdf.paper.interpolation import between
 from dsbrdf.paper.materials import Computed, Material, find_materials
 from dsbrdf.paper.paper_figure import make
+from dsbrdf.paper.table_interpolation import thinned
 
 ONE = np.ones((1, 1, 1))
 
@@ -48,6 +49,7 @@ def test_interpolation_shows_both_ways_for_each_pair(
 ) -> None:
     monkeypatch.setattr(interpolation, "fit_quietly", lambda *_: two_lobe_fit)
     monkeypatch.setattr(interpolation, "_SIZE", 16)
+    monkeypatch.setattr(interpolation, "STEPS", (0.0, 0.5, 1.0))
     (tmp_path / "other.binary").symlink_to(material.file)
     pair = [material, Material(tmp_path / "other.binary", tmp_path)]
     made = make(interpolation.FIGURE, pair, tmp_path)
@@ -64,16 +66,20 @@ def test_interpolation_shows_both_ways_for_each_pair(
 
 
 def test_a_small_table_with_all_nodes_is_the_table_of_means(plastic: Measurement) -> None:
-    table, data = SmallTable.of(plastic, 90), profiles(plastic, horizon_cutoff=None)
+    data = profiles(plastic, horizon_cutoff=None)
+    table = SmallTable.of(data, 90)
     i, j = np.array([3, 20, 60]), np.array([10, 45, 3])
     found = table.evaluate(THETA_HALF[i], THETA_DIFF[j], np.zeros(3))
     np.testing.assert_allclose(found.T, data.mean[:, j, i], rtol=1e-9)
-    assert SmallTable.of(plastic, 4).n_numbers == 48
+    assert SmallTable.of(data, 4).n_numbers == 48
 
 
 def test_footprint_tells_numbers_and_errors_of_each_way(
-    material: Material, two_lobe_fit: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    material: Material, plastic: Measurement, two_lobe_fit: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    few_rows = thinned(plastic, 15)
+    for module in (materials, footprint):
+        monkeypatch.setattr(module, "read_merl", lambda _: few_rows)
     lambertian = GGXModel(np.full(3, 0.2), np.array([0.3]), np.zeros((3, 1)), np.zeros((3, 1)))
     monkeypatch.setattr(footprint, "fit_quietly", lambda *_: two_lobe_fit)
     monkeypatch.setattr(footprint, "fit_ggx", lambda *_: lambertian)
@@ -91,9 +97,9 @@ def test_footprint_tells_numbers_and_errors_of_each_way(
         "neural encoding": 675,
     }
     assert float(lines["neural encoding"]["relative_rms"]) < 1e-3  # the peer is the material itself
-    values = material.measurement.values
+    values = plastic.values
     used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, DEFAULT_HORIZON_CUTOFF)
-    used = used & material.measurement.valid & (THETA_HALF >= np.radians(1.0))[:, None, None]
+    used = used & few_rows.valid & (THETA_HALF >= np.radians(1.0))[:, None, None]
     error = np.sqrt(np.sum((values[:, used] - 0.2 / np.pi) ** 2) / np.sum(values[:, used] ** 2))
     assert float(lines["GGX lobes"]["relative_rms"]) == pytest.approx(float(error), rel=1e-6)
     assert [claim.verdict for claim in footprint.FIGURE.claims(made.computed)][-1] == "differs"
