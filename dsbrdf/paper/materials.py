@@ -31,7 +31,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import load_result, save
-from dsbrdf.process_settings import keep_freed_memory
+from dsbrdf.process_settings import end_with_parent, keep_freed_memory
 from dsbrdf.version import ALGORITHM_VERSION
 
 __all__ = [
@@ -285,6 +285,7 @@ def _outcomes(
 def _prepare_process() -> None:
     """Let an interrupt end the run after the materials in progress: their numbers are kept."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     keep_freed_memory()
 
 
