@@ -53,9 +53,13 @@ html_static_path = ["_static"]
 html_css_files = ["docs.css"]
 html_copy_source = False
 html_show_sourcelink = False
+html_sidebars = {"**": ["site-navigation"]}
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "logo": {"text": "dsbrdf", "image_light": "_static/icon.svg", "image_dark": "_static/icon.svg"},
-    "header_links_before_dropdown": 6,
+    "navbar_center": [],
+    "navbar_persistent": [],
+    "navbar_end": ["search-button", "theme-switcher"],
     "navigation_with_keys": False,
     "show_prev_next": True,
     "secondary_sidebar_items": ["page-toc"],

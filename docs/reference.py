@@ -86,8 +86,9 @@ def _common_answers(document: Document) -> set[Answer]:
 
 def _answers_of(operation: Document) -> list[Answer]:
     return [
-        (status, answer["description"], _media_types(answer.get("content", {})))
+        (status, meaning, _media_types(answer.get("content", {})))
         for status, answer in sorted(operation["responses"].items())
+        for meaning in answer["description"].split("; or: ")
     ]
 
 
