@@ -26,7 +26,7 @@ MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
 
 SLOW = FitOptions(n_lobes=8, ring_lobes=2)
 
-ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, range(81))))  # minutes
+ENDLESS = FitOptions(n_lobes=8, ring_lobes=8, knots=tuple(map(math.radians, range(81))))  # more than a minute
 
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 

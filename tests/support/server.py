@@ -20,7 +20,7 @@ QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
 
 SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
 
-ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 2, "knots_deg": [*range(81)]}
+ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 8, "knots_deg": [*range(81)]}
 
 
 class Server:

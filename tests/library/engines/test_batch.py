@@ -31,8 +31,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
 # With a knot every degree a fit takes minutes: it does not end while a test looks at it.
 KNOTS = range(81)
-ENDLESS = FitOptions(n_lobes=8, ring_lobes=2, knots=tuple(map(math.radians, KNOTS)))
-ENDLESS_FLAGS = ("--n-lobes", "8", "--ring-lobes", "2", "--knots", ",".join(map(str, KNOTS)))
+ENDLESS = FitOptions(n_lobes=8, ring_lobes=8, knots=tuple(map(math.radians, KNOTS)))
+ENDLESS_FLAGS = ("--n-lobes", "8", "--ring-lobes", "8", "--knots", ",".join(map(str, KNOTS)))
 PATIENCE = 60.0
 
 
