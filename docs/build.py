@@ -38,7 +38,7 @@ def main(folder: Path) -> int:
 
 
 def _quieten_kernels(folder: Path) -> None:
-    """Keep what notebooks need in a folder, not in the user's, and leave out their warning of connections on loopback."""
+    """Keep what notebooks need in this folder, not in the user's, and leave out their warning of loopback."""
     os.environ["IPYTHONDIR"] = str(folder.resolve())
     configuration = folder / "profile_default" / "ipython_kernel_config.json"
     configuration.parent.mkdir(parents=True, exist_ok=True)

@@ -8,9 +8,9 @@ from pictures import Exhibit, encode, reference_exhibits, synthetic_exhibits
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 
-_SYNTHETIC_INTRO = """The materials on this page are synthetic: a microfacet lobe and a diffuse term with 2 % noise, which
-`dsbrdf.data.synthetic.synthetic_measurement` makes. Build the pages with `DSBRDF_REFERENCE_DATA` set to a folder of
-MERL files, and they show those."""
+_SYNTHETIC_INTRO = """The materials on this page are synthetic: a microfacet lobe and a diffuse term with 2 % noise,
+which `dsbrdf.data.synthetic.synthetic_measurement` makes. Build the pages with `DSBRDF_REFERENCE_DATA` set to a folder
+of MERL files, and they show those."""
 _REFERENCE_INTRO = """Each row shows a material of the folder that `DSBRDF_REFERENCE_DATA` named when these pages were
 built, {count} in all. The data of {measured} are measurements. Those of {stand_ins} are *decoded stand-ins*: smooth
 tables from neural networks that were fitted to measurements. They lack the noise and the defects of measurements, and

@@ -52,7 +52,9 @@ def faults(folder: Path, pages: Mapping[Path, Page]) -> list[str]:
         name = file.relative_to(folder.resolve())
         found += [f"{name} loads {address} from another host" for address in page.loaded if _is_external(address)]
         inside = [address for address in page.links + page.loaded if not _is_external(address)]
-        found += [f"{name} links to {address}, which is not there" for address in inside if not _leads(file, address, pages)]
+        found += [
+            f"{name} links to {address}, which is not there" for address in inside if not _leads(file, address, pages)
+        ]
     for style in folder.rglob("*.css"):
         if "url(http" in (text := style.read_text(encoding="utf-8")) or "@import url(//" in text:
             found.append(f"{style.relative_to(folder)} loads a file from another host")

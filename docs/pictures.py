@@ -66,9 +66,7 @@ def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[st
     """
     materials = find_materials(folder, kept)
     computed, failures = compute(materials, _measure, kept, settings=f"{SIZE}", jobs=core_count())
-    exhibits = [
-        _exhibit(one.name, "measured" if one.measured else "decoded stand-in", one.numbers) for one in computed
-    ]
+    exhibits = [_exhibit(one.name, "measured" if one.measured else "decoded stand-in", one.numbers) for one in computed]
     return exhibits, [f"{failure.file.stem}: {failure.message}" for failure in failures]
 
 

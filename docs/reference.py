@@ -6,7 +6,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from typing import Any
 from unittest import mock
@@ -17,7 +17,7 @@ from service.app import create_app
 from service.http import problems
 from service.settings import Settings
 
-_COLUMNS = "100"
+_COLUMNS = "90"
 _KEY_COMMANDS = ("add", "list", "revoke")
 Document = dict[str, Any]
 Answer = tuple[str, str, str]
@@ -44,11 +44,8 @@ def _service_main(command: str) -> Callable[[Sequence[str]], int]:
 def _help_of(main: Callable[[Sequence[str]], int], *words: str) -> str:
     """Return what a command prints with ``--help``."""
     printed = io.StringIO()
-    with redirect_stdout(printed):
-        try:
-            main([*words, "--help"])
-        except SystemExit as end:
-            assert end.code == 0  # noqa: S101 (argparse ends the program after its help)
+    with redirect_stdout(printed), suppress(SystemExit):  # argparse ends the program after its help
+        main([*words, "--help"])
     return printed.getvalue()
 
 
@@ -100,9 +97,7 @@ def _operation(name: str, operation: Document, everywhere: Set[Answer]) -> Itera
     yield f"### `{name}`"
     yield f"**{operation['summary']}.** {operation.get('description', '')}".replace("?.**", "?**")
     if parameters := operation.get("parameters"):
-        rows = [
-            (f"`{one['name']}`", one["in"], _type(one["schema"]), one.get("description", "")) for one in parameters
-        ]
+        rows = [(f"`{one['name']}`", one["in"], _type(one["schema"]), one.get("description", "")) for one in parameters]
         yield _table(("parameter", "in", "type", ""), rows)
     if body := operation.get("requestBody"):
         yield f"Body: {body.get('description', '')} {_media_types(body['content'])}"
@@ -116,10 +111,13 @@ def _operation(name: str, operation: Document, everywhere: Set[Answer]) -> Itera
 
 def _problems() -> str:
     rows = [(f"`{kind}`", status, title) for kind, (status, title, _, _) in problems.KINDS.items()]
-    return (
-        "## Problems\n\nErrors are `application/problem+json` (RFC 9457). Their `type` is `urn:dsbrdf:problem:` and one "
-        "of these kinds; their `detail` is a sentence that says what is wrong.\n\n" + _table(("kind", "status", ""), rows)
-    )
+    intro = """## Problems
+
+Errors are `application/problem+json` (RFC 9457). Their `type` is `urn:dsbrdf:problem:` and one of these kinds; their
+`detail` is a sentence that says what is wrong.
+
+"""
+    return intro + _table(("kind", "status", ""), rows)
 
 
 def _media_types(content: Document) -> str:
