@@ -1,4 +1,7 @@
-"""Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits."""
+"""Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
+
+``python docs/pictures.py`` writes the one in the README.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +20,7 @@ from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf.paper.materials import Material, Numbers, compute, find_materials, fit_quietly
 from dsbrdf.process_settings import core_count
 
+README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
 SIZE = 224  # pixels; shown at half of that or a little more
 _METRICS = ("relative_rms", "excess", "psnr")
 SYNTHETIC = {
@@ -70,10 +74,17 @@ def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[st
     return exhibits, [f"{failure.file.stem}: {failure.message}" for failure in failures]
 
 
-def encode(panel: NDArray[np.float64]) -> bytes:
-    """Return a PNG file of a panel that is transparent beside the sphere."""
-    _, mask = sphere_normals(len(panel))
-    return encode_png(np.concatenate([panel, mask[..., np.newaxis]], axis=-1))
+def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
+    """Return a PNG file: a measurement, its fit and the components of the fit, side by side."""
+    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).panels
+    return encode(*(panel for title, panel in panels.items() if not title.startswith("difference")))
+
+
+def encode(*panels: NDArray[np.float64]) -> bytes:
+    """Return a PNG file of panels side by side that are transparent beside the spheres."""
+    _, mask = sphere_normals(len(panels[0]))
+    shown = [np.concatenate([panel, mask[..., np.newaxis]], axis=-1) for panel in panels]
+    return encode_png(np.concatenate(shown, axis=1))
 
 
 def _measure(material: Material) -> Numbers:
@@ -99,3 +110,8 @@ def _exhibit(name: str, kind: str, numbers: Numbers) -> Exhibit:
     panels = {kind if title == "measured" else title: panel for title, panel in panels.items()}
     metrics = dict(zip(_METRICS, numbers["metrics"].tolist(), strict=True))
     return Exhibit(name, kind, panels, metrics, int(numbers["n_lobes"]))
+
+
+if __name__ == "__main__":
+    paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
+    README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
