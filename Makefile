@@ -72,4 +72,4 @@ lock: $(READY)  ## pin the newest dependencies
 	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o docs/requirements.lock
 
 clean:  ## remove the environment and caches
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis out
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis out docs/_build docs/generated

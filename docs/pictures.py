@@ -64,11 +64,11 @@ def synthetic_exhibits(lighting: str) -> list[Exhibit]:
 
 
 def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[str]]:
-    """Fit and draw the materials of a folder, several at once; also return the messages of those that failed.
+    """Fit and draw the materials of a folder, the measured ones first; also return the messages of those that failed.
 
     Fits and pictures are kept in the folder `kept` for the next time.
     """
-    materials = find_materials(folder, kept)
+    materials = sorted(find_materials(folder, kept), key=lambda material: not material.measured)
     computed, failures = compute(materials, _measure, kept, settings=f"{SIZE}", jobs=core_count())
     exhibits = [_exhibit(one.name, "measured" if one.measured else "decoded stand-in", one.numbers) for one in computed]
     return exhibits, [f"{failure.file.stem}: {failure.message}" for failure in failures]

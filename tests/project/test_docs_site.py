@@ -85,8 +85,12 @@ def test_faults_of_links_are_found(tmp_path: Path, added: str, fault: str | None
 
 @pytest.mark.parametrize(
     "style",
-    ['@font-face { src: url("https://example.org/font.woff2") }', "a { background: url( //example.org/a.png) }"]
-    + ['@import "http://example.org/a.css";', "@import url(//example.org/a.css);"],
+    [
+        '@font-face { src: url("https://example.org/font.woff2") }',
+        "a { background: url( //example.org/a.png) }",
+        '@import "http://example.org/a.css";',
+        "@import url(//example.org/a.css);",
+    ],
 )
 def test_style_that_loads_from_another_host_is_found(tmp_path: Path, style: str) -> None:
     links = runpy.run_path(str(DOCS / "links.py"))
