@@ -3,7 +3,8 @@
 Every fit is the default one of the same measurement, with another value of an option that it has no use for; the rate
 is that of so many fits begun at once, after two to warm up.  Two workers need two idle cores.  The cluster is started
 as docs/cluster.md says, and two files are read at once, as by default on two cores.  With --breaks, a service whose
-cluster loses workers and schedulers while it computes: every fit has to succeed.  The exit code is 1 if a row is missed.
+cluster loses workers and schedulers while it computes: every fit has to succeed.  The exit code is 1 if a row
+is missed.
 """
 
 import argparse
