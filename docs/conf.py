@@ -34,9 +34,8 @@ smartquotes = False
 autosummary_generate = True
 autosummary_imported_members = False
 autodoc_typehints = "none"  # docstrings give types and shapes
-numpydoc_show_class_members = True
-numpydoc_class_members_toctree = False
-numpydoc_show_inherited_class_members = False
+numpydoc_show_class_members = False  # the templates list them
+toc_object_entries_show_parents = "hide"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
