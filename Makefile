@@ -4,13 +4,14 @@ DURATION ?= 30
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DOCS_READY := $(VENV)/.docs-ready
 
 # On matrices as small as these, several BLAS threads are slower than one.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check audit fix bench soak prove lock clean
+.PHONY: help demo serve docs test check audit fix bench soak prove lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -22,11 +23,19 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
+# What builds the documentation is a third of all packages and is needed for nothing else: it is installed only here.
+$(DOCS_READY): $(READY) docs/requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock
+	@touch $@
+
 demo: $(READY)  ## start the service, POST a measurement, print lobes and values, save a figure
 	@$(BIN)/dsbrdf demo
 
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve
+
+docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
+	@$(BIN)/python docs/build.py
 
 test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
@@ -58,6 +67,9 @@ lock: $(READY)  ## pin the newest dependencies
 	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv
 	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --upgrade \
 	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o requirements.lock
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra docs --universal --python-version 3.11 --upgrade \
+	  --constraint requirements.lock \
+	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o docs/requirements.lock
 
 clean:  ## remove the environment and caches
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis out
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis out docs/_build docs/generated

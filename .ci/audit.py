@@ -10,9 +10,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
-LOCK = Path(__file__).parent.parent / "requirements.lock"
+TOP = Path(__file__).parent.parent
+LOCKS = (TOP / "requirements.lock", TOP / "docs" / "requirements.lock")
 SECONDS = 180
-COMMAND = ["-r", str(LOCK), "--disable-pip", "--require-hashes", "--format", "json", "--progress-spinner", "off"]
+COMMAND = [
+    *(word for lock in LOCKS for word in ("-r", str(lock))),
+    "--disable-pip",
+    "--require-hashes",
+    "--format",
+    "json",
+    "--progress-spinner",
+    "off",
+]
 
 
 def main() -> int:

@@ -2,8 +2,9 @@
 
 Every fit is the default one of the same measurement, with another value of an option that it has no use for; the rate
 is that of so many fits begun at once, after two to warm up.  Two workers need two idle cores.  The cluster is started
-as the README says, and two files are read at once, as by default on two cores.  With --breaks, a service whose cluster
-loses workers and schedulers while it computes: every fit has to succeed.  The exit code is 1 if a row is missed.
+as docs/cluster.md says, and two files are read at once, as by default on two cores.  With --breaks, a service whose
+cluster loses workers and schedulers while it computes: every fit has to succeed.  The exit code is 1 if a row
+is missed.
 """
 
 import argparse
@@ -36,7 +37,7 @@ CALM = {
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
 }
-"""Environment of scheduler and workers that the README recommends."""
+"""Environment of scheduler and workers that docs/cluster.md recommends."""
 SHORT = {"method": "paper", "n_lobes": 4}
 """Options of the fits during kills: about a second each, and a kill every few seconds."""
 

@@ -48,7 +48,7 @@ class Component:
     half_width : float or None
         Largest theta_half at which the component has half of its height, at theta_diff = 0 [rad]; None without lobes.
     margin : float or None
-        How clear the split is: |log2| of the ratio of the nearest border and the nearest reach of a lobe.  At 1 the
+        How clear the split is: ``abs(log2(ratio))`` of the nearest border and the nearest reach of a lobe.  At 1 the
         lobe is twice as wide or as narrow, at 0 it lies on the border.  None without lobes.
     """
 

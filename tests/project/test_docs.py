@@ -1,7 +1,8 @@
-"""The documentation cannot drift: every block of the README is run, every name it promises exists."""
+"""The documentation cannot drift: every block of README and pages is run, every name they promise exists."""
 
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -9,11 +10,14 @@ import time
 import tomllib
 import warnings
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import dsbrdf
 from dsbrdf.cli import main as cli
@@ -24,13 +28,23 @@ from service.settings import Settings
 from tests.support.commands import run_main
 
 ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
 ADDRESS = "http://127.0.0.1:8000"
-BLOCKS = [(match[1], match[2]) for match in re.finditer(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)]
+PAGES = {file.name: file.read_text() for file in sorted(DOCS.glob("*.md"))}
+RUN_BY_SPHINX = {"tutorial.md", "choices.md"}  # notebooks
+SPHINX = {"{code-cell}", "{toctree}", "{include}", "{eval-rst}"}
+
+
+def blocks_of(text: str) -> list[tuple[str, str]]:
+    """Language and content of the blocks of a page."""
+    return [(match[1], match[2]) for match in re.finditer(r"^```(\S*).*\n((?s:.*?))^```$", text, re.MULTILINE)]
 
 
 def blocks(language: str, *, http: bool) -> list[str]:
-    return [text for name, text in BLOCKS if name == language and (ADDRESS in text) is http]
+    """The blocks of all pages in one language that need a running service, or that do not."""
+    found = [block for text in PAGES.values() for block in blocks_of(text)]
+    return [text for name, text in found if name == language and (ADDRESS in text) is http]
 
 
 def commands(text: str) -> list[str]:
@@ -71,7 +85,9 @@ def python_quick_start(folder: Path) -> dict[str, Any]:
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
         patch.chdir(folder)
         for number, text in enumerate(blocks("python", http=False)):
-            exec(compile(text, f"README.md, Python block {number}", "exec"), names)
+            exec(compile(text, f"Python block {number}", "exec"), names)
+            if text.startswith("measurement ="):
+                names["fitted"] = names["result"]
     return names
 
 
@@ -81,12 +97,49 @@ def service(folder: Path) -> Iterator[str]:
         yield url
 
 
-def test_every_readme_block_is_run() -> None:
-    assert {language for language, _ in BLOCKS} == {"python", "sh", "text", "bibtex"}
+def test_every_block_is_run() -> None:
+    languages = {name: {language for language, _ in blocks_of(text)} for name, text in PAGES.items()}
+    assert set().union(*languages.values()) - SPHINX == {"python", "sh", "text", "ini"}
+    assert {name for name, used in languages.items() if "{code-cell}" in used} == RUN_BY_SPHINX
+    assert {name for name, used in languages.items() if "python" in used} == {"python.md", "http.md"}
     shell = [command.split()[0] for text in blocks("sh", http=False) for command in commands(text)]
     assert set(shell) == {"dsbrdf"}
-    assert len(blocks("python", http=False)) >= 5
-    assert len(blocks("sh", http=True)) == len(blocks("python", http=True)) == 1
+
+
+def test_readme_shows_blocks_of_the_pages_only() -> None:
+    shown = blocks_of(README)
+    assert {language for language, _ in shown} == {"python", "sh", "text", "bibtex"}
+    lines = {line for text in blocks("sh", http=False) for line in commands(text)}
+    for language, text in shown:
+        if language == "sh" and ADDRESS not in text:
+            assert set(commands(text)) <= lines
+        elif language in ("python", "sh"):
+            assert text in blocks(language, http=ADDRESS in text)
+
+
+def test_readme_shows_a_small_picture_of_its_fit(python_quick_start: dict[str, Any]) -> None:
+    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    file = pictures["README_PICTURE"]
+    assert f"({file.relative_to(ROOT)})" in README
+    drawn = pictures["readme_picture"](python_quick_start["measurement"], python_quick_start["fitted"])
+    shown, expected = (imread(BytesIO(content)) for content in (file.read_bytes(), drawn))
+    assert shown.shape == expected.shape
+    assert np.abs(shown - expected).mean() < 1e-3, "run: python docs/pictures.py"
+    assert file.stat().st_size < 100_000
+
+
+def test_commands_of_the_pages_have_their_options() -> None:
+    reference = runpy.run_path(str(DOCS / "reference.py"))["command_line"]()
+    helps = dict(re.findall(r"^## dsbrdf ([\w ]+)\n\n```text\n((?s:.*?))```", reference, re.MULTILINE))
+    lines = [
+        line for text in (README, *PAGES.values()) for line in re.findall(r"^(?: {4})?dsbrdf .*", text, re.MULTILINE)
+    ]
+    assert len(lines) > 30
+    for line in lines:
+        _, command, *words = re.split(r" {3,}", line.strip())[0].split()
+        options = {word for word in words if word.startswith("--")}
+        known = helps[f"{command} {words[0]}" if command == "keys" else command]
+        assert options <= set(re.findall(r"--[a-z-]+", known)), line
 
 
 def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path) -> None:
@@ -119,11 +172,15 @@ def test_the_http_quick_start_with_curl(service: str, folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("python_quick_start")
-def test_the_http_quick_start_with_httpx(service: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (text,) = blocks("python", http=True)
+def test_the_http_quick_start_in_python(service: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {}
-    exec(compile(text.replace(ADDRESS, service), "README.md, httpx block", "exec"), names)
+    for number, text in enumerate(blocks("python", http=True)):
+        exec(compile(text.replace(ADDRESS, service), f"HTTP block {number}", "exec"), names)
+        if "import httpx" in text:
+            answered = dict(names)
+    assert names["paint_model"] == names["same_model"]
+    names = answered
     assert len(names["answer"]["values"]) == 3
     assert names["fit"]["status"] == "succeeded"
 
@@ -166,14 +223,14 @@ def test_the_command_line_gives_components_in_the_form_of_the_service(service: s
 
 def test_the_targets_of_make_exist() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    documents = README + (ROOT / "CONTRIBUTING.md").read_text()
+    documents = "".join(PAGES.values()) + README + (ROOT / "CONTRIBUTING.md").read_text()
     assert set(re.findall(r"(?:^|`)make ([a-z]+)", documents, re.MULTILINE)) <= targets
-    assert {"demo", "serve", "test", "check", "fix", "bench", "lock"} <= targets
+    assert {"demo", "serve", "docs", "test", "check", "fix", "bench", "lock"} <= targets
 
 
-def test_readme_lists_the_extras_of_the_package() -> None:
+def test_page_on_installation_lists_the_extras_of_the_package() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    table = README.partition("| extra | brings |")[2].partition("\n\n")[0]
+    table = PAGES["install.md"].partition("| extra | brings |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == set(extras)
 
 
@@ -183,19 +240,10 @@ def test_links_to_files_lead_somewhere(name: str) -> None:
     assert [link for link in links if "://" not in link and not (ROOT / link.partition("#")[0]).exists()] == []
 
 
-def test_links_within_the_readme_lead_to_a_heading() -> None:
-    headings = {
-        re.sub(r"[^\w -]", "", text.lower()).replace(" ", "-") for text in re.findall(r"^#+ (.*)$", README, re.M)
-    }
-    anchors = set(re.findall(r"\]\(#([^)]+)\)", README))
-    assert len(anchors) > 5
-    assert anchors - headings == set()
-
-
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
 
 
-def test_readme_glossary_names_all_metrics(python_quick_start: dict[str, Any]) -> None:
-    glossary = README.partition("## Glossary")[2].partition("\n## ")[0]
+def test_glossary_names_all_metrics() -> None:
+    glossary = PAGES["glossary.md"]
     for name in (*METRICS, *PARAMETERS, "lobe", "n_lobes", "mask"):
         assert f"`{name}`" in glossary

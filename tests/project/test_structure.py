@@ -215,16 +215,31 @@ def test_contributing_describes_every_wing(package: str) -> None:
     assert sorted(names) == sorted(wings_of(package))
 
 
-def test_the_lock_pins_with_hashes_and_names_no_registry() -> None:
-    lines = (ROOT / "requirements.lock").read_text().splitlines()
+@pytest.mark.parametrize(
+    ("lock", "of_docs"), [("requirements.lock", False), ("docs/requirements.lock", True)], ids=["all", "docs"]
+)
+def test_the_lock_pins_with_hashes_and_names_no_registry(lock: str, of_docs: bool) -> None:
+    lines = (ROOT / lock).read_text().splitlines()
     requirements = [line for line in lines if line and not line.startswith((" ", "#"))]
     assert len(requirements) > 20
     assert [line for line in requirements if not re.match(r"^[A-Za-z0-9._-]+==\S+( ;.*)? \\$", line)] == []
     assert [line for line in lines if "://" in line or "--index" in line or "--extra-index" in line] == []
     pinned = {re.split(r"==", line)[0].lower() for line in requirements}
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    wanted = {re.split(r"[><=\[]", name)[0].lower() for names in extras.values() for name in names} - {"dsbrdf"}
+    needs = [name for extra, names in extras.items() for name in names if (extra == "docs") is of_docs]
+    wanted = {re.split(r"[><=\[]", name)[0].lower() for name in needs} - {"dsbrdf"}
     assert wanted - pinned == set()
+
+
+def test_both_locks_pin_the_same_versions() -> None:
+    def pinned(lock: str) -> set[tuple[str, str]]:
+        return set(re.findall(r"^([\w.-]+)==(\S+)", (ROOT / lock).read_text(), re.MULTILINE))
+
+    everything, docs = pinned("requirements.lock"), pinned("docs/requirements.lock")
+    names = dict(everything)
+    shared = {(name, version) for name, version in docs if name in names}
+    assert "numpy" in dict(shared)
+    assert shared - everything == set()
 
 
 def test_no_file_names_a_machine_path() -> None:

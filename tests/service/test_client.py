@@ -1,15 +1,19 @@
-"""The Python client gives the library's objects and raises the library's errors."""
+"""The Python clients give the library's objects and raise the library's errors."""
 
+import asyncio
+import inspect
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 
 import dsbrdf
-from service.client import AccessError, Client, LimitError, ServiceError
+from service.client import AccessError, AsyncClient, AsyncFit, Client, Fit, LimitError, ServiceError
+from service.client_requests import Requests
 from service.wire.fit_options import canonical, from_wire, to_wire
 from tests.support.guarded import Guarded
 from tests.support.models import assert_same_bits
@@ -100,7 +104,7 @@ def test_client_sends_its_key_and_raises_what_was_refused(
 ) -> None:
     url = str(guarded.server.http.base_url)
     key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
-    with Client(url, key=key) as client:
+    with Client(url, key=key, patience=4.9) as client:
         sha256 = client.upload(data)
         assert client.measurement(sha256).values.shape == (3, 90, 90, 180)
         with pytest.raises(LimitError, match="unfinished") as limited:
@@ -128,3 +132,113 @@ def test_client_sends_its_key_and_raises_what_was_refused(
     assert full.value.retry_after is None
     with pytest.raises(ValueError, match="key"):
         Client(url, key="clé")
+
+
+def test_async_client_has_the_methods_of_the_client() -> None:
+    def signatures(client: type) -> dict[str, list[str]]:
+        methods = inspect.getmembers(client, inspect.isfunction)
+        return {name: [*inspect.signature(method).parameters] for name, method in methods if name[0] != "_"}
+
+    assert signatures(AsyncClient) == signatures(Client)
+    assert inspect.signature(AsyncClient).parameters.keys() == inspect.signature(Client).parameters.keys()
+    assert {name for name in vars(Fit) if name[0] != "_"} == {name for name in vars(AsyncFit) if name[0] != "_"}
+
+
+def test_async_client_gives_what_the_client_gives(server: Server, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
+    url = str(server.http.base_url)
+    other = tmp_path / "other plastic.binary"
+    dsbrdf.write_merl(other, plastic.values * 0.5)
+    seen: list[float] = []
+
+    async def converse() -> None:
+        async with AsyncClient(url) as client:
+            await client.wait_until_ready()
+            fit, of_file = await asyncio.gather(
+                client.fit(plastic, OPTIONS, progress=seen.append), client.fit(other, OPTIONS)
+            )
+            with Client(url) as blocking:
+                expected = blocking.get(fit.id)
+                assert_same_bits(await fit.model(), expected.model)
+                assert await fit.report() == expected.report
+                assert vars(fit).keys() - {"_load"} == vars(expected).keys() - {"_load", "_result"}
+            assert of_file.name == "other plastic"
+            assert [one.id async for one in client.fits(name="other plastic")] == [of_file.id]
+            assert (await client.get(of_file.id)).metrics == of_file.metrics
+            await client.delete(of_file.id)
+            assert [one async for one in client.fits(name="other plastic")] == []
+            np.testing.assert_array_equal((await client.measurement(of_file.measurement)).stored, plastic.stored * 0.5)
+            await client.delete_measurement(of_file.measurement)
+            with pytest.raises(ServiceError, match="no measurement"):
+                await client.measurement(of_file.measurement)
+            with pytest.raises(dsbrdf.MeasurementFormatError, match="empty"):
+                await client.submit(b"")
+
+    asyncio.run(converse())
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+
+
+class Answers:
+    """A transport that gives prepared responses and notes what is asked, and how long it is told to wait."""
+
+    def __init__(self, *answers: httpx.Response) -> None:
+        self.answers, self.asked, self.slept = list(answers), list[str](), list[float]()
+
+    async def request(self, method: str, url: str, **arguments: object) -> httpx.Response:
+        self.asked.append(f"{method} {url.removeprefix('/v1/')}")
+        body = arguments.get("content")
+        if body is not None:
+            assert isinstance(body, Iterator)
+            assert b"".join(body) == b"measurement"
+        return self.answers.pop(0)
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+
+    async def digest(self, source: object) -> str:
+        return "sha256"
+
+    def content(self, source: object) -> Iterator[bytes]:
+        assert isinstance(source, bytes)
+        return iter([source])
+
+
+def refused(status: int, retry_after: str | None = None) -> httpx.Response:
+    headers = {} if retry_after is None else {"Retry-After": retry_after}
+    return httpx.Response(status, headers=headers, json={"detail": f"refused with {status}"})
+
+
+def uploaded(transport: Answers, patience: float) -> str:
+    return asyncio.run(Requests(transport, Fit, patience).upload(b"measurement", None))
+
+
+def test_measurement_that_the_service_has_is_not_sent() -> None:
+    transport = Answers(httpx.Response(200))
+    assert uploaded(transport, 0.0) == "sha256"
+    assert transport.asked == ["HEAD measurements/sha256"]
+
+
+def test_request_is_repeated_after_the_time_that_the_service_names() -> None:
+    transport = Answers(
+        refused(429, "2"), httpx.Response(404), refused(503, "5"), refused(429, "1"), httpx.Response(201)
+    )
+    assert uploaded(transport, 6.0) == "sha256"
+    assert transport.slept == [2.0, 5.0, 1.0]
+    assert transport.asked == ["HEAD measurements/sha256"] * 2 + ["POST measurements"] * 3
+
+
+@pytest.mark.parametrize(
+    ("answer", "error"),
+    [
+        (refused(429, "7"), LimitError),  # more than the patience that is left
+        (refused(429), LimitError),  # without an end
+        (refused(503, "soon"), ServiceError),
+        (refused(507, "1"), ServiceError),  # it takes someone to free the disk
+        (refused(401), AccessError),
+    ],
+)
+def test_request_is_not_repeated_beyond_reason(answer: httpx.Response, error: type[ServiceError]) -> None:
+    transport = Answers(httpx.Response(404), refused(429, "6"), answer)
+    with pytest.raises(error, match=f"refused with {answer.status_code}"):
+        uploaded(transport, 12.0)
+    assert transport.slept == [6.0]

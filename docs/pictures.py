@@ -1,0 +1,117 @@
+"""Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
+
+``python docs/pictures.py`` writes the one in the README.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.decomposition import decompose
+from dsbrdf.model.render import sphere_normals
+from dsbrdf.output.png import encode_png
+from dsbrdf.output.sphere_panels import compare_spheres
+from dsbrdf.paper.materials import Material, Numbers, compute, find_materials, fit_quietly
+from dsbrdf.process_settings import core_count
+
+README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
+SIZE = 224  # pixels; shown at half of that or a little more
+_METRICS = ("relative_rms", "excess", "psnr")
+SYNTHETIC = {
+    "paint": {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10), "specular": (0.04, 0.04, 0.04)},
+    "copper": {"roughness": 0.15, "diffuse": (0.0, 0.0, 0.0), "specular": (0.95, 0.64, 0.54)},
+    "clay": {"roughness": 0.7, "diffuse": (0.60, 0.50, 0.40), "specular": (0.02, 0.02, 0.02)},
+}
+"""Arguments of `synthetic_measurement` by name; all have 2 % noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exhibit:
+    """A material with its fit.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        Where the data come from: measured, decoded stand-in or synthetic.
+    panels : dict of ndarray, shape (SIZE, SIZE, 3)
+        Pictures by title, as a screen shows them.
+    metrics : dict of str to float
+    n_lobes : int
+    """
+
+    name: str
+    kind: str
+    panels: dict[str, NDArray[np.float64]]
+    metrics: dict[str, float]
+    n_lobes: int
+
+
+def synthetic_exhibits(lighting: str) -> list[Exhibit]:
+    """Make, fit and draw the synthetic materials."""
+    exhibits = []
+    for name, arguments in SYNTHETIC.items():
+        measurement = synthetic_measurement(**arguments, noise=0.02, name=name)  # type: ignore[arg-type]
+        numbers = _numbers(measurement, fit_quietly(measurement, FitOptions()), lighting)
+        exhibits.append(_exhibit(name, "synthetic", numbers))
+    return exhibits
+
+
+def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[str]]:
+    """Fit and draw the materials of a folder, the measured ones first; also return the messages of those that failed.
+
+    Fits and pictures are kept in the folder `kept` for the next time.
+    """
+    materials = sorted(find_materials(folder, kept), key=lambda material: not material.measured)
+    computed, failures = compute(materials, _measure, kept, settings=f"{SIZE}", jobs=core_count())
+    exhibits = [_exhibit(one.name, "measured" if one.measured else "decoded stand-in", one.numbers) for one in computed]
+    return exhibits, [f"{failure.file.stem}: {failure.message}" for failure in failures]
+
+
+def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
+    """Return a PNG file: a measurement, its fit and the components of the fit, side by side."""
+    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).panels
+    return encode(*(panel for title, panel in panels.items() if not title.startswith("difference")))
+
+
+def encode(*panels: NDArray[np.float64]) -> bytes:
+    """Return a PNG file of panels side by side that are transparent beside the spheres."""
+    _, mask = sphere_normals(len(panels[0]))
+    shown = [np.concatenate([panel, mask[..., np.newaxis]], axis=-1) for panel in panels]
+    return encode_png(np.concatenate(shown, axis=1))
+
+
+def _measure(material: Material) -> Numbers:
+    return _numbers(material.measurement, material.fit(), "three_lights")
+
+
+def _numbers(measurement: Measurement, result: FitResult, lighting: str) -> Numbers:
+    """Draw a measurement and its fit as arrays that can be stored."""
+    compared = compare_spheres(measurement, result.model, lighting=lighting, size=SIZE)
+    empty = {component.label.replace("_", " ") for component in decompose(result.model) if not component.lobes}
+    panels = {title: panel for title, panel in compared.panels.items() if title not in empty}
+    metrics = [getattr(result.report.metrics, name) for name in _METRICS]
+    return {
+        "titles": np.array(list(panels)),
+        "panels": np.rint(255.0 * np.stack(list(panels.values()))).astype(np.uint8),
+        "metrics": np.array(metrics, dtype=np.float64),
+        "n_lobes": np.array(result.model.n_lobes),
+    }
+
+
+def _exhibit(name: str, kind: str, numbers: Numbers) -> Exhibit:
+    panels = dict(zip(numbers["titles"].tolist(), numbers["panels"] / 255.0, strict=True))
+    panels = {kind if title == "measured" else title: panel for title, panel in panels.items()}
+    metrics = dict(zip(_METRICS, numbers["metrics"].tolist(), strict=True))
+    return Exhibit(name, kind, panels, metrics, int(numbers["n_lobes"]))
+
+
+if __name__ == "__main__":
+    paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
+    README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
