@@ -7,6 +7,7 @@ The process from which it forks its workers is a fork, too, which it uses once: 
 
 import atexit
 import fcntl
+import gc
 import json
 import os
 import queue
@@ -124,6 +125,7 @@ def _serve_requests(program: str) -> None:
             import_module(f"distributed.cli.dask_{command}")
         import_module("dsbrdf.engines.fit_steps")  # for what workers run
     import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
+    gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
