@@ -29,19 +29,17 @@ from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness
+from dsbrdf.output.sphere_panels import compare_spheres
 
 Array = NDArray[np.float64]
 
 FIT, GGX, TABLE, PEER = "fit", "2 GGX", "phi means", "peer"
 WAYS = (FIT, GGX, TABLE, PEER)
 WIDTH = 16
-GAIN = 4.0
-"""Differences are shown so many times as large."""
 SHEET_SIZE = 160
+_WITHOUT_COMPONENTS = 3  # measured, fit, difference
 
 
 @dataclass(frozen=True)
@@ -123,23 +121,11 @@ def _median(rows: Sequence[dict[str, Likeness]], way: str) -> Likeness | None:
 
 def strip(measurement: Measurement, model: DSBRDF) -> dict[str, Array]:
     """Pictures of one material for the sheet, by title, as a screen shows them."""
-    _, mask = sphere_normals(SHEET_SIZE)
     pictures: dict[str, Array] = {}
     for lighting in LIGHTINGS:
-        measured = render_sphere(measurement, lighting=lighting, size=SHEET_SIZE)
-        factor = exposure(measured, mask)
-        fitted = render_sphere(model.evaluate, lighting=lighting, size=SHEET_SIZE)
-        seen, compared = displayed(measured, factor), displayed(fitted, factor)
-        of = f"\n{lighting}"
-        pictures |= {
-            "measured" + of: seen,
-            "fit" + of: compared,
-            f"difference x {GAIN:g}" + of: np.clip(GAIN * np.abs(seen - compared), 0.0, 1.0),
-        }
-        if lighting == LIGHTINGS[0]:
-            for component in decompose(model):
-                part = render_sphere(component.evaluate, lighting=lighting, size=SHEET_SIZE)
-                pictures[component.label + of] = displayed(part, factor)
+        panels = compare_spheres(measurement, model, lighting=lighting, size=SHEET_SIZE).panels
+        shown = panels if lighting == LIGHTINGS[0] else dict(list(panels.items())[:_WITHOUT_COMPONENTS])
+        pictures |= {f"{title}\n{lighting}": picture for title, picture in shown.items()}
     return pictures
 
 

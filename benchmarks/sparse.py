@@ -17,21 +17,21 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from benchmarks.scoring import RowPredictor, errors, of_model
+from benchmarks.scoring import errors, of_model
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
+from dsbrdf.paper.table_interpolation import RowPredictor, interpolated_rows, means_over_phi, thinned
 
 Array = NDArray[np.float64]
 
@@ -42,48 +42,10 @@ COORDINATES = (THETA_HALF, np.arange(90.0))
 """The coordinate in which the table is interpolated: the angle or the index."""
 
 
-def thinned(measurement: Measurement, factor: int) -> Measurement:
-    """Return the measurement with only every ``factor``-th row of theta_half valid."""
-    kept = np.arange(GRID_SHAPE[0]) % factor == 0
-    return replace(measurement, valid=measurement.valid & kept[:, None, None])
-
-
-def interpolated(measurement: Measurement, coordinate: Array) -> RowPredictor:
-    """Predictor that interpolates the valid nodes linearly along theta_half, for each theta_diff and phi_diff."""
-    valid = measurement.valid.reshape(GRID_SHAPE[0], -1)
-    number = np.broadcast_to(np.arange(GRID_SHAPE[0])[:, None], valid.shape)
-    before = np.maximum.accumulate(np.where(valid, number, -1), axis=0)
-    after = np.minimum.accumulate(np.where(valid, number, GRID_SHAPE[0])[::-1], axis=0)[::-1]
-    empty = ~valid.any(axis=0)
-    table = measurement.stored.reshape(3, GRID_SHAPE[0], -1)
-
-    def row(i: int) -> Array:
-        low = np.where(before[i] >= 0, before[i], after[i])
-        high = np.where(after[i] < GRID_SHAPE[0], after[i], low)
-        low, high = np.where(empty, 0, low), np.where(empty, 0, high)
-        span = coordinate[high] - coordinate[low]
-        share = np.where(span > 0, (coordinate[i] - coordinate[low]) / np.where(span > 0, span, 1.0), 0.0)
-        line = np.arange(low.size)
-        values = (1.0 - share) * table[:, low, line] + share * table[:, high, line]
-        return np.where(empty, 0.0, values * measurement.scale[:, None]).reshape(3, *GRID_SHAPE[1:])
-
-    return row
-
-
 def filled(measurement: Measurement, predict: RowPredictor) -> Measurement:
     """Return predicted values as a measurement, valid where the full one is."""
     values = np.stack([predict(i) for i in range(GRID_SHAPE[0])], axis=1)
     return Measurement.from_values(values, measurement.valid, measurement.name)
-
-
-def averaged(measurement: Measurement) -> Measurement:
-    """Return the measurement averaged over phi_diff: over the nodes that the fit uses, or over all valid ones."""
-    stored = measurement.stored.copy()
-    for i in np.flatnonzero(measurement.valid.any(axis=(1, 2))).tolist():
-        valid, used = measurement.valid[i], used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)
-        chosen = np.where(used.any(axis=1, keepdims=True), used, valid)
-        stored[:, i] = (np.sum(stored[:, i] * chosen, axis=2) / np.maximum(chosen.sum(axis=1), 1))[:, :, None]
-    return replace(measurement, stored=stored)
 
 
 def psnr(measurement: Measurement, other: DSBRDF | Measurement) -> Array:
@@ -118,14 +80,14 @@ def figures(measurement: Measurement, factor: int) -> Figures:
         return errors(measurement, predict, DEFAULT_HORIZON_CUTOFF).score().relative_rms
 
     sparse = thinned(measurement, factor)
-    means = averaged(sparse)
+    means = means_over_phi(sparse)
     model = fit(sparse, FitOptions()).model
-    tables = [interpolated(sparse, coordinate) for coordinate in COORDINATES]
+    tables = [interpolated_rows(sparse, coordinate) for coordinate in COORDINATES]
     seen = [psnr(measurement, filled(measurement, table)) for table in tables]
     return Figures(
         relative_rms(of_model(model)),
         min(relative_rms(table) for table in tables),
-        min(relative_rms(interpolated(means, coordinate)) for coordinate in COORDINATES),
+        min(relative_rms(interpolated_rows(means, coordinate)) for coordinate in COORDINATES),
         psnr(measurement, model),
         np.max(seen, axis=0),
     )

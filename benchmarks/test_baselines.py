@@ -6,8 +6,7 @@ import pytest
 from benchmarks.alternatives import of_table
 from benchmarks.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
 from benchmarks.scoring import PAPER_RANGE, errors, of_model
-from benchmarks.sparse import COORDINATES, interpolated, thinned
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.grid import THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.data.synthetic import synthetic_measurement
@@ -85,17 +84,3 @@ def test_a_table_is_exact_where_the_measurement_is_bilinear_in_the_indices() -> 
     predict, numbers = of_table(60)(measurement)
     assert errors(measurement, predict, CUTOFF).score().relative_rms < 1e-5
     assert 40 <= numbers <= 66
-
-
-@pytest.mark.parametrize("coordinate", COORDINATES, ids=["angle", "index"])
-def test_the_thinned_table_is_interpolated_as_numpy_does(plastic: Measurement, coordinate: np.ndarray) -> None:
-    sparse = thinned(plastic, 8)
-    assert np.flatnonzero(sparse.valid.any(axis=(1, 2))).tolist() == list(range(0, 89, 8))
-    predict = interpolated(sparse, coordinate)
-    values = plastic.values
-    for row, column in ((0, 0), (40, 0), (40, 90), (75, 179)):
-        kept = np.flatnonzero(sparse.valid[:, row, column])
-        expected = np.interp(coordinate, coordinate[kept], values[1, kept, row, column])
-        found = [predict(i)[1, row, column] for i in range(THETA_HALF.size)]
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
-    assert predict(8).shape == (3, THETA_DIFF.size, 180)

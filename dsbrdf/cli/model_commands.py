@@ -10,6 +10,7 @@ from dsbrdf.cli.point_arguments import add_point_options, given_points
 from dsbrdf.cli.source_files import read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -47,7 +48,9 @@ def _configure_decompose(parser: argparse.ArgumentParser) -> None:
 
 def _configure_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_export)
-    parser.add_argument("--format", choices=FORMATS, required=True, help="merl is a table of values")
+    parser.add_argument(
+        "--format", choices=FORMATS, help="by default that of OUT's suffix; merl is a .binary file, a table of values"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the file to write")
 
 
@@ -89,13 +92,23 @@ def _decompose(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    file_format = arguments.format or _format_of(arguments.output)
     model, report = read_model(arguments.model)
     whole = arguments.component is None
-    content = export_model(_component(model, arguments.component), arguments.format, report if whole else None)
+    content = export_model(_component(model, arguments.component), file_format, report if whole else None)
     write_atomically(arguments.output, [content])
     if arguments.json:
-        print_json({"output": str(arguments.output), "format": arguments.format, "bytes": len(content)})
+        print_json({"output": str(arguments.output), "format": file_format, "bytes": len(content)})
     return 0
+
+
+def _format_of(path: Path) -> str:
+    suffix = path.suffix.lower().removeprefix(".")
+    for name, file_format in FORMATS.items():
+        if file_format.suffix == suffix:
+            return name
+    known = ", ".join(dict.fromkeys(f".{file_format.suffix}" for file_format in FORMATS.values()))
+    raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or --format must name its format")
 
 
 def _component(model: DSBRDF, label: str | None) -> DSBRDF:

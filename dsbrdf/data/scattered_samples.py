@@ -56,11 +56,10 @@ class ScatteredSamples:
     values: Array
     weight: Array
     name: str
+    sha256: str
 
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
-
-    sha256: str
 
     @classmethod
     def from_arrays(

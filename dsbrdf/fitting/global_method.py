@@ -142,7 +142,7 @@ def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDAr
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
-    """Least squares, then again with exact bins of phi_diff and, if that is asked for, outliers weighted down."""
+    """Least squares on a few bins of phi_diff, then on all, exact, with outliers weighted down if asked for."""
     rounds = _ROBUST_ROUNDS if options.robust else _ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):

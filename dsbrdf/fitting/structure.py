@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.model.lobes import fall_to_half, reach_of_width, slope_of_fall, width_of_reach
+from dsbrdf.model.lobes import LARGEST_CENTER, fall_to_half, reach_of_width, slope_of_fall, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 KAPPA_BOUNDS = (1e-2, 10.0)
 REACH_BOUNDS = (4e-6, 70.0)
 """From a sixth of a degree, about the narrowest peak that the grid resolves, to flat."""
-OFFSET_BOUNDS = (-1.0, float(np.pi / 2))
+OFFSET_BOUNDS = (-1.0, LARGEST_CENTER)
 """From a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 2.0)
 RESOLVED = 1.0

@@ -37,8 +37,10 @@ FAMILIES = ("hemi_epd", "student")
 """Known lobes."""
 GRAZING_COSINE = 0.08
 """The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
+LARGEST_CENTER = 1.57
+"""A center is so far from the normal at most [rad]: at pi/2, the horizon, rounding decides the tangent's sign."""
 _STEEPEST_TANGENT = 1e12
-_LARGEST_TANGENT = float(np.tan(1.57))
+_LARGEST_TANGENT = float(np.tan(LARGEST_CENTER))
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
 
 

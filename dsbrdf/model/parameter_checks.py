@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobes import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def _check_ranges(arrays: Mapping[str, Array], *, spline: bool) -> None:
     for name, largest in _LARGEST.items():
         if arrays[name].max(initial=0.0) > largest:
             raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
-    if np.abs(arrays["center"]).max(initial=0.0) > np.pi / 2:
-        raise InvalidArgumentError("every center must lie between -pi/2 and pi/2")
+    if np.abs(arrays["center"]).max(initial=0.0) > LARGEST_CENTER:
+        raise InvalidArgumentError(f"every center must lie between -{LARGEST_CENTER:g} and {LARGEST_CENTER:g} radians")
     if np.abs(arrays["elongation"]).max(initial=0.0) > _LARGEST_ELONGATION:
         raise InvalidArgumentError(f"every elongation must lie between -{_LARGEST_ELONGATION:g} and its opposite")

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _ANGLES = np.radians(np.linspace(0.0, 89.0, 200))
+_WIDTH_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
 _MARKERS = ("", "o", "s", "^")  # of lobes of one component that have the same line style
 
 
@@ -59,6 +60,10 @@ def parameters_figure(model: DSBRDF, *, title: str = "") -> Figure:
             elongations.plot(degrees, parameters["elongation"][:, lobe], color=colour, **look)
     amplitudes.set(yscale="log", title="amplitude in red, green and blue [1/sr]")
     widths.set(yscale="log", title="half width [degrees]")
+    low, high = widths.get_ylim()
+    ticks = [tick for tick in _WIDTH_TICKS if low <= tick <= high]
+    widths.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    widths.set_yticks([], minor=True)
     elongations.set(title="elongation, 0 for a round lobe")
     for ax in (amplitudes, widths, elongations):
         ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]", xticks=range(0, 91, 15))

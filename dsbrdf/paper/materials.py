@@ -154,8 +154,10 @@ def find_materials(
     Raises
     ------
     InvalidArgumentError
-        If there is no such file.
+        If there is no such folder or file.
     """
+    if not folder.is_dir():
+        raise InvalidArgumentError(f"{folder} is not a folder; name a folder of measurements")
     files = sorted(folder.glob("*.binary"))
     if not files:
         raise InvalidArgumentError(f"{folder} contains no .binary file; name a folder of measurements")

@@ -23,6 +23,7 @@ STATIC_FILES = {
     "compare.js": "text/javascript",
     "sphere.js": "text/javascript",
     "profiles.js": "text/javascript",
+    "polar.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """Media types of the files beside the templates that pages load."""

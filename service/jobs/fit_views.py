@@ -12,7 +12,9 @@ from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 
 from dsbrdf import DSBRDF, Measurement, profiles, read_merl
+from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.interpolation import interpolate
 from dsbrdf.model.decomposition import lobe_widths
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
@@ -29,6 +31,10 @@ _SIZE = 256
 _KEPT = 32
 _CURVE_ANGLES = np.linspace(0.0, 1.0, 160) ** 2 * np.pi / 2  # dense at the peak
 _DIGITS = 4
+LIGHT_STEP = 5
+"""Angles of the light in polar plots are multiples of it [degrees]."""
+LARGEST_LIGHT = 85
+_POLAR_ANGLES = np.arange(-89, 90)  # of the viewer, negative on the light's side [degrees]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +58,8 @@ class FitView:
         PNG files: ``fit`` and, if the measurement is still stored, ``measured`` and ``difference``.
     measured : ndarray, shape (3, 90, 90), or None
         Mean over phi_diff for each (channel, theta_diff, theta_half) [1/sr]; NaN where there are no data.
+    polar : ndarray, shape (lights, viewers, 3), or None
+        Measured values in the plane of incidence [1/sr].
     horizon_cutoff : float or None
         Largest angle to the normal of the samples in those means [rad].
     model : DSBRDF
@@ -62,6 +70,7 @@ class FitView:
     exposure: float
     pictures: dict[str, bytes]
     measured: Array | None
+    polar: Array | None
     horizon_cutoff: float | None
     model: DSBRDF
     parts: tuple[Part, ...]
@@ -79,6 +88,17 @@ class FitView:
                 {"label": part.label, "component": part.component, "values": self._curves(part.model, row)}
                 for part in self.parts
             ],
+        }
+
+    def plane_of_incidence(self, light: int) -> dict[str, Any]:
+        """Return curves over the viewer's angle for one angle of the light [degrees], as `profile` does."""
+        measured = None if self.polar is None else self.polar[light // LIGHT_STEP]
+        fit = self.model.evaluate(*_in_plane(np.array([light])))[0]
+        return {
+            "theta_in_deg": light,
+            "theta_out_deg": _POLAR_ANGLES.tolist(),
+            "measured": None if measured is None else [_rounded(channel) for channel in measured.T],
+            "fit": [_rounded(channel) for channel in fit.T],
         }
 
     def _curves(self, model: DSBRDF, row: int) -> list[list[float | None]]:
@@ -111,12 +131,13 @@ class FitViews:
         cutoff = row.options["horizon_cutoff_deg"]
         horizon_cutoff = None if cutoff is None else float(np.radians(cutoff))
         measurement = self._measurement(row)
-        means = None
+        means = polar = None
         if measurement is not None:
             reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
             means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
+            polar = interpolate(measurement).evaluate(*_in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
         factor, pictures = _pictures(loaded.model, measurement)
-        return FitView(factor, pictures, means, horizon_cutoff, loaded.model, _parts(loaded))
+        return FitView(factor, pictures, means, polar, horizon_cutoff, loaded.model, _parts(loaded))
 
     def _measurement(self, row: FitRow) -> Measurement | None:
         """Return the fit's measurement, unless it has been deleted."""
@@ -126,6 +147,15 @@ class FitViews:
             return read_merl(self._store.blobs.path(row.measurement))
         except FileNotFoundError:  # deleted since its row was read
             return None
+
+
+def _in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Half and difference angles of each light and each viewer in one plane with the normal, (lights, viewers)."""
+    theta_in, theta_out = np.radians(-lights[:, None]), np.radians(_POLAR_ANGLES)
+    omega_in, omega_out = (
+        np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1) for theta in (theta_in, theta_out)
+    )
+    return half_difference(omega_in, omega_out)
 
 
 def _pictures(model: DSBRDF, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:

@@ -1,4 +1,5 @@
 // The page of one fit: its sphere, the pictures beside it, the profiles, and the buttons that copy.
+import { startPolar } from "./polar.js";
 import { startProfiles } from "./profiles.js";
 import { startSpheres } from "./sphere.js";
 
@@ -35,6 +36,7 @@ for (const button of document.querySelectorAll(".copy")) {
   });
 }
 startProfiles(id);
+startPolar(id);
 const views = await startSpheres();
 if (views.has(id)) showPictures(views.get(id).pictures);
 else document.getElementById("pictures-note").textContent = "The pictures could not be drawn.";

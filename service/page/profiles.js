@@ -1,18 +1,18 @@
 // Profiles over theta_half at one theta_diff, as SVG: measured points, the fit, and the lobes of one channel.
 const root = document.documentElement.dataset.root;
 const SVG = "http://www.w3.org/2000/svg";
-const CHANNELS = ["red", "green", "blue"];
+export const CHANNELS = ["red", "green", "blue"];
 const MARGIN = { left: 62, right: 14, top: 12, bottom: 42 };
 const HEIGHT = 340;
 
-function element(name, attributes, text) {
+export function element(name, attributes, text) {
   const made = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (text !== undefined) made.textContent = text;
   return made;
 }
 
-function choice(name) {
+export function choice(name) {
   return document.querySelector(`input[name="${name}"]:checked`).value;
 }
 
@@ -51,7 +51,7 @@ function limits(data, series, axis, range) {
   return { end, low: low / 1.6, high: 1.6 * top };
 }
 
-function linearTicks(high) {
+export function linearTicks(high) {
   const raw = high / 5;
   const power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= raw);

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Path, Query
 from starlette.concurrency import run_in_threadpool
@@ -12,11 +12,12 @@ import dsbrdf
 from dsbrdf import DSBRDF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl
-from dsbrdf.data.reduction import profiles
+from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
+from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
 from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
@@ -28,9 +29,17 @@ from service.storage.store import Store
 from service.wire.fit_options import from_wire
 from service.wire.schemas import FitSphere, Sphere
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 router = APIRouter(prefix="/v1", tags=["figures"])
 
-_FIGURES = {"profiles": profiles_figure, "lobes": lobes_figure, "residual": residual_figure}
+_FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
+    "profiles": profiles_figure,
+    "lobes": lobes_figure,
+    "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
+    "residual": residual_figure,
+}
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
 _PNG = _MEDIA_TYPES["png"]
 _PICTURE = openapi.response("The picture.", content={_PNG: openapi.file(_PNG)}, headers=["ETag"]) | openapi.NOT_MODIFIED
@@ -78,8 +87,9 @@ async def draw_figure(
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
-    `profiles` measured and fitted values over theta_half; `lobes` the red channel's lobes and their sum; `residual`
-    the relative difference over theta_half and theta_diff.
+    `profiles` measured and fitted values over theta_half; `lobes` the red channel's lobes and their sum; `parameters`
+    amplitude, half width and elongation of each lobe over theta_diff; `residual` the relative difference over
+    theta_half and theta_diff.
     """
     model = (await context.models.get(fit)).model
     row = await run_in_threadpool(context.store.fit, fit)

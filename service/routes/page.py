@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Coroutine
 from functools import partial
+from importlib.util import find_spec
 from json import loads
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
@@ -21,8 +22,9 @@ from service.http.pages import PAGE_PATHS, STATIC_FILES, render, sign_in_page, s
 from service.http.problems import answer_exception
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
+from service.jobs.fit_views import LARGEST_LIGHT, LIGHT_STEP
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
-from service.routes.page_text import DOWNLOADS, facts_of, metrics_in_words, options_in_words, reproduction
+from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
 from service.storage.schema import FitKey, FitRow
 from service.wire.schemas import Page
 
@@ -73,8 +75,17 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     row = await _existing(context, fit)
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
-    code = reproduction(row, str(request.base_url))
-    return _render("fit.html", request, code=code, downloads=DOWNLOADS, **await _shown(context, row))
+    measured = await run_in_threadpool(context.store.measurement, row.owner, row.measurement) is not None
+    return _render(
+        "fit.html",
+        request,
+        code=reproduction(row, str(request.base_url)),
+        downloads=DOWNLOADS,
+        figures=FIGURES if measured and find_spec("matplotlib") else {},
+        largest_light=LARGEST_LIGHT,
+        light_step=LIGHT_STEP,
+        **await _shown(context, row),
+    )
 
 
 @pages.get("/compare")
@@ -112,6 +123,18 @@ async def get_profile(
     """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
     view = await context.views.get(await _existing(context, fit))
     return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
+
+
+@router.get("/fits/{fit_id}/polar/{theta_in_deg}")
+async def get_polar(
+    context: TheContext,
+    fit: TheFit,
+    theta_in_deg: Annotated[int, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
+    if_none_match: IfNoneMatch = "",
+) -> Response:
+    """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
+    view = await context.views.get(await _existing(context, fit))
+    return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
 
 
 @router.get("/page/{name}")

@@ -40,6 +40,13 @@ DOWNLOADS = (
 )
 
 
+FIGURES = {
+    "parameters": "Amplitude, half width and elongation of each lobe over theta_diff",
+    "residual": "Difference of fit and measurement over theta_half and theta_diff",
+}
+"""Figures that the page of a fit shows, and what is in them."""
+
+
 @dataclass(frozen=True)
 class Metric:
     """A number, what it is called, and what it means."""

@@ -9,6 +9,7 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ def make_model(n_lobes: int = 3, n_knots: int = 5, interpolation: str = "spline"
         amplitude=10.0 ** random.uniform(-300.0, 300.0, (3, count(n_knots), n_lobes)),
         kappa=10.0 ** random.uniform(-300.0, 2.8, shape),
         gamma=10.0 ** random.uniform(-320.0, 100.0, shape),
-        center=random.uniform(-np.pi / 2, np.pi / 2, shape),
+        center=random.uniform(-LARGEST_CENTER, LARGEST_CENTER, shape),
         elongation=random.uniform(-10.0, 10.0, (count(n_elongation_knots), n_lobes)),
         shape_theta_diff=knots(n_shape_knots),
         elongation_theta_diff=knots(n_elongation_knots),

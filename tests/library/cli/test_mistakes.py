@@ -35,6 +35,7 @@ MISTAKES = {
     "eval paint.json --theta-half ten": "dsbrdf eval: argument --theta-half: must be a number, not 'ten'",
     "eval paint.json --theta_half 10": "unrecognized arguments: --theta_half 10; did you mean --theta-half",
     "export paint.json --format gltf -o a.glb": "invalid choice: 'gltf' (choose from",
+    "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .npz, .binary, .glsl, .brdf,",
     "render paint.json": "dsbrdf render: the following arguments are required: -o/--output",
     "plot paint.json -o paint.jpg": "dsbrdf: paint.jpg: the figure's file must end in .png, .svg or .pdf",
     "compare paint.json": "dsbrdf compare: the following arguments are required: SECOND",

@@ -164,7 +164,7 @@ def test_export_without_loss(model_file: Path, tmp_path: Path, capsys: Capture) 
     again = from_npz((tmp_path / "model.npz").read_bytes())
     np.testing.assert_array_equal(again[0].kappa, model.kappa)
     assert again[1] == report
-    assert cli.main(["export", str(tmp_path / "model.npz"), "--format", "json", "-o", str(tmp_path / "back.json")]) == 0
+    assert cli.main(["export", str(tmp_path / "model.npz"), "-o", str(tmp_path / "back.json")]) == 0
     assert (tmp_path / "back.json").read_text() == model_file.read_text()
 
 

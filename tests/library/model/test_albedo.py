@@ -134,7 +134,7 @@ def test_elongated_lobes_against_brute_force(elongation: float, family: str) -> 
         np.testing.assert_allclose(model.albedo(theta_out), reference, rtol=5e-4)
 
 
-@pytest.mark.parametrize(("degrees", "gamma"), [(90.0, 5.0), (30.0, 50.0), (45.0, 2000.0)])
+@pytest.mark.parametrize(("degrees", "gamma"), [(89.9, 5.0), (30.0, 50.0), (45.0, 2000.0)])
 def test_ring_lobes_against_brute_force(degrees: float, gamma: float) -> None:
     model = single_lobe(1.0, gamma, float(np.radians(degrees)))
     for angle in ANGLES[1::2].tolist():

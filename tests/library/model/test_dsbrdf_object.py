@@ -117,7 +117,7 @@ ONE = np.ones((1, 2, 1))
         ({"amplitude": -np.ones((3, 2, 1))}, "every amplitude must be zero or positive"),
         ({"delta": np.full((3, 2), -1e-9)}, "every delta must be zero or positive"),
         ({"delta": np.full((3, 2), np.inf)}, "every delta must be finite"),
-        ({"center": 1.7 * ONE}, "every center must lie between -pi/2 and pi/2"),
+        ({"center": 1.7 * ONE}, r"every center must lie between -1\.57 and 1\.57 radians"),
         ({"elongation": np.full((1, 1), 11.0)}, "every elongation must lie between -10 and"),
         ({"interpolation": "magic"}, "interpolation must be one of linear, spline, not 'magic'"),
         ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),

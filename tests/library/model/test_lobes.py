@@ -12,6 +12,7 @@ from dsbrdf.model.hemi_epd import lobe
 from dsbrdf.model.lobes import (
     FAMILIES,
     GRAZING_COSINE,
+    LARGEST_CENTER,
     LobeDerivatives,
     fall_to_half,
     gamma_of_half_width,
@@ -172,6 +173,14 @@ def test_cosine_of_the_stretch_is_that_of_theta_diff_held_above_its_value_at_gra
     np.testing.assert_allclose(np.exp(4.0 * log_cosine(angles)), fourth, rtol=1e-12)
     assert np.exp(log_cosine(np.array(np.pi / 2))) == pytest.approx(GRAZING_COSINE)
     np.testing.assert_allclose(np.exp(log_cosine(np.radians([0.0, 60.0, 75.0]))), [1.0, 0.5, np.cos(1.309)], rtol=3e-3)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_ring_at_the_horizon_does_not_depend_on_rounding(family: str) -> None:
+    squared, kappa, gamma = np.tan(np.radians([10.0, 60.0, 88.0])) ** 2, np.array(0.1), np.array(0.01)
+    values = [lobe_values(squared, kappa, gamma, LARGEST_CENTER * (1.0 + turn), family) for turn in (-1e-7, 0.0, 1e-7)]
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
+    np.testing.assert_allclose(values[2], values[1], rtol=1e-5)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

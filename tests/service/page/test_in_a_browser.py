@@ -163,10 +163,27 @@ def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) ->
     lobes = len(fit["lobes"]["kappa"][0][0])
     expect(page.locator("#legend li")).to_have_count(lobes + 2)  # measured, and the fit
     expect(page.locator("#legend")).to_contain_text("half width")
-    page.get_by_label("linear").check()
+    page.locator("#profiles").get_by_label("linear").check()
     expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
     page.get_by_label("the peak").check()
     expect(page.locator("#plot")).not_to_contain_text("90°")
+
+
+def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    curves = page.locator("#polar-plot .curve")
+    expect(curves).to_have_count(3)
+    expect(page.locator("#polar-plot .point")).to_have_count(3)
+    before = curves.first.get_attribute("d")
+    page.get_by_label("theta_in in degrees").fill("70")
+    expect(page.locator("#polar-plot svg")).to_have_attribute("aria-label", re.compile("light at 70 degrees, log"))
+    assert curves.first.get_attribute("d") != before
+    page.locator("#polar").get_by_label("linear").check()
+    expect(page.locator("#polar-plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
+    for picture in page.locator(".drawn img").all():
+        picture.scroll_into_view_if_needed()
+        expect(picture).to_have_js_property("complete", value=True)
+        assert picture.evaluate("image => image.naturalWidth") > 100
 
 
 def test_page_of_a_fit_has_pictures_downloads_and_lines_to_copy(visit: Visit, site: Site) -> None:

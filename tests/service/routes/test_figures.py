@@ -56,6 +56,7 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     [
         ("profiles.png", "image/png", b"\x89PNG"),
         ("lobes.svg", "image/svg+xml", b"<?xml"),
+        ("parameters.svg", "image/svg+xml", b"<?xml"),
         ("residual.png", "image/png", b"\x89PNG"),
     ],
 )

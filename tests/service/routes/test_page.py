@@ -6,8 +6,11 @@ from urllib.parse import parse_qsl
 
 import httpx
 import numpy as np
+import pytest
 
 import dsbrdf
+from dsbrdf.data.merl import parse_merl
+from dsbrdf.output.serialize import from_json
 from service.http.pages import STATIC_FILES
 from service.wire.fit_options import canonical, from_query
 from service.wire.schemas import Export
@@ -87,6 +90,22 @@ def test_profile_has_the_measurement_and_lobes_that_add_up(server: Server, fitte
     assert_problem(server.http.get(f"/fits/{fitted}/profiles/90"), 404)
 
 
+def test_plane_of_incidence_has_the_measurement_and_the_fit(server: Server, fitted: str, data: bytes) -> None:
+    polar = server.http.get(f"/fits/{fitted}/polar/40").json()
+    model, _ = from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)
+    table = parse_merl(data)
+    # The mirror direction of 40 degrees is at node 0 of theta_half and of phi_diff, and node 40 of theta_diff.
+    assert polar["theta_out_deg"][129] == 40
+    assert [channel[129] for channel in polar["fit"]] == pytest.approx(model.evaluate(0.0, np.radians(40)), rel=1e-3)
+    measured = table.values[:, 0, 40, 0]
+    assert [channel[129] for channel in polar["measured"]] == pytest.approx(measured, rel=1e-3)
+    # Towards the light theta_diff is 0.
+    back = model.evaluate(np.radians(40), 0.0)
+    assert [channel[49] for channel in polar["fit"]] == pytest.approx(back, rel=1e-3)
+    for angle in (3, 90):
+        assert_problem(server.http.get(f"/fits/{fitted}/polar/{angle}"), 404)
+
+
 def test_measured_and_fitted_have_pictures(server: Server, fitted: str) -> None:
     assert server.http.get(f"/fits/{fitted}/view").json()["pictures"] == ["fit", "measured", "difference"]
     assert server.http.get(f"/fits/{fitted}/spheres/difference.png").content.startswith(b"\x89PNG")
@@ -102,6 +121,8 @@ def test_fit_without_its_measurement_is_shown_alone(guarded: Guarded, data: byte
     assert guarded.server.http.get(f"/fits/{fit['id']}/view", headers=own).json()["pictures"] == ["fit"]
     profile = guarded.server.http.get(f"/fits/{fit['id']}/profiles/0", headers=own).json()
     assert (profile["measured"], len(profile["fit"])) == (None, 3)
+    assert guarded.server.http.get(f"/fits/{fit['id']}/polar/0", headers=own).json()["measured"] is None
+    assert "figures/residual.svg" not in guarded.server.http.get(f"/fits/{fit['id']}", headers=own).text
 
 
 def test_list_has_pages(server: Server, fitted: str, stored: str) -> None:

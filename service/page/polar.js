@@ -1,0 +1,88 @@
+// Reflectance in the plane of incidence for one direction of the light, as a polar plot in SVG.
+import { CHANNELS, choice, element, linearTicks } from "./profiles.js";
+
+const root = document.documentElement.dataset.root;
+const DECADES = 4; // of the logarithmic axis, below the largest value
+const SPACE = 34; // beside and below the half circle
+
+function radialAxis(data, kind) {
+  const top = Math.max(...data.fit.flat(), ...(data.measured ?? []).flat(), 1e-6);
+  if (kind === "linear") {
+    const ticks = linearTicks(top).filter((tick) => tick > 0);
+    return { share: (value) => value / (1.04 * top), ticks };
+  }
+  const end = Math.ceil(Math.log10(top));
+  const ticks = Array.from({ length: DECADES }, (_, i) => 10 ** (end - i));
+  return { share: (value) => Math.max(0, 1 - (end - Math.log10(Math.max(value, 1e-30))) / DECADES), ticks };
+}
+
+function plot(box, data, kind) {
+  const width = Math.max(box.clientWidth, 280);
+  const radius = Math.min(width / 2 - SPACE, 320);
+  const height = radius + 2 * SPACE;
+  const middle = { x: width / 2, y: height - SPACE };
+  const { share, ticks } = radialAxis(data, kind);
+  const at = (degrees, length) => {
+    const angle = (degrees * Math.PI) / 180;
+    return [middle.x + radius * length * Math.sin(angle), middle.y - radius * length * Math.cos(angle)];
+  };
+  const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+  const label = `BRDF in the plane of incidence for light at ${data.theta_in_deg} degrees, ${kind} axis`;
+  const svg = element("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+  for (const tick of ticks) {
+    const r = radius * share(tick);
+    svg.append(element("path", { class: "grid", d: `M${middle.x - r} ${middle.y}A${r} ${r} 0 0 1 ${middle.x + r} ${middle.y}` }));
+    svg.append(element("text", { x: middle.x + r, y: middle.y + 16, "text-anchor": "middle" }, String(Number(tick.toPrecision(2)))));
+  }
+  for (let degrees = -90; degrees <= 90; degrees += 30) {
+    svg.append(element("path", { class: "grid", d: path([at(degrees, 0), at(degrees, 1)]) }));
+    const [x, y] = at(degrees, 1.07);
+    svg.append(element("text", { x, y: y + 4, "text-anchor": "middle" }, `${Math.abs(degrees)}°`));
+  }
+  svg.append(element("path", { class: "axis", d: path([at(-90, 1), at(90, 1)]) }));
+  svg.append(element("path", { class: "light", d: path([at(-data.theta_in_deg, 1), at(0, 0)]) }));
+  for (const [c, name] of CHANNELS.entries()) {
+    if (data.measured) {
+      const squares = data.measured[c].map((value, i) => at(data.theta_out_deg[i], share(value))).filter((_, i) => i % 3 === 1);
+      const d = squares.map(([x, y]) => `M${(x - 2.5).toFixed(1)} ${(y - 2.5).toFixed(1)}h5v5h-5z`).join("");
+      svg.append(element("path", { class: `point c-${name}`, d }));
+    }
+    const curve = data.fit[c].map((value, i) => at(data.theta_out_deg[i], share(value)));
+    svg.append(element("path", { class: `curve c-${name}`, d: path(curve) }));
+  }
+  box.replaceChildren(svg);
+}
+
+export function startPolar(id) {
+  const slider = document.getElementById("theta-in");
+  const fault = document.getElementById("polar-fault");
+  const box = document.getElementById("polar-plot");
+  const known = new Map();
+
+  async function show() {
+    const wanted = slider.value;
+    document.getElementById("theta-in-value").textContent = `${wanted}°`;
+    try {
+      if (!known.has(wanted)) {
+        const answer = await fetch(`${root}fits/${id}/polar/${wanted}`);
+        const content = await answer.json();
+        if (!answer.ok) throw new Error(content.detail);
+        known.set(wanted, content);
+      }
+      fault.hidden = true;
+      if (wanted === slider.value) plot(box, known.get(wanted), choice("polar-axis")); // else it has moved on
+    } catch (error) {
+      fault.hidden = false;
+      fault.textContent = error.message;
+    }
+  }
+
+  slider.addEventListener("input", show);
+  document.getElementById("polar").addEventListener("change", show);
+  let width = 0;
+  new ResizeObserver(() => {
+    if (box.clientWidth === width) return;
+    width = box.clientWidth;
+    show();
+  }).observe(box);
+}
