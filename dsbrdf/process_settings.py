@@ -1,7 +1,9 @@
-"""Settings of a process: processor cores, threads of BLAS, and whether freed memory is kept for reuse or returned."""
+"""Settings of a process: cores, threads of BLAS, whether freed memory is kept for reuse, and when the process ends."""
 
 import ctypes
 import os
+import signal
+import threading
 from contextlib import suppress
 
 ONE_BLAS_THREAD = {
@@ -21,6 +23,22 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for t
 def core_count() -> int:
     """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def end_with_parent() -> None:
+    """Kill this process as soon as its parent has ended, however that happened."""
+    from multiprocessing import connection, parent_process
+
+    parent = parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        connection.wait([sentinel])
+        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
 def keep_freed_memory() -> None:

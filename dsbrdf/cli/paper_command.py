@@ -36,6 +36,12 @@ def configure(parser: argparse.ArgumentParser, _: str) -> None:
         metavar="PATTERN",
         help="names of files that are no measurements but decoded descriptions; default: %(default)s",
     )
+    parser.add_argument(
+        "--peers",
+        type=Path,
+        metavar="DIR",
+        help="a folder of the same materials as another model encodes them, peer_NAME.binary: points in the footprint",
+    )
     parser.add_argument("--jobs", type=whole_number, metavar="N", help="processes (default: one for each core)")
 
 
@@ -44,7 +50,11 @@ def _run(arguments: argparse.Namespace) -> int:
     output.mkdir(parents=True, exist_ok=True)
     jobs = core_count() if arguments.jobs is None else arguments.jobs
     materials = find_materials(
-        arguments.data, output / "kept" / "fits", names=arguments.materials, stand_ins=arguments.stand_ins
+        arguments.data,
+        output / "kept" / "fits",
+        names=arguments.materials,
+        stand_ins=arguments.stand_ins,
+        peers=arguments.peers,
     )
     if arguments.what == _REPORT:
         with progress_bar(len(FIGURES), "figures") as progress:

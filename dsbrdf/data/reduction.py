@@ -38,6 +38,11 @@ _BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS /
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
 """1 where a sample of phi_diff lies in a bin, else 0, shape (180, 9)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
+_BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
+OUTLIER = 6.0
+"""Standard deviations from the median at which a sample begins to count less; at twice as many it counts nothing."""
+_NORMAL_QUARTILE = 1.1503  # third quartile of the absolute deviations of a normal distribution, in its sigmas
+_FEW_IN_BIN = 5  # samples, of which an outlier may be as many as the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,14 +176,29 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: NDArray[np.bool
     """Enter the samples (3, 90, 180) of the theta_half row ``i``."""
     weights = np.broadcast_to(valid.astype(float), samples.shape)
     if robust:
-        weights = np.zeros(samples.shape)
-        for members in _MEMBERS:
-            weights[..., members] = _outlier_weights(samples[..., members], valid[:, members]) * valid[:, members]
+        weights = _trusted_in_bins(samples, valid)
     total = weights @ IN_BIN
     folded.weight[:, :, i] = total
     folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
     count = valid.astype(float) @ IN_BIN
     folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
+
+
+def _trusted_in_bins(samples: Array, valid: NDArray[np.bool_]) -> Array:
+    """Weights of samples (3, 90, 180), those low that lie far from the others of their bin.
+
+    A bin of a few samples cannot tell which of them are outliers: there the samples of the bins beside it help.
+    """
+    weights = np.zeros(samples.shape)
+    for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
+        weights[..., members] = _outlier_weights(samples[..., members], valid[:, members])
+        count = valid[:, members].sum(axis=1)
+        few = np.flatnonzero((count > 0) & (count < _FEW_IN_BIN))
+        if few.size:
+            around = np.concatenate([members, beside])
+            judged = _outlier_weights(samples[:, few[:, None], around], valid[few[:, None], around])
+            weights[:, few[:, None], members] = judged[..., : members.size]
+    return weights * valid
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
@@ -190,14 +210,18 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
 
 
 def _outlier_weights(samples: Array, used: NDArray[np.bool_]) -> Array:
-    """Tukey's biweight about the median over phi_diff, with the scale from the median absolute deviation."""
+    """1 near the median over phi_diff, falling to 0 far from it, in units of the third quartile of the deviations.
+
+    The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations
+    would see the larger group alone and take the other one for outliers.  Without outliers all weights are 1.
+    """
     masked = np.where(used, samples, np.nan)
     median = _nanmedian(masked)
-    scale = 1.4826 * _nanmedian(np.abs(masked - median))
-    # A row of equal samples has no spread: what differs from it by more than one per cent is an outlier.
+    scale = _third_quartile(np.abs(masked - median)) / _NORMAL_QUARTILE
+    # A row of equal samples has no spread: what differs from it by more than some per cent is an outlier.
     scale = np.maximum(scale, 1e-2 * np.abs(median) + 1e-12)
-    relative = np.where(used, (samples - median) / (6.0 * scale), 0.0)
-    return np.where(np.abs(relative) < 1.0, (1.0 - relative**2) ** 2, 0.0)
+    relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)
+    return np.clip(2.0 - relative, 0.0, 1.0)
 
 
 def _nanmedian(samples: Array) -> Array:
@@ -207,3 +231,10 @@ def _nanmedian(samples: Array) -> Array:
     lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
     upper = np.take_along_axis(ordered, count // 2 % samples.shape[-1], axis=-1)
     return np.where(count > 0, 0.5 * (lower + np.where(count % 2 == 0, upper, lower)), 0.0)
+
+
+def _third_quartile(samples: Array) -> Array:
+    """Third quartile over the last axis, rounded down to a sample; NaN left out as in `_nanmedian`."""
+    count = np.sum(~np.isnan(samples), axis=-1, keepdims=True)
+    quartile = np.take_along_axis(np.sort(samples, axis=-1), 3 * np.maximum(count - 1, 0) // 4, axis=-1)
+    return np.where(count > 0, quartile, 0.0)

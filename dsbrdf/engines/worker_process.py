@@ -14,13 +14,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from multiprocessing import connection, parent_process, resource_tracker, util
+from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
 from typing import Any
 
 from dsbrdf.engines.engine import NOT_STARTED, Fault, FitLimits, OnProgress
 from dsbrdf.engines.fit_steps import run_step
-from dsbrdf.process_settings import ONE_BLAS_THREAD, keep_freed_memory
+from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory
 
 try:
     import resource
@@ -179,7 +179,7 @@ def _run_in_worker(
 ) -> None:
     """Run a step in the worker process; send progress as floats, log records and, last, the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
-    _end_with_parent()
+    end_with_parent()
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         if memory_mb is not None:
@@ -210,20 +210,6 @@ class _LogToParent(logging.Handler):
             record.exc_text = logging.Formatter().formatException(record.exc_info)
             record.exc_info = None  # a traceback cannot be pickled
         self._pipe.send(record)
-
-
-def _end_with_parent() -> None:
-    """Kill this process as soon as its parent has ended, however that happened."""
-    parent = parent_process()
-    if parent is None:
-        return
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        connection.wait([sentinel])
-        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
-
-    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
 @contextmanager

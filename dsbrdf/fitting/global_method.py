@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import IN_BIN, Profiles
+from dsbrdf.data.reduction import IN_BIN, OUTLIER, Profiles
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.em import huber_weights
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
@@ -32,7 +32,13 @@ AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
-_SEARCH_KNOTS = (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])
+_CONSTANT = np.zeros(1)
+KNOTS = {
+    "full": (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS),
+    "parametric": (np.radians([0.0, 70.0, 89.0]), _CONSTANT, _CONSTANT),
+}
+"""Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
+_SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
 TOLERANCE = 1e-3
 MAX_ITERATIONS = 300
 _ROUNDS, _ROBUST_ROUNDS = 2, 3
@@ -46,6 +52,9 @@ FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(3
 _QUARTER = PHI_DIFF.size // 2 + 1
 _SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
+_NEIGHBOURS = 5  # columns
+_DARK = 0.02  # of the mean of a row: residuals of values below are relative to it
+_SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
 
@@ -83,15 +92,18 @@ def fit_global(
         If the options leave no data to fit.
     """
     weight = _weights(data, options)
-    coarse = _structure(weight, _SEARCH_KNOTS, options)
+    coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
     fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
     held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
     mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
-    fine = AMPLITUDE_KNOTS if options.knots is None else np.asarray(options.knots), SHAPE_KNOTS, ELONGATION_KNOTS
-    structure = replace(_structure(weight, fine, options), rings=mixture.structure.rings)
+    amplitude_knots, shape_knots, elongation_knots = KNOTS[options.variation]
+    if options.knots is not None:
+        amplitude_knots = np.asarray(options.knots)
+    fine = _structure(weight, (amplitude_knots, shape_knots, elongation_knots), options)
+    structure = replace(fine, rings=mixture.structure.rings)
     mixture = Mixture(structure, change_knots(mixture.structure, mixture.unknowns, structure))
     on_stage("search")
     solution = _refine(
@@ -124,6 +136,8 @@ def _structure(weight: Array, knots: tuple[Array, Array, Array], options: FitOpt
     theta_half = THETA_HALF[measured.any(axis=0)]
 
     def within(angles: Array) -> Array:
+        if angles.size == 1:
+            return angles
         inner = angles[(angles > first) & (angles < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
@@ -150,9 +164,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         if number > 0:
             exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
             if options.robust:
-                residual = (problem.values(unknowns) - exact.mean).reshape(3 * len(data.rows), -1)
-                trust = huber_weights(residual, weight.reshape(residual.shape)).reshape(weight.shape)
-                exact = replace(exact, weight=weight * trust)
+                exact = replace(exact, weight=weight * _trust(problem.values(unknowns), exact))
             problem = MixtureProblem(exact, mixture.structure)
         done = number / rounds
         solution = minimize(
@@ -164,6 +176,23 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         )
         unknowns, iterations = solution.unknowns, iterations + solution.iterations
     return replace(solution, iterations=iterations)
+
+
+def _trust(values: Array, data: FitData) -> Array:
+    """Weights, 0 for outliers to 1, of the shape (3, R, N, 9) of the data.
+
+    A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
+    relative residual is from the median of its neighbours' over theta_half.
+    """
+    seen = data.weight > 0.0
+    level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
+    level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + 1e-300
+    relative = np.where(seen, (data.mean - values) / (values + _DARK * level + 1e-12), 0.0)
+    alone = np.abs(relative - median_filter(relative, (1, 1, _NEIGHBOURS, 1), mode="nearest"))
+    usual = np.zeros(level.shape)
+    for channel, row in np.argwhere(seen.any(axis=(2, 3))):
+        usual[channel, row] = np.quantile(alone[channel, row][seen[channel, row]], 0.75)
+    return np.clip(2.0 - alone / (OUTLIER * usual + _SMALLEST_OUTLIER), 0.0, 1.0)
 
 
 def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:

@@ -13,6 +13,7 @@ from dsbrdf.model.lobes import FAMILIES
 MAX_LOBES = 8
 METHODS = ("global", "paper")
 MAX_RING_LOBES = 8
+VARIATIONS = ("full", "parametric")
 WEIGHTINGS = ("balanced", "plain", "cosine", "log")
 MAX_MASK = 10.0
 MAX_EM_ITERATIONS = 10_000
@@ -36,7 +37,11 @@ class FitOptions:
         Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
     knots : tuple of float or None
         Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
-        [rad]; None takes 8 that lie closer towards grazing angles.
+        [rad]; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
+    variation : {"full", "parametric"}
+        How lobes change with theta_diff.  "full" has splines with several knots; "parametric" has a few coefficients a
+        lobe, 5 of each channel's amplitude and one shape for all theta_diff: a third of the numbers for about a third
+        more error.  The method "paper" has values at every slice, "full".
     horizon_cutoff : float or None
         Samples with a direction further than this from the normal are left out of the metrics and of the method
         "paper"; the method "global" trusts them less, down to nothing at the horizon [rad].  None is the horizon.
@@ -62,6 +67,7 @@ class FitOptions:
     ring_lobes: int | Literal["auto"] = "auto"
     lobe: Literal["hemi_epd", "student"] = "hemi_epd"
     knots: tuple[float, ...] | None = None
+    variation: Literal["full", "parametric"] = "full"
     horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF
     mask: float | None = None
     weighting: Literal["balanced", "plain", "cosine", "log"] | None = None
@@ -86,6 +92,10 @@ class FitOptions:
             raise InvalidArgumentError('the method "paper" has no ring lobes: use ring_lobes 0 or "auto"')
         if self.method == "paper" and self.knots is not None:
             raise InvalidArgumentError('the method "paper" has its slices every 5 degrees: leave the knots out')
+        if self.variation not in VARIATIONS:
+            raise InvalidArgumentError(f"variation must be one of {', '.join(VARIATIONS)}, not {self.variation!r}")
+        if self.method == "paper" and self.variation != "full":
+            raise InvalidArgumentError('the method "paper" has values at every slice: use the variation "full"')
         if self.lobe not in FAMILIES:
             raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {self.lobe!r}")
         if self.method == "paper" and self.lobe != "hemi_epd":

@@ -125,7 +125,7 @@ def _draw_errors(ax: Axes, ordered: Sequence[Computed]) -> None:
     ax.set(yscale="log", ylabel="relative RMS", xlim=(-0.7, len(ordered) - 0.3))
     ax.set_xticks(places, [one.label for one in ordered], rotation=90, fontsize=6)
     ax.grid(axis="y", which="both", alpha=0.25)
-    ax.legend(fontsize=8, ncols=2, loc="lower left")
+    ax.legend(fontsize=8, ncols=2, loc="upper right")
 
 
 def _claims(computed: Sequence[Computed]) -> list[Claim]:

@@ -9,7 +9,8 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
 from io import BytesIO
@@ -30,7 +31,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import load_result, save
-from dsbrdf.process_settings import keep_freed_memory
+from dsbrdf.process_settings import end_with_parent, keep_freed_memory
 from dsbrdf.version import ALGORITHM_VERSION
 
 __all__ = [
@@ -64,11 +65,14 @@ class Material:
         Folder in which its fits are kept.
     measured : bool
         False for a stand-in, a table that was decoded from another program's description of a material.
+    peer : Path or None
+        A ``.binary`` file of the same material as another model encodes it.
     """
 
     file: Path
     kept: Path
     measured: bool = True
+    peer: Path | None = None
 
     @property
     def name(self) -> str:
@@ -136,7 +140,7 @@ class Failure:
 
 
 def find_materials(
-    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS
+    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS, peers: Path | None = None
 ) -> tuple[Material, ...]:
     """Find the measurements of a folder.
 
@@ -150,6 +154,8 @@ def find_materials(
         Only these, with or without what precedes the first ``_`` of a file's name; by default all.
     stand_ins : str, optional
         Pattern of the names that are no measurements.
+    peers : Path, optional
+        Folder with the materials as another model encodes them, ``peer_NAME.binary`` for NAME.
 
     Raises
     ------
@@ -166,10 +172,15 @@ def find_materials(
         if not any(name in known for known in found.values()):
             raise InvalidArgumentError(f"{folder} contains no material {name}")
     return tuple(
-        Material(file, kept, measured=not fnmatch(file.stem, stand_ins))
+        Material(file, kept, measured=not fnmatch(file.stem, stand_ins), peer=_peer(file, peers))
         for file, known in found.items()
         if not names or known & set(names)
     )
+
+
+def _peer(file: Path, peers: Path | None) -> Path | None:
+    path = None if peers is None else peers / f"peer_{file.name}"
+    return path if path is not None and path.exists() else None
 
 
 def choose(materials: Sequence[Material], preferred: Sequence[str], count: int) -> list[Material]:
@@ -214,6 +225,13 @@ def compute(
         In the order of the materials.
     failures : list of Failure
         Materials that could not be read or fitted.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If ``jobs`` is less than 1.
+    ChildProcessError
+        If a process died.
     """
     if jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of processes, must be at least 1, not {jobs}")
@@ -258,6 +276,8 @@ def _outcomes(
         try:
             for future in as_completed(running):
                 yield running[future], future.result()
+        except BrokenProcessPool:
+            raise ChildProcessError(_PROCESS_DIED) from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -265,12 +285,13 @@ def _outcomes(
 def _prepare_process() -> None:
     """Let an interrupt end the run after the materials in progress: their numbers are kept."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     keep_freed_memory()
 
 
 def _measure_one(material: Material, measure: Measure, folder: Path, settings: str) -> Numbers | Failure:
     try:
-        numbers = measure(material)
+        numbers = measure(replace(material))  # a copy, whose measurement does not stay in memory
     except DSBRDFError as error:
         return Failure(material.file, str(error))
     content = BytesIO()
@@ -281,6 +302,7 @@ def _measure_one(material: Material, measure: Measure, folder: Path, settings: s
 
 
 _ABOUT = "made_by"
+_PROCESS_DIED = "a process died; run the command again, with fewer --jobs if memory was short: what is known is kept"
 
 
 def _path(material: Material, folder: Path) -> Path:

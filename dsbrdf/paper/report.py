@@ -13,17 +13,19 @@ from dsbrdf.paper.figure3 import FIGURE as FIGURE_3
 from dsbrdf.paper.figure4 import FIGURE as FIGURE_4
 from dsbrdf.paper.figure5 import FIGURE as FIGURE_5
 from dsbrdf.paper.figure6 import FIGURE as FIGURE_6
+from dsbrdf.paper.footprint import FIGURE as FOOTPRINT
+from dsbrdf.paper.interpolation import FIGURE as INTERPOLATION
 from dsbrdf.paper.materials import Failure, Material
 from dsbrdf.paper.paper_figure import Claim, Made, PaperFigure, make
 from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = ["FIGURES", "page", "write_report"]
 
-FIGURES = (FIGURE_1, FIGURE_2, FIGURE_3, FIGURE_4, FIGURE_5, FIGURE_6)
-"""All figures, in the order of the paper."""
+FIGURES = (FIGURE_1, FIGURE_2, FIGURE_3, FIGURE_4, FIGURE_5, FIGURE_6, FOOTPRINT, INTERPOLATION)
+"""All figures, those of the paper in its order first."""
 
 # Figure 4 fits every material: with its fits kept, the others have less to do.
-_ORDER = (FIGURE_4, FIGURE_1, FIGURE_2, FIGURE_3, FIGURE_6, FIGURE_5)
+_ORDER = (FIGURE_4, FIGURE_1, FIGURE_2, FIGURE_3, FIGURE_6, FIGURE_5, INTERPOLATION, FOOTPRINT)
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #212529; }
@@ -148,4 +150,4 @@ def _verdict(claim: Claim) -> str:
 
 
 def _name(figure: PaperFigure) -> str:
-    return figure.name.replace("figure", "Figure ")
+    return figure.name.replace("figure", "Figure ").capitalize()

@@ -15,7 +15,15 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
-__all__ = ["RowPredictor", "interpolated_rows", "means_over_phi", "table_error", "thinned"]
+__all__ = [
+    "RowPredictor",
+    "guided_table_error",
+    "interpolated_rows",
+    "means_over_phi",
+    "relative_rms",
+    "table_error",
+    "thinned",
+]
 
 Array = NDArray[np.float64]
 RowPredictor = Callable[[int], Array]
@@ -70,14 +78,27 @@ def interpolated_rows(measurement: Measurement, coordinate: Array) -> RowPredict
 
 def table_error(full: Measurement, sparse: Measurement) -> float:
     """relative_rms on the full data of the sparse table, linear in theta_half or in its index, the better one."""
-    return min(_relative_rms(full, interpolated_rows(sparse, coordinate)) for coordinate in _COORDINATES)
+    return min(relative_rms(full, interpolated_rows(sparse, coordinate)) for coordinate in _COORDINATES)
 
 
-def _relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
+def guided_table_error(full: Measurement, sparse: Measurement, model: Array) -> float:
+    """relative_rms on the full data of a model's values (3, 90, 90, 180) and the sparse table of what they leave."""
+    left = replace(sparse, stored=np.where(sparse.valid, sparse.values - model, 0.0), scale=np.ones(3))
+
+    def error(coordinate: Array) -> float:
+        rows = interpolated_rows(left, coordinate)
+        return relative_rms(full, lambda i: model[:, i] + rows(i))
+
+    return min(error(coordinate) for coordinate in _COORDINATES)
+
+
+def relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
     """relative_rms as in `dsbrdf.fitting.metrics`, of values that may depend on phi_diff."""
     error = power = 0.0
     for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
         used = used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)
+        if not used.any():
+            continue
         values = measurement.stored[:, i][:, used] * measurement.scale[:, None]
         error += float(np.sum((values - predict(i)[:, used]) ** 2))
         power += float(np.sum(values**2))

@@ -15,13 +15,14 @@ import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.global_method import AMPLITUDE_KNOTS
+from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import (
     MAX_EM_ITERATIONS,
     MAX_LOBES,
     MAX_MASK,
     MAX_RING_LOBES,
     METHODS,
+    VARIATIONS,
     WEIGHTINGS,
     FitOptions,
 )
@@ -72,7 +73,7 @@ def canonical(options: FitOptions) -> dict[str, Any]:
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
-    usual = options.knots is not None and _to_degrees("knots", options.knots) == _USUAL_KNOTS
+    usual = options.knots is not None and _to_degrees("knots", options.knots) == _USUAL_KNOTS[options.variation]
     filled = replace(
         options,
         ring_lobes=0 if paper else options.ring_lobes,
@@ -120,7 +121,7 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-_USUAL_KNOTS = _to_degrees("knots", AMPLITUDE_KNOTS.tolist())
+_USUAL_KNOTS = {name: _to_degrees("knots", knots[0].tolist()) for name, knots in KNOTS.items()}
 DEFAULTS = to_wire(FitOptions())
 _AUTO = {"type": "string", "enum": ["auto"]}
 _NONE = {"type": "null"}
@@ -137,18 +138,23 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
                 "minItems": 2,
                 "maxItems": THETA_DIFF.size,
                 "uniqueItems": True,
-                "description": "Increasing, whole degrees; null takes eight that lie closer towards grazing angles.",
+                "description": "Increasing, whole degrees; null takes 8, or 3 where the variation is parametric.",
             },
             _NONE,
         ]
     },
+    "variation": {"type": "string", "enum": [*VARIATIONS]},
     "horizon_cutoff_deg": {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 90}, _NONE]},
     "mask": {"anyOf": [{"type": "number", "minimum": 0, "maximum": MAX_MASK}, _NONE]},
     "weighting": {"anyOf": [{"type": "string", "enum": [*WEIGHTINGS]}, _NONE]},
     "robust": {"type": "boolean"},
     "em_iterations": {"type": "integer", "minimum": 1, "maximum": MAX_EM_ITERATIONS},
 }
-_OF_THE_PAPER = {"lobe": {"const": "hemi_epd"}, "weighting": {"not": {"const": "balanced"}}}
+_OF_THE_PAPER = {
+    "lobe": {"const": "hemi_epd"},
+    "variation": {"const": "full"},
+    "weighting": {"not": {"const": "balanced"}},
+}
 OPTIONS_SCHEMA: dict[str, Any] = {
     "type": "object",
     "title": "FitOptions",

@@ -1,6 +1,7 @@
 """The reduction against loops over the samples, and what it promises: nothing is lost for a bivariate model."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import directions
 from dsbrdf.data.grid import CENTER_CUTOFF, DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import N_BINS, Profiles, profiles
+from dsbrdf.data.reduction import IN_BIN, N_BINS, Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -159,8 +160,8 @@ def test_robust_profiles_reject_spikes() -> None:
     assert np.median(errors(profiles(broken))) > 0.5
     robust = profiles(broken, robust=True)
     assert errors(robust).max() < 0.02
-    # Of the 180 samples of a full cell some 4 are spikes; the biweight takes a tenth of the others.
-    assert 140.0 < np.median(robust.weight[profiles(broken).weight == 180.0]) < 176.0
+    # Of the 180 samples of a full cell some 4 are spikes; the others keep their weight.
+    assert 170.0 < np.median(robust.weight[profiles(broken).weight == 180.0]) < 179.0
 
 
 def test_robust_profiles_of_clean_data_are_nearly_the_plain_ones(matte: Measurement) -> None:
@@ -172,14 +173,18 @@ def test_robust_profiles_of_clean_data_are_nearly_the_plain_ones(matte: Measurem
     np.testing.assert_allclose(robust.weight[exact], clean.weight[exact], rtol=1e-6)
 
 
-def test_robust_weights_are_the_biweight_about_the_median(speckled: Measurement) -> None:
+def expected_robust_weights(values: Array) -> Array:
+    """1 up to 6 standard deviations from the median, these from the third quartile; 0 from 12 on."""
+    distances = np.sort(np.abs(values - np.median(values)))
+    scale = max(distances[3 * (len(values) - 1) // 4] / 1.1503, 0.01 * float(np.median(values)))
+    return np.interp(np.abs(values - np.median(values)) / scale, [6.0, 12.0], [1.0, 0.0])
+
+
+def test_robust_weights_fall_with_the_distance_from_the_median(speckled: Measurement) -> None:
     found = profiles(speckled, robust=True)
     for i, j in CELLS[1:5]:
         values, _ = samples_of(speckled, 1, i, j, DEFAULT_HORIZON_CUTOFF)
-        median = float(np.median(values))
-        scale = max(1.4826 * float(np.median(np.abs(np.array(values) - median))), 0.01 * median)
-        distance = (np.array(values) - median) / (6.0 * scale)
-        weights = np.where(np.abs(distance) < 1.0, (1.0 - distance**2) ** 2, 0.0)
+        weights = expected_robust_weights(np.array(values))
         assert found.weight[1, j, i] == pytest.approx(float(weights.sum()), rel=1e-9)
         assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 
@@ -240,12 +245,28 @@ def test_robust_bins_reject_spikes_bin_by_bin() -> None:
     assert np.all(robust.weight <= plain.weight)
     i, j, fold = 40, 33, 4
     values = np.array(folded_samples(broken, 1, i, j, fold)[0])
-    median = float(np.median(values))
-    scale = max(1.4826 * float(np.median(np.abs(values - median))), 0.01 * median)
-    distance = (values - median) / (6.0 * scale)
-    weights = np.where(np.abs(distance) < 1.0, (1.0 - distance**2) ** 2, 0.0)
+    weights = expected_robust_weights(values)
     assert robust.weight[1, j, i, fold] == pytest.approx(float(weights.sum()), rel=1e-9)
     assert robust.mean[1, j, i, fold] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
+
+
+def test_a_robust_bin_of_two_samples_is_judged_with_the_bins_beside_it(matte: Measurement) -> None:
+    count = profiles(matte).folded.weight[1]
+    j, i, fold = np.argwhere(count == 2.0)[0]
+    members = np.flatnonzero(matte.valid[i, j] & (IN_BIN[:, fold] > 0))
+    stored = matte.stored.copy()
+    stored[1, i, j, members[0]] *= 100.0
+    clean, robust = (profiles(m, robust=True).folded for m in (matte, replace(matte, stored=stored)))
+    assert robust.weight[1, j, i, fold] == 1.0
+    assert robust.mean[1, j, i, fold] == pytest.approx(clean.mean[1, j, i, fold], rel=0.2)
+
+
+def test_two_groups_of_samples_in_a_bin_are_no_outliers(matte: Measurement) -> None:
+    j, i, fold = 33, 40, 0
+    members = np.flatnonzero(matte.valid[i, j] & (IN_BIN[:, fold] > 0))
+    stored = matte.stored.copy()
+    stored[1, i, j, members[members > 90]] *= 1.5
+    assert profiles(replace(matte, stored=stored), robust=True).folded.weight[1, j, i, fold] == members.size
 
 
 def test_profiles_store_their_options(plastic: Measurement) -> None:

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.grid import CHANNELS, DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import global_method
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.metrics import METRICS, Metrics
+from dsbrdf.fitting.metrics import METRICS, Metrics, relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
@@ -97,6 +97,23 @@ def test_student_lobes_come_back_too() -> None:
     assert model.lobe == "student"
     found = model.parameters_at(np.radians([10.0, 40.0, 60.0]))
     np.testing.assert_allclose(found["amplitude"], np.tile(height[:, 0], (3, 1, 1)), rtol=0.02)
+
+
+def test_parametric_variation_has_few_coefficients_a_lobe(plastic_profiles: Profiles, plastic: Measurement) -> None:
+    """Five a channel of the amplitude, and kappa, gamma and elongation once."""
+    full, parametric = (
+        fit(plastic_profiles, FitOptions(n_lobes=2, ring_lobes=0, variation=variation)).model
+        for variation in ("full", "parametric")
+    )
+    assert parametric.n_numbers == 2 * (3 * 5 + 3)
+    assert parametric.amplitude.shape == (3, 5, 2)
+    np.testing.assert_allclose(parametric.theta_diff, np.radians([0.0, 70.0, 89.0]), atol=0.02)
+    angles = np.radians([0.0, 30.0, 60.0, 80.0])
+    for name in ("kappa", "gamma", "elongation"):
+        found = parametric.parameters_at(angles)[name]
+        np.testing.assert_allclose(found, np.broadcast_to(found[:1], found.shape), rtol=1e-12)
+    errors = [relative_errors(sample_errors(model, plastic, DEFAULT_HORIZON_CUTOFF)) for model in (full, parametric)]
+    assert errors[1].relative_rms < 3.0 * errors[0].relative_rms  # type: ignore[union-attr]
 
 
 def test_elongation_goes_below_the_bivariate_floor() -> None:

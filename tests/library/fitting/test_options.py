@@ -32,6 +32,11 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         {"method": "paper", "weighting": "balanced"},
         'the method "paper" has no weighting "balanced": use "plain", "cosine" or "log"',
     ),
+    ({"variation": "cubic"}, "variation must be one of full, parametric, not 'cubic'"),
+    (
+        {"method": "paper", "variation": "parametric"},
+        'the method "paper" has values at every slice: use the variation "full"',
+    ),
     ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),
     ({"method": "paper", "lobe": "student"}, 'the method "paper" has the lobe "hemi_epd" only'),
     *(
@@ -74,6 +79,7 @@ def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sente
         {"method": "paper", "ring_lobes": 0, "mask": 1.0},
         {"knots": tuple(np.radians([0.0, 1.0]))},
         {"knots": tuple(np.radians(np.arange(90.0)))},
+        {"variation": "parametric"},
         {"horizon_cutoff": None},
         {"horizon_cutoff": np.pi / 2},
         {"mask": 0.0},

@@ -1,6 +1,7 @@
 """Finding materials, keeping what is computed of them, and computing several at once."""
 
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from dsbrdf.paper.materials import Failure, Material, Numbers, choose, compute, 
 
 
 def name_length(material: Material) -> Numbers:
-    """Numbers that take no time."""
-    return {"length": np.array(len(material.name)), "process": np.array(os.getpid())}
+    """Numbers that take no time, and whether the process ends with its parent."""
+    watched = any(thread.name == "end-with-parent" for thread in threading.enumerate())
+    return {"length": np.array(len(material.name)), "process": np.array(os.getpid()), "watched": np.array(watched)}
 
 
 @pytest.fixture
@@ -100,9 +102,20 @@ def test_several_processes_give_the_same_in_order(folder: Path) -> None:
     computed, _ = compute(find_materials(folder, folder), name_length, folder / "n", jobs=2, progress=done.append)
     assert [int(one["length"]) for one in computed] == [10, 11, 9, 5]
     assert os.getpid() not in {int(one["process"]) for one in computed}
+    assert all(one["watched"] for one in computed)
     assert done == [1, 2, 3, 4]
     with pytest.raises(InvalidArgumentError, match="jobs, the number of processes, must be at least 1, not 0"):
         compute([], name_length, folder, jobs=0)
+
+
+def die(material: Material) -> Numbers:
+    """End the process that computes."""
+    os._exit(1)
+
+
+def test_a_process_that_dies_is_told(folder: Path) -> None:
+    with pytest.raises(ChildProcessError, match="a process died; run the command again"):
+        compute(find_materials(folder, folder)[:2], die, folder / "n", jobs=2)
 
 
 def test_an_interrupted_run_goes_on(folder: Path) -> None:

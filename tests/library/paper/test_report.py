@@ -54,7 +54,8 @@ def test_page_is_self_contained() -> None:
 
 
 def test_figures_have_the_names_of_the_paper() -> None:
-    assert [figure.name for figure in FIGURES] == [f"figure{number}" for number in range(1, 7)]
+    names = [f"figure{number}" for number in range(1, 7)]
+    assert [figure.name for figure in FIGURES] == [*names, "footprint", "interpolation"]
     assert set(report._ORDER) == set(FIGURES)
 
 

@@ -7,7 +7,7 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.paper.table_interpolation import interpolated_rows, means_over_phi, table_error, thinned
+from dsbrdf.paper.table_interpolation import guided_table_error, interpolated_rows, means_over_phi, table_error, thinned
 
 
 def test_every_nth_row_is_kept(plastic: Measurement) -> None:
@@ -38,6 +38,18 @@ def test_means_are_those_of_the_profiles(plastic: Measurement) -> None:
 def test_error_of_the_table_of_means_is_the_floor(plastic: Measurement, quick_floor: float) -> None:
     assert table_error(plastic, plastic) == 0.0
     assert table_error(plastic, means_over_phi(plastic)) == pytest.approx(quick_floor, rel=1e-9)
+
+
+def test_a_table_guided_by_the_data_is_exact(plastic: Measurement) -> None:
+    few = thinned(plastic, 15)
+    assert guided_table_error(few, thinned(plastic, 30), plastic.values) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_table_guided_by_nothing_is_the_table_itself(plastic: Measurement) -> None:
+    few, fewer = thinned(plastic, 15), thinned(plastic, 30)
+    error = table_error(few, fewer)
+    assert error > 0.01
+    assert guided_table_error(few, fewer, np.zeros_like(plastic.stored)) == pytest.approx(error, rel=1e-12)
 
 
 @pytest.fixture

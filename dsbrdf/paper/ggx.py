@@ -29,6 +29,8 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_nodes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
+__all__ = ["FINE_STRIDE", "GGXModel", "Nodes", "Objective", "fit_ggx", "microfacet", "samples"]
+
 Array = NDArray[np.float64]
 Objective = Literal["plain", "log"]
 
