@@ -9,6 +9,8 @@ DOCS_READY := $(VENV)/.docs-ready
 # On matrices as small as these, several BLAS threads are slower than one.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Python keeps what it has compiled, also where the shell says that it should not: the tests start it a hundred times.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help demo serve docs test check audit fix bench soak prove lock clean

@@ -6,18 +6,20 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, Path, Request
+from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
+from service.errors import FitNotFoundError, MeasurementNotFoundError
 from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
 from service.jobs.model_cache import ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.settings import Settings
-from service.storage.schema import Caller, FitKey
+from service.storage.schema import Caller, FitKey, FitRow, MeasurementRow
 from service.storage.store import Store
 from service.wire import examples
 from service.wire.names import given_name
@@ -41,6 +43,20 @@ class Context:
     # One at a time, and callers take turns: what is drawn or exported takes a core and memory for up to some seconds.
     drawing: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
     exporting: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
+
+    async def fit_row(self, fit: FitKey) -> FitRow:
+        """Return a fit's row; raise FitNotFoundError if there is no such fit."""
+        row = await run_in_threadpool(self.store.fit, fit)
+        if row is None:
+            raise FitNotFoundError(fit.id)
+        return row
+
+    async def measurement_row(self, owner: str, sha256: str) -> MeasurementRow:
+        """Return the row of an owner's measurement; raise MeasurementNotFoundError if there is none."""
+        row = await run_in_threadpool(self.store.measurement, owner, sha256)
+        if row is None:
+            raise MeasurementNotFoundError(sha256)
+        return row
 
 
 async def context_of(request: Request) -> Context:

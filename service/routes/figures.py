@@ -20,7 +20,7 @@ from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
-from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from service.errors import MeasurementNotFoundError, ProblemError
 from service.http import openapi
 from service.http.responses import IfNoneMatch, is_current, tag_of
 from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, TheFit
@@ -92,11 +92,8 @@ async def draw_figure(
     theta_half and theta_diff.
     """
     model = (await context.models.get(fit)).model
-    row = await run_in_threadpool(context.store.fit, fit)
-    if row is None:
-        raise FitNotFoundError(fit.id)
-    if await run_in_threadpool(context.store.measurement, fit.owner, row.measurement) is None:
-        raise MeasurementNotFoundError(row.measurement)
+    row = await context.fit_row(fit)
+    await context.measurement_row(fit.owner, row.measurement)
     etag, media_type = tag_of(dsbrdf.__version__, fit.id, row.name, figure, image_format), _MEDIA_TYPES[image_format]
 
     def draw() -> bytes:
@@ -119,8 +116,7 @@ async def draw_measurement(
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
-    if await run_in_threadpool(context.store.measurement, caller.owner, sha256) is None:
-        raise MeasurementNotFoundError(sha256)
+    await context.measurement_row(caller.owner, sha256)
     etag = tag_of(dsbrdf.__version__, sha256, wanted)
 
     def draw() -> bytes:

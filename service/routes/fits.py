@@ -207,9 +207,7 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     some seconds; `csv` the parameters.
     """
     model = await context.models.component(fit, wanted.component)
-    row = await run_in_threadpool(context.store.fit, fit)
-    if row is None:
-        raise FitNotFoundError(fit.id)
+    row = await context.fit_row(fit)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     media_type, folder = FORMATS[wanted.format].media_type, context.store.blobs.temporary
@@ -242,8 +240,7 @@ def _pieces(file: IO[bytes]) -> Iterator[bytes]:
 
 async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     """Look the fit up before the stream begins, while the answer can still be 404."""
-    if await run_in_threadpool(context.store.fit, fit) is None:
-        raise FitNotFoundError(fit.id)
+    await context.fit_row(fit)
     return fit
 
 

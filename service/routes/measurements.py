@@ -147,7 +147,4 @@ async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha
 
 async def _found(context: Context, caller: Caller, sha256: str) -> tuple[MeasurementRow, dict[str, str]]:
     """Return a measurement's row and headers."""
-    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
-    if row is None:
-        raise MeasurementNotFoundError(sha256)
-    return row, {"ETag": f'"{sha256}"'}
+    return await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}

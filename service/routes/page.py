@@ -17,7 +17,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from service.access.authentication import COOKIE, same_origin
-from service.errors import FitNotFoundError, ProblemError
+from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, STATIC_FILES, render, sign_in_page, static_file
 from service.http.problems import answer_exception
 from service.http.request_body import receive_body
@@ -72,7 +72,7 @@ async def get_index(
 @pages.get("/fits/{fit_id}")
 async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the page of one fit: its progress, why it failed, or the result."""
-    row = await _existing(context, fit)
+    row = await context.fit_row(fit)
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
     measured = await run_in_threadpool(context.store.measurement, row.owner, row.measurement) is not None
@@ -95,14 +95,14 @@ async def get_comparison(
     """Return the page with two fits side by side."""
     if len(fits) != 2:
         raise InvalidArgumentError(f"Two fits are compared at a time; tick two in the list, not {len(fits)}.")
-    rows = [await _existing(context, FitKey(caller.owner, fit_id)) for fit_id in fits]
+    rows = [await context.fit_row(FitKey(caller.owner, fit_id)) for fit_id in fits]
     return _render("compare.html", request, sides=[await _shown(context, row) for row in rows])
 
 
 @router.get("/fits/{fit_id}/view")
 async def get_view(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
-    view = await context.views.get(await _existing(context, fit))
+    view = await context.views.get(await context.fit_row(fit))
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
     return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
 
@@ -110,7 +110,7 @@ async def get_view(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
 async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = "") -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await context.views.get(await _existing(context, fit))
+    view = await context.views.get(await context.fit_row(fit))
     if name not in view.pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
     return tagged_reply(view.pictures[name], if_none_match, _PNG)
@@ -121,7 +121,7 @@ async def get_profile(
     context: TheContext, fit: TheFit, theta_diff_deg: Annotated[int, Path(ge=0, le=89)], if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
-    view = await context.views.get(await _existing(context, fit))
+    view = await context.views.get(await context.fit_row(fit))
     return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
 
 
@@ -133,7 +133,7 @@ async def get_polar(
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
-    view = await context.views.get(await _existing(context, fit))
+    view = await context.views.get(await context.fit_row(fit))
     return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
 
 
@@ -177,13 +177,6 @@ async def sign_out() -> Response:
 
 def _render(template: str, request: Request, **values: Any) -> Response:
     return render(template, request.url.path, signed_in=COOKIE in request.cookies, **values)
-
-
-async def _existing(context: Context, fit: FitKey) -> FitRow:
-    row = await run_in_threadpool(context.store.fit, fit)
-    if row is None:
-        raise FitNotFoundError(fit.id)
-    return row
 
 
 async def _shown(context: Context, row: FitRow) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -15,6 +14,7 @@ from dsbrdf import FitOptions
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits, FitTask, Outcome
 from dsbrdf.engines.local import LocalEngine
+from tests.support import endless_fit
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.launcher import ForkedProcess
 
@@ -26,7 +26,7 @@ MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
 
 SLOW = FitOptions(n_lobes=8, ring_lobes=2)
 
-ENDLESS = FitOptions(n_lobes=8, ring_lobes=8, knots=tuple(map(math.radians, range(81))))  # more than a minute
+ENDLESS = endless_fit.OPTIONS
 
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 

@@ -7,6 +7,7 @@ The process from which it forks its workers is a fork, too, which it uses once: 
 
 import atexit
 import fcntl
+import gc
 import json
 import os
 import queue
@@ -17,7 +18,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -123,6 +125,7 @@ def _serve_requests(program: str) -> None:
             import_module(f"distributed.cli.dask_{command}")
         import_module("dsbrdf.engines.fit_steps")  # for what workers run
     import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
+    gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
@@ -185,7 +188,28 @@ def _become(program: str, request: dict[str, Any]) -> None:
     else:
         _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]
-    sys.exit(import_module(f"{program}.__main__").main())
+    _leave(import_module(f"{program}.__main__").main)
+
+
+def _leave(main: Callable[[], object]) -> NoReturn:
+    """Run a main function and end the process as its interpreter would, but for taking its modules apart.
+
+    Their memory is shared with the launcher; to write into all of it takes a third of a second.
+    """
+    try:
+        code = main()
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    if isinstance(code, str):
+        print(code, file=sys.stderr)
+    vars(threading)["_shutdown"]()  # waits for threads
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code if isinstance(code, int) else int(code is not None))
 
 
 def _prepare_fork_server() -> None:
@@ -227,8 +251,7 @@ def _become_fork_server(requests: socket.socket) -> NoReturn:
         os.close(descriptor)
     os.environ.clear()
     os.environ.update(request["environment"])
-    exec(request["command"])
-    sys.exit(0)
+    _leave(lambda: exec(request["command"]))
 
 
 if __name__ == "__main__":

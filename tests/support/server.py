@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 
 from service.client import Client
+from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import children, wait_until
 
@@ -20,7 +21,7 @@ QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
 
 SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
 
-ENDLESS: dict[str, Any] = {"method": "global", "n_lobes": 8, "ring_lobes": 8, "knots_deg": [*range(81)]}
+ENDLESS = endless_fit.ON_THE_WIRE
 
 
 class Server:

@@ -5,6 +5,8 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,74 +16,115 @@ Array = NDArray[np.float64]
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None)
 """Path of the browser; None where there is none."""
-SOFTWARE_RENDERER = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Arguments with which the browser draws without a graphics card."""
-_TIMEOUT = 120.0  # seconds; a page takes about 2
-_PAGE = """<!doctype html><pre id=out>no result</pre><script>
-const input = INPUT, width = 128;
-const gl = document.createElement("canvas").getContext("webgl2");
-function fail(text) { document.getElementById("out").textContent = "FAILED " + text; throw text; }
-if (!gl || !gl.getExtension("EXT_color_buffer_float")) fail("no WebGL 2 with float targets");
-function compile(kind, source) {
-  const shader = gl.createShader(kind);
-  gl.shaderSource(shader, source);
-  gl.compileShader(shader);
-  if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) fail(gl.getShaderInfoLog(shader));
-  return shader;
+SOFTWARE_RENDERER = ("--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader")
+"""Arguments with which the browser runs WebGL without a graphics card, and draws the rest of a page without WebGL."""
+_TIMEOUT = 600.0  # seconds; a page takes about 2 on a quiet machine
+_PAGE = """<!doctype html><pre id=out></pre><script>
+const width = 128;
+function evaluated(input) {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl || !gl.getExtension("EXT_color_buffer_float")) throw "no WebGL 2 with float targets";
+  function compile(kind, source) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw gl.getShaderInfoLog(shader);
+    return shader;
+  }
+  const program = gl.createProgram();
+  gl.attachShader(program, compile(gl.VERTEX_SHADER, `#version 300 es
+  void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`));
+  gl.attachShader(program, compile(gl.FRAGMENT_SHADER, input.shader));
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw gl.getProgramInfoLog(program);
+  gl.useProgram(program);
+  function texture(unit, data) {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, input.rows, 0, gl.RGBA, gl.FLOAT, data);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  }
+  function floats(text) { return new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer); }
+  texture(0, floats(input.first));
+  texture(1, floats(input.second));
+  gl.uniform1i(gl.getUniformLocation(program, "first"), 0);
+  gl.uniform1i(gl.getUniformLocation(program, "second"), 1);
+  const target = gl.createTexture();
+  gl.activeTexture(gl.TEXTURE2);
+  gl.bindTexture(gl.TEXTURE_2D, target);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, input.rows, 0, gl.RGBA, gl.FLOAT, null);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, target, 0);
+  gl.viewport(0, 0, width, input.rows);
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+  const pixels = new Float32Array(4 * width * input.rows);
+  gl.readPixels(0, 0, width, input.rows, gl.RGBA, gl.FLOAT, pixels);
+  let text = "";
+  for (const byte of new Uint8Array(pixels.buffer)) text += String.fromCharCode(byte);
+  return btoa(text);
 }
-const program = gl.createProgram();
-gl.attachShader(program, compile(gl.VERTEX_SHADER, `#version 300 es
-void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`));
-gl.attachShader(program, compile(gl.FRAGMENT_SHADER, input.shader));
-gl.linkProgram(program);
-if (!gl.getProgramParameter(program, gl.LINK_STATUS)) fail(gl.getProgramInfoLog(program));
-gl.useProgram(program);
-function texture(unit, data) {
-  gl.activeTexture(gl.TEXTURE0 + unit);
-  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, input.rows, 0, gl.RGBA, gl.FLOAT, data);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+for (const input of INPUTS) {
+  const line = document.createElement("div");
+  try { line.textContent = "DATA " + evaluated(input); } catch (error) { line.textContent = "FAILED " + error; }
+  document.getElementById("out").append(line);
 }
-function floats(text) { return new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer); }
-texture(0, floats(input.first));
-texture(1, floats(input.second));
-gl.uniform1i(gl.getUniformLocation(program, "first"), 0);
-gl.uniform1i(gl.getUniformLocation(program, "second"), 1);
-const target = gl.createTexture();
-gl.activeTexture(gl.TEXTURE2);
-gl.bindTexture(gl.TEXTURE_2D, target);
-gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, input.rows, 0, gl.RGBA, gl.FLOAT, null);
-gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
-gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, target, 0);
-gl.viewport(0, 0, width, input.rows);
-gl.drawArrays(gl.TRIANGLES, 0, 3);
-const pixels = new Float32Array(4 * width * input.rows);
-gl.readPixels(0, 0, width, input.rows, gl.RGBA, gl.FLOAT, pixels);
-const bytes = new Uint8Array(pixels.buffer);
-let text = "";
-for (const byte of bytes) text += String.fromCharCode(byte);
-document.getElementById("out").textContent = "DATA " + btoa(text);
 </script>"""
 
 
-def evaluate_glsl(source: str, call: str, first: Array, second: Array, folder: Path) -> Array:
-    """Values of a GLSL expression of two vectors, compiled and run by the browser.
+@dataclass(frozen=True, eq=False)
+class ShaderCall:
+    """A GLSL expression of two vectors, and the vectors.
 
-    Parameters
+    Attributes
     ----------
     source : str
         Functions.
     call : str
         An expression of ``a`` and ``b``, the vectors, of type vec3.
     first, second : ndarray, shape (n, 3)
+    """
+
+    source: str
+    call: str
+    first: Array
+    second: Array
+
+    def document(self) -> dict[str, object]:
+        """Return what the page is told."""
+        rows = -(-len(self.first) // 128)
+        shader = f"""#version 300 es
+precision highp float;
+precision highp int;
+uniform highp sampler2D first, second;
+out vec4 colour;
+{self.source}
+void main() {{
+  vec3 a = texelFetch(first, ivec2(gl_FragCoord.xy), 0).xyz, b = texelFetch(second, ivec2(gl_FragCoord.xy), 0).xyz;
+  colour = vec4({self.call}, 1.0);
+}}"""
+        encoded: dict[str, object] = {"shader": shader, "rows": rows}
+        for name, vectors in (("first", self.first), ("second", self.second)):
+            padded = np.zeros((128 * rows, 4), dtype="<f4")
+            padded[: len(vectors), :3] = vectors
+            encoded[name] = base64.b64encode(padded.tobytes()).decode()
+        return encoded
+
+
+def evaluate_glsl(calls: Mapping[str, ShaderCall], folder: Path) -> dict[str, Array]:
+    """Values of GLSL expressions, compiled and run by one browser.
+
+    Parameters
+    ----------
+    calls : mapping of str to ShaderCall
+        By name.
     folder : Path
         For the page.
 
     Returns
     -------
-    ndarray, shape (n, 3)
-        Single precision.
+    dict of str to ndarray, shape (n, 3)
+        Single precision, by the names of the calls.
 
     Raises
     ------
@@ -89,24 +132,8 @@ def evaluate_glsl(source: str, call: str, first: Array, second: Array, folder: P
         With the compiler's messages.
     """
     assert CHROMIUM is not None
-    shader = f"""#version 300 es
-precision highp float;
-precision highp int;
-uniform highp sampler2D first, second;
-out vec4 colour;
-{source}
-void main() {{
-  vec3 a = texelFetch(first, ivec2(gl_FragCoord.xy), 0).xyz, b = texelFetch(second, ivec2(gl_FragCoord.xy), 0).xyz;
-  colour = vec4({call}, 1.0);
-}}"""
-    rows = -(-len(first) // 128)
-    encoded = {"shader": shader, "rows": rows}
-    for name, vectors in (("first", first), ("second", second)):
-        padded = np.zeros((128 * rows, 4), dtype="<f4")
-        padded[: len(vectors), :3] = vectors
-        encoded[name] = base64.b64encode(padded.tobytes()).decode()
     page = folder / "page.html"
-    page.write_text(_PAGE.replace("INPUT", json.dumps(encoded)))
+    page.write_text(_PAGE.replace("INPUTS", json.dumps([call.document() for call in calls.values()])))
     command = [
         CHROMIUM,
         "--headless",
@@ -116,8 +143,11 @@ void main() {{
     ]
     command += [*SOFTWARE_RENDERER, "--dump-dom", page.as_uri()]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT, check=True)
-    found = re.search(r">DATA ([\w+/=]+)<", answer.stdout)
-    if not found:
-        raise RuntimeError(answer.stdout[-2000:] + answer.stderr[-2000:])
-    values = np.frombuffer(base64.b64decode(found[1]), dtype="<f4").reshape(-1, 4)
-    return values[: len(first), :3].astype(float)
+    found = re.findall(r"<div>DATA ([\w+/=]+)</div>", answer.stdout)
+    if len(found) != len(calls):
+        raise RuntimeError("".join(re.findall(r"FAILED [^<]*", answer.stdout)) + answer.stderr[-2000:])
+    values = (np.frombuffer(base64.b64decode(text), dtype="<f4").reshape(-1, 4) for text in found)
+    return {
+        name: pixels[: len(call.first), :3].astype(float)
+        for (name, call), pixels in zip(calls.items(), values, strict=True)
+    }

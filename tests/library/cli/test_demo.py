@@ -39,7 +39,28 @@ def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: p
         httpx.get(f"{address[0]}/health/live", timeout=5)
 
 
-def test_demo_service_stops_after_an_exception(tmp_path: Path) -> None:
+_READY = """#!{python}
+from http.server import BaseHTTPRequestHandler, HTTPServer
+class Handler(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200 if self.path == "/health/ready" else 404)
+        self.end_headers()
+server = HTTPServer(("127.0.0.1", 0), Handler)
+print(f"http://127.0.0.1:{{server.server_port}}", flush=True)
+server.serve_forever()
+"""
+
+
+def replace_service(folder: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    """Let a program run where the demo starts the service."""
+    path = folder / "python"
+    path.write_text(program)
+    path.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(path))
+
+
+def test_demo_service_stops_after_an_exception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_service(tmp_path, monkeypatch, _READY.format(python=sys.executable))
     with pytest.raises(httpx.HTTPStatusError), demo.running_service(tmp_path) as url:
         httpx.get(f"{url}/no/such/page", timeout=5).raise_for_status()
     with pytest.raises(httpx.TransportError):
@@ -47,9 +68,6 @@ def test_demo_service_stops_after_an_exception(tmp_path: Path) -> None:
 
 
 def test_demo_shows_the_log_of_a_service_that_fails_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = tmp_path / "python"
-    broken.write_text("#!/bin/sh\necho it broke\nexit 3\n")
-    broken.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(broken))
+    replace_service(tmp_path, monkeypatch, "#!/bin/sh\necho it broke\nexit 3\n")
     with pytest.raises(RuntimeError, match=r"the service did not start.*\n.*it broke"), demo.running_service(tmp_path):
         pytest.fail("nothing is running")

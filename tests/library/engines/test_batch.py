@@ -1,6 +1,5 @@
 """Fits in processes: what they are given, and that nothing outlives or outweighs the command that started them."""
 
-import math
 import os
 import re
 import shutil
@@ -22,6 +21,7 @@ from dsbrdf.engines.batch import FileFit, fit_files
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.serialize import load
 from dsbrdf.process_settings import ONE_BLAS_THREAD, core_count
+from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.processes import alive, short_folder, wait_until
@@ -29,10 +29,6 @@ from tests.support.processes import alive, short_folder, wait_until
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
-# With a knot every degree a fit takes minutes: it does not end while a test looks at it.
-KNOTS = range(81)
-ENDLESS = FitOptions(n_lobes=8, ring_lobes=8, knots=tuple(map(math.radians, KNOTS)))
-ENDLESS_FLAGS = ("--n-lobes", "8", "--ring-lobes", "8", "--knots", ",".join(map(str, KNOTS)))
 PATIENCE = 60.0
 
 
@@ -66,7 +62,7 @@ def works(pid: int) -> bool:
 @contextmanager
 def endless_fits(files: list[Path]) -> Iterator[list[int]]:
     """Fit two files while the block runs; the processes that do it are given."""
-    with closing(fit_files([Path("none.binary"), *files[:2]], ENDLESS, jobs=2)) as items:
+    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2)) as items:
         assert next(items).error == "No such file or directory"
         wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
         yield forked(os.getpid())
@@ -82,7 +78,7 @@ def temporary() -> Iterator[Path]:
 @pytest.fixture
 def command(files: list[Path], tmp_path: Path, temporary: Path) -> Iterator["subprocess.Popen[str]"]:
     """``dsbrdf fit`` of endless fits with two processes at work, in a process group of its own as a terminal has it."""
-    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *ENDLESS_FLAGS]
+    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *endless_fit.FLAGS]
     process = subprocess.Popen(
         [sys.executable, "-m", "dsbrdf.cli.main", *words],
         env={**os.environ, "TMPDIR": str(temporary)},

@@ -178,7 +178,8 @@ def test_cosine_of_the_stretch_is_that_of_theta_diff_held_above_its_value_at_gra
 @pytest.mark.parametrize("family", FAMILIES)
 def test_ring_at_the_horizon_does_not_depend_on_rounding(family: str) -> None:
     squared, kappa, gamma = np.tan(np.radians([10.0, 60.0, 88.0])) ** 2, np.array(0.1), np.array(0.01)
-    values = [lobe_values(squared, kappa, gamma, LARGEST_CENTER * (1.0 + turn), family) for turn in (-1e-7, 0.0, 1e-7)]
+    centers = [np.array(LARGEST_CENTER * (1.0 + turn)) for turn in (-1e-7, 0.0, 1e-7)]
+    values = [lobe_values(squared, kappa, gamma, center, family) for center in centers]
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
     np.testing.assert_allclose(values[2], values[1], rtol=1e-5)
 

@@ -8,7 +8,7 @@ import pytest
 
 from dsbrdf.output.export import export_model
 from tests.support.mixtures import mixture
-from tests.support.webgl import CHROMIUM, evaluate_glsl
+from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 MODEL = mixture(3, 0)
 TEXT = export_model(MODEL, "brdf").decode()
@@ -33,5 +33,6 @@ def test_the_shader_gives_the_values_in_a_turned_frame(tmp_path: Path) -> None:
     first, second = np.array([[0.6, 0.0, 0.8], [0.0, 0.28, 0.96]]), np.array([[-0.48, 0.36, 0.8], [0.0, 0.0, 1.0]])
     x, y, z = (f"vec3({', '.join(map(str, axis))})" for axis in turn.T.tolist())
     shader = "const float scale = 2.0;\n" + sections(TEXT)["shader"]
-    values = evaluate_glsl(shader, f"BRDF(a, b, {z}, {x}, {y})", first @ turn.T, second @ turn.T, tmp_path)
+    call = ShaderCall(shader, f"BRDF(a, b, {z}, {x}, {y})", first @ turn.T, second @ turn.T)
+    values = evaluate_glsl({"turned": call}, tmp_path)["turned"]
     np.testing.assert_allclose(values, 2.0 * MODEL.evaluate_directions(first, second), rtol=1e-3)

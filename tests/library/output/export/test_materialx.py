@@ -1,7 +1,7 @@
 """The MaterialX file: valid for the library, and the surface in it is what the library's own shaders compute."""
 
 import importlib.util
-from pathlib import Path
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.render import render_sphere, sphere_likeness
-from dsbrdf.output.export import export_model
+from dsbrdf.model.render import Evaluate, render_sphere, sphere_likeness
+from dsbrdf.output.export import export_model, materialx
 from dsbrdf.output.export.materialx import FittedSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture
-from tests.support.webgl import CHROMIUM, evaluate_glsl
+from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 Array = NDArray[np.float64]
 
@@ -63,16 +63,23 @@ def fitted() -> FittedSurface:
     return fit_openpbr(COATED.evaluate)
 
 
+@pytest.fixture(scope="module")
+def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
+    """What the shaders of MaterialX compute for each surface."""
+    pairs = pairs_of_directions(2000)
+    sources = {name: generated_function(materialx_document(document_of(surface))) for name, surface in SURFACES.items()}
+    calls = {name: ShaderCall(source, "reflected(a, b)", *pairs) for name, source in sources.items()}
+    return evaluate_glsl(calls, tmp_path_factory.mktemp("materialx"))
+
+
 @needs_materialx
 @needs_chromium
 @pytest.mark.parametrize("name", SURFACES)
-def test_values_are_those_of_the_shaders_of_materialx(name: str, tmp_path: Path) -> None:
-    document = materialx_document(document_of(SURFACES[name]))
-    first, second = pairs_of_directions(2000)
-    values = evaluate_glsl(generated_function(document), "reflected(a, b)", first, second, tmp_path)
-    expected = SURFACES[name].evaluate(*half_difference(first, second))
-    assert np.max(np.abs(values - expected) / expected) < 1e-3
-    assert np.median(np.abs(values - expected) / expected) < 1e-5
+def test_values_are_those_of_the_shaders_of_materialx(name: str, values: dict[str, Array]) -> None:
+    expected = SURFACES[name].evaluate(*half_difference(*pairs_of_directions(2000)))
+    error = np.abs(values[name] - expected) / expected
+    assert np.max(error) < 1e-3
+    assert np.median(error) < 1e-5
 
 
 def test_a_surface_is_found_again(fitted: FittedSurface) -> None:
@@ -86,12 +93,23 @@ def test_the_error_is_that_of_the_spheres(fitted: FittedSurface) -> None:
 
 
 @needs_materialx
-def test_the_document_is_valid_and_states_the_error() -> None:
-    text = export_model(mixture(3, 0), "materialx").decode()
-    document = materialx_document(text)
+def test_the_document_is_valid_and_states_surface_and_error(
+    fitted: FittedSurface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, asked = mixture(3, 0), list[Evaluate]()
+
+    def known(evaluate: Evaluate) -> FittedSurface:
+        asked.append(evaluate)
+        return fitted
+
+    monkeypatch.setattr(materialx, "fit_openpbr", known)
+    document = materialx_document(export_model(model, "materialx").decode())
+    assert asked == [model.evaluate]
     assert document.validate() == (True, "")
-    assert 0.0 <= min(surface_of(document).base_color) <= max(surface_of(document).base_color) <= 1.0
-    assert "dB (three_lights)" in document.getNode("dsbrdf_surface").getAttribute("doc")
+    for name, value in asdict(surface_of(document)).items():
+        assert value == pytest.approx(getattr(fitted.surface, name), rel=1e-5)
+    doc = document.getNode("dsbrdf_surface").getAttribute("doc")
+    assert all(f"{psnr:.1f} dB ({lighting})" in doc for lighting, psnr in fitted.psnr.items())
     assert [node.getCategory() for node in document.getMaterialNodes()] == ["surfacematerial"]
 
 
