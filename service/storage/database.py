@@ -107,7 +107,9 @@ class Database:
         return int(version)
 
     def _connection(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self._path, self.busy_timeout, isolation_level=None, check_same_thread=False)
+        connection = sqlite3.connect(
+            self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False
+        )
         return self._resources.enter_context(closing(connection))
 
     def _check_file(self) -> None:
