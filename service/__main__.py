@@ -52,7 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
-        _keep_temporary_files_in(settings.data_dir)
+        try:
+            _keep_temporary_files_in(settings.data_dir)
+        except BaseException:
+            store.close()
+            raise
     except (DataFolderError, MissingExtraError) as error:
         return refuse(str(error))
     except OSError as error:
