@@ -1,7 +1,6 @@
 // Reflectance in the plane of incidence for one direction of the light, as a polar plot in SVG.
-import { CHANNELS, choice, element, linearTicks } from "./profiles.js";
+import { CHANNELS, choice, element, followSlider, linearTicks } from "./profiles.js";
 
-const root = document.documentElement.dataset.root;
 const DECADES = 4; // of the logarithmic axis, below the largest value
 const SPACE = 34; // beside and below the half circle
 
@@ -54,35 +53,6 @@ function plot(box, data, kind) {
 }
 
 export function startPolar(id) {
-  const slider = document.getElementById("theta-in");
-  const fault = document.getElementById("polar-fault");
-  const box = document.getElementById("polar-plot");
-  const known = new Map();
-
-  async function show() {
-    const wanted = slider.value;
-    document.getElementById("theta-in-value").textContent = `${wanted}°`;
-    try {
-      if (!known.has(wanted)) {
-        const answer = await fetch(`${root}fits/${id}/polar/${wanted}`);
-        const content = await answer.json();
-        if (!answer.ok) throw new Error(content.detail);
-        known.set(wanted, content);
-      }
-      fault.hidden = true;
-      if (wanted === slider.value) plot(box, known.get(wanted), choice("polar-axis")); // else it has moved on
-    } catch (error) {
-      fault.hidden = false;
-      fault.textContent = error.message;
-    }
-  }
-
-  slider.addEventListener("input", show);
-  document.getElementById("polar").addEventListener("change", show);
-  let width = 0;
-  new ResizeObserver(() => {
-    if (box.clientWidth === width) return;
-    width = box.clientWidth;
-    show();
-  }).observe(box);
+  const draw = (box, data) => plot(box, data, choice("polar-axis"));
+  followSlider({ slider: "theta-in", panel: "polar", box: "polar-plot", address: `fits/${id}/polar`, draw });
 }

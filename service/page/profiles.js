@@ -130,30 +130,29 @@ function showLegend(series) {
   document.getElementById("legend").replaceChildren(...items);
 }
 
-export function startProfiles(id) {
-  const slider = document.getElementById("theta-diff");
-  const fault = document.getElementById("profiles-fault");
-  const box = document.getElementById("plot");
+// Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes.
+export function followSlider({ slider, panel, box, address, draw }) {
+  const [input, place, fault, output] = [slider, box, `${panel}-fault`, `${slider}-value`].map((name) => document.getElementById(name));
   const known = new Map();
   let busy = false;
 
   async function show() {
-    document.getElementById("theta-diff-value").textContent = `${slider.value}°`;
+    output.textContent = `${input.value}°`;
     if (busy) return;
     busy = true;
     try {
-      let row;
-      do { // the slider may move on while a slice is on its way
-        row = slider.value;
-        if (!known.has(row)) {
-          const answer = await fetch(`${root}fits/${id}/profiles/${row}`);
+      let wanted;
+      do { // the slider may move on while an answer is on its way
+        wanted = input.value;
+        if (!known.has(wanted)) {
+          const answer = await fetch(`${root}${address}/${wanted}`);
           const content = await answer.json();
           if (!answer.ok) throw new Error(content.detail);
-          known.set(row, content);
+          known.set(wanted, content);
         }
-      } while (row !== slider.value);
+      } while (wanted !== input.value);
       fault.hidden = true;
-      plot(box, known.get(row), choice("channel"), choice("axis"), choice("range"));
+      draw(place, known.get(wanted));
     } catch (error) {
       fault.hidden = false;
       fault.textContent = error.message;
@@ -162,12 +161,17 @@ export function startProfiles(id) {
     }
   }
 
-  slider.addEventListener("input", show);
-  document.getElementById("profiles").addEventListener("change", show);
+  input.addEventListener("input", show);
+  document.getElementById(panel).addEventListener("change", show);
   let width = 0;
   new ResizeObserver(() => {
-    if (box.clientWidth === width) return;
-    width = box.clientWidth;
+    if (place.clientWidth === width) return;
+    width = place.clientWidth;
     show();
-  }).observe(box);
+  }).observe(place);
+}
+
+export function startProfiles(id) {
+  const draw = (box, data) => plot(box, data, choice("channel"), choice("axis"), choice("range"));
+  followSlider({ slider: "theta-diff", panel: "profiles", box: "plot", address: `fits/${id}/profiles`, draw });
 }
