@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FACTORS", "FIGURE", "won"]
 
+Array = NDArray[np.float64]
+
 FACTORS = (1, 2, 4, 8, 12, 16, 24)
 WAYS = ("default", "table", "paper", "table_of_means", "guided_table")
 PREFERRED = ("nickel", "specular-blue-phenolic", "orange-paint")
@@ -82,7 +84,7 @@ def _model_error(model: DSBRDF, full: Measurement) -> float:
     return float("nan") if errors is None else errors.relative_rms
 
 
-def won(model: NDArray[np.float64], table: NDArray[np.float64]) -> list[int]:
+def won(model: Array, table: Array) -> list[int]:
     """Return the factors at which the error of the model is at most that of the table."""
     return [factor for factor, better in zip(FACTORS, model <= table, strict=True) if better]
 
@@ -134,31 +136,13 @@ def _draw(computed: Sequence[Computed]) -> Figure:
 def _claims(computed: Sequence[Computed]) -> list[Claim]:
     default, table, paper, means, guided = np.moveaxis(np.array([one["errors"] for one in computed]), 1, 0)
     guided = np.where(guided > _ROUNDING, guided, 0.0)
-    against = [won(*pair) for pair in zip(default, table, strict=True)]
     of_paper = [won(*pair) for pair in zip(paper, means, strict=True)]
     of_default = [won(*pair) for pair in zip(default, means, strict=True)]
-    listed = "; ".join(
-        f"{one.label} {', '.join(map(str, factors)) or 'none'}" for one, factors in zip(computed, against, strict=True)
-    )
-    gains = ", ".join(
-        f"{factor}: {gain:.2f}" for factor, gain in zip(FACTORS, np.median(table / default, axis=0), strict=True)
-    )
     moderate = FACTORS.index(_MODERATE)
-    hopeless = int(np.sum(default[:, 0] > table[:, moderate]))
     of_guided = [won(*pair) for pair in zip(guided, table, strict=True)]
-    measured = [factors for one, factors in zip(computed, against, strict=True) if one.measured]
     cost = default[:, moderate] / default[:, 0]
     return [
-        Claim(
-            "The model achieves higher accuracy than interpolation even when the data are only reduced moderately.",
-            _verdict(against),
-            "Factors at which the default fit is at or below the table with all its values over phi_diff: "
-            f"{listed}. Materials, of {len(computed)}, at each factor: {_counts(against)}; of the {len(measured)}"
-            f" measured ones: {_counts(measured)}. Error of the table over that of the default fit, median: {gains}."
-            f" On {hopeless} of {len(computed)} the error of the default fit with all rows is above that of the table"
-            f" with every {_MODERATE}th already, which stores a million numbers: rows cannot mend that. With so few"
-            " rows that peaks fall between them, neither is of use.",
-        ),
+        _moderate_claim(computed, default, table),
         Claim(
             "The model captures what a table of few rows misses.",
             _verdict(of_guided),
@@ -181,6 +165,29 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             f" all rows (median; {cost.min():.2f} to {cost.max():.2f}).",
         ),
     ]
+
+
+def _moderate_claim(computed: Sequence[Computed], default: Array, table: Array) -> Claim:
+    """Judge the errors of the default fit against those of the whole table, each of shape (materials, factors)."""
+    against = [won(*pair) for pair in zip(default, table, strict=True)]
+    measured = [factors for one, factors in zip(computed, against, strict=True) if one.measured]
+    listed = "; ".join(
+        f"{one.label} {', '.join(map(str, factors)) or 'none'}" for one, factors in zip(computed, against, strict=True)
+    )
+    gains = ", ".join(
+        f"{factor}: {gain:.2f}" for factor, gain in zip(FACTORS, np.median(table / default, axis=0), strict=True)
+    )
+    hopeless = int(np.sum(default[:, 0] > table[:, FACTORS.index(_MODERATE)]))
+    return Claim(
+        "The model achieves higher accuracy than interpolation even when the data are only reduced moderately.",
+        _verdict(against),
+        "Factors at which the default fit is at or below the table with all its values over phi_diff: "
+        f"{listed}. Materials, of {len(computed)}, at each factor: {_counts(against)}; of the {len(measured)}"
+        f" measured ones: {_counts(measured)}. Error of the table over that of the default fit, median: {gains}."
+        f" On {hopeless} of {len(computed)} the error of the default fit with all rows is above that of the table"
+        f" with every {_MODERATE}th already, which stores a million numbers: rows cannot mend that. With so few"
+        " rows that peaks fall between them, neither is of use.",
+    )
 
 
 def _verdict(found: Sequence[Sequence[int]]) -> Verdict:
