@@ -200,6 +200,8 @@ def _vectors(name: str, omega: ArrayLike) -> NDArray[np.float64]:
 
 def _angles(**named: ArrayLike) -> tuple[NDArray[np.float64], ...]:
     arrays = tuple(_numbers(name, value) for name, value in named.items())
+    if len({array.shape for array in arrays}) == 1:  # the check below costs as much as a point
+        return arrays
     try:
         np.broadcast_shapes(*(array.shape for array in arrays))
     except ValueError:

@@ -190,15 +190,14 @@ class DSBRDF:
                 ) from None
         flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
         values = self.evaluate_unmasked(*flat)
-        below = np.minimum(*incident_cosines(*flat)) < _HORIZON
-        if below.any():
-            values[below] = 0.0
+        if (flat[0] + flat[1] > np.pi / 2).any():  # else both directions are above the horizon for every phi_diff
+            values[np.minimum(*incident_cosines(*flat)) < _HORIZON] = 0.0
         return values.reshape(*theta_half.shape, 3)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
         values = self._evaluator.values(theta_half, theta_diff, phi_diff)
-        if self.delta.any():
+        if self._has_delta:
             inside = theta_half < CENTER_CUTOFF
             for channel in range(3):
                 height = np.interp(theta_diff[inside], self.theta_diff, self.delta[channel])
@@ -368,6 +367,10 @@ class DSBRDF:
             name: at[name].reshape(shape[0], shape[1] * shape[2]) for name in ("kappa", "gamma", "center", "elongation")
         }
         return direction_sampler(LobesAtAngles(**rows, family=self.lobe), self.evaluate_unmasked)
+
+    @cached_property
+    def _has_delta(self) -> bool:
+        return bool(self.delta.any())
 
     @cached_property
     def _evaluator(self) -> Evaluator:

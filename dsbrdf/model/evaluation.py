@@ -101,7 +101,9 @@ class Evaluator:
         self._single_lobes = [slice(lobe, lobe + 1) for lobe in range(n_lobes)]
         self._round = not elongation.values.any()
         kc = n_lobes * n_shapes
-        self._ends = np.cumsum([3 * n_lobes, kc, kc, kc, n_lobes])
+        ends = np.cumsum([0, 3 * n_lobes, kc, kc, kc, n_lobes]).tolist()
+        self._parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
+        self._n_logarithms = ends[3 if spline else 1]
 
     @property
     def pieces(self) -> ParameterPieces:
@@ -112,7 +114,7 @@ class Evaluator:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""
         piece, step = self._place(theta_diff)
         rows = self._natural(_polynomial(self._terms.take(piece, axis=2), step))
-        amplitude, kappa, gamma, center, elongation = np.split(rows.T, self._ends[:-1], axis=1)
+        amplitude, kappa, gamma, center, elongation = (rows[part].T for part in self._parts)
         n, k = theta_diff.size, self._n_lobes
         kappa, gamma, center = (part.reshape(n, self._n_shapes, k) for part in (kappa, gamma, center))
         return amplitude.reshape(n, 3, k), kappa, gamma, center, elongation
@@ -184,15 +186,13 @@ class Evaluator:
 
     def _natural(self, rows: Array) -> Array:
         """Turn the rows that run as curves into the parameters themselves, in place."""
-        if self._spline:
-            np.exp(rows[: self._ends[2]], out=rows[: self._ends[2]])
-        else:
-            np.expm1(rows[: self._ends[0]], out=rows[: self._ends[0]])
+        logarithms = rows[: self._n_logarithms]
+        (np.exp if self._spline else np.expm1)(logarithms, out=logarithms)
         return rows
 
     def _sum(self, rows: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Sum of the lobes, shape (n, 3)."""
-        amplitude, kappa, gamma, center, elongation = np.split(rows, self._ends[:-1])
+        amplitude, kappa, gamma, center, elongation = (rows[part] for part in self._parts)
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:
             stretched = np.broadcast_to(squared, (k, squared.size))
@@ -206,8 +206,7 @@ class Evaluator:
         for lobes in self._runs if squared.size <= _FEW else self._single_lobes:
             ring = center[:, lobes] if self._is_ring[lobes.start] else None
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
-            for lobe, value in zip(range(lobes.start, lobes.stop), values.swapaxes(0, 1), strict=True):
-                total += amplitude[:, lobe] * value
+            total += (amplitude[:, lobes] * values).sum(axis=1)
         return np.ascontiguousarray(total.T)
 
 
