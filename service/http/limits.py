@@ -20,7 +20,9 @@ from service.http.responses import with_security_headers
 from service.settings import Settings
 
 _CLOSE = {"Connection": "close"}
-_READ_SIZE = 1 << 16
+_READ_SIZE = 1 << 16  # bytes that are read from a connection at a time: there may be many
+_LONG_READ_SIZE = 1 << 18  # of a long body, which so takes fewer turns of the event loop
+_LONG_BODY = 1 << 20
 _MAX_HEAD = 1 << 16  # bytes of a request's head, and of what frames its body
 _MAX_FRAMING = 16  # bytes for each byte of a body that is sent in chunks
 
@@ -40,8 +42,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timer of the first request's head."""
         super().connection_made(transport)
-        if hasattr(transport, "max_size"):  # bytes that asyncio reads at a time, each of many connections
-            transport.max_size = _READ_SIZE
+        self._read_at_a_time(_READ_SIZE)
         self._excess = len(self.connections) > self.max_connections
         self._update_header_timer()
 
@@ -85,12 +86,19 @@ class Connection(HttpToolsProtocol):
     def on_body(self, body: bytes) -> None:
         """Take a part of the body."""
         self._n_body += len(body)
+        if self._n_body > _LONG_BODY:
+            self._read_at_a_time(_LONG_READ_SIZE)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
         """Take the end of a request."""
         self._n_received = 0
+        self._read_at_a_time(_READ_SIZE)
         super().on_message_complete()
+
+    def _read_at_a_time(self, n_bytes: int) -> None:
+        if hasattr(self.transport, "max_size"):  # of asyncio's transport, not of its interface
+            self.transport.max_size = n_bytes
 
     def _count_head(self, n_bytes: int) -> None:
         self._n_head += n_bytes

@@ -24,9 +24,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Sink = Callable[[bytes], object]
 
-_PIECE = 1 << 18  # bytes that are worth a switch to another thread
+_PIECE = 1 << 19  # bytes that are worth a switch to another thread
 _SMALL_PIECE = 1 << 16  # of many uploads at once
-_BLOCK = 1 << 20  # bytes that are checked at a time, read back from the file: many waiting ones would take memory
+_BLOCK = 1 << 18  # bytes that are read back from the file at a time
 _CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
 # Few threads for all uploads: each that has ever worked keeps memory for its next piece.
 _threads = CapacityLimiter(4)
@@ -136,7 +136,7 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
     Its values are checked `at_once` or at the end: a check takes memory that many uploads should not have together.
     """
     header, n_received = b"", 0
-    checker: MerlChecker | None = None
+    checker = MerlChecker() if at_once else None
 
     def write(data: bytes) -> None:
         nonlocal header
@@ -146,15 +146,15 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
                 check_header(header)
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
-        if at_once and incoming.size - (checker.n_bytes if checker else 0) >= _BLOCK:
-            check()
+        if checker is not None:
+            checker.update(data)
 
-    def check() -> MerlChecker:
-        nonlocal checker
-        checker = checker or MerlChecker()
-        while block := incoming.read(checker.n_bytes, _BLOCK):
-            checker.update(block)
-        return checker
+    def finish() -> int:
+        """Check the whole, read back unless it has been checked already; return the number of valid nodes."""
+        complete = checker or MerlChecker()
+        while block := incoming.read(complete.n_bytes, _BLOCK):
+            complete.update(block)
+        return int(complete.finish().sum())
 
     decoder = None if body.decoder is None else body.decoder(write)
     feed = write if decoder is None else decoder.feed
@@ -173,7 +173,7 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
         await writing
         if decoder is not None:
             await in_thread(decoder.finish)
-        return await in_thread(lambda: int(check().finish().sum()))
+        return await in_thread(finish)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 
