@@ -65,8 +65,16 @@ async def get_index(
     shown = rows[: page.limit]
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
+    measured = await run_in_threadpool(_stored_measurements, context, shown)
     items = [{"row": row, "facts": facts_of(row), "progress": context.jobs.progress(row)} for row in shown]
-    return _render("index.html", request, items=items, name=name or "", older=older, max_lobes=MAX_LOBES)
+    return _render(
+        "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
+    )
+
+
+def _stored_measurements(context: Context, rows: list[FitRow]) -> set[str]:
+    """Return the measurements of fits that are still stored."""
+    return {row.measurement for row in rows if context.store.measurement(row.owner, row.measurement)}
 
 
 @pages.get("/fits/{fit_id}")

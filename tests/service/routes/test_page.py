@@ -117,7 +117,11 @@ def test_fit_without_its_measurement_is_shown_alone(guarded: Guarded, data: byte
     own = guarded.new_key("alone")
     kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
     fit = guarded.server.http.post("/v1/fits", params=QUICK, content=data, headers={**own, **kind}).json()
+    measured = f"v1/measurements/{fit['measurement']}/figures/sphere.png"
+    assert measured in guarded.server.http.get("/", headers=own).text
     guarded.server.http.delete(f"/v1/measurements/{fit['measurement']}", headers=own)
+    listed = guarded.server.http.get("/", headers=own).text
+    assert (f"v1/fits/{fit['id']}/figures/sphere.png" in listed, measured in listed) == (True, False)
     assert guarded.server.http.get(f"/fits/{fit['id']}/view", headers=own).json()["pictures"] == ["fit"]
     profile = guarded.server.http.get(f"/fits/{fit['id']}/profiles/0", headers=own).json()
     assert (profile["measured"], len(profile["fit"])) == (None, 3)
