@@ -57,6 +57,7 @@ _DARK = 0.02  # of the mean of a row: residuals of values below are relative to 
 _SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
+_FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +93,14 @@ def fit_global(
         If the options leave no data to fit.
     """
     weight = _weights(data, options)
-    coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
+    coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)
     fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
     held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
     mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
-    amplitude_knots, shape_knots, elongation_knots = KNOTS[options.variation]
+    amplitude_knots, shape_knots, elongation_knots = _with_data(KNOTS[options.variation], weight)
     if options.knots is not None:
         amplitude_knots = np.asarray(options.knots)
     fine = _structure(weight, (amplitude_knots, shape_knots, elongation_knots), options)
@@ -129,7 +130,26 @@ def _weights(data: Profiles, options: FitOptions) -> Array:
     return weight
 
 
-def _structure(weight: Array, knots: tuple[Array, Array, Array], options: FitOptions) -> Structure:
+def _with_data(groups: tuple[Array, ...], weight: Array) -> tuple[Array, ...]:
+    """Leave out the knots [rad] that have too few bins with data between them and the next ones."""
+    filled = np.count_nonzero((weight > 0).any(axis=0), axis=(1, 2))
+
+    def enough(first: float, last: float) -> bool:
+        return bool(filled[(THETA_DIFF >= first) & (THETA_DIFF < last)].sum() >= _FEWEST_BINS)
+
+    chosen = []
+    for knots in groups:
+        kept, last = [knots[0]], knots[1:][-1:]  # a constant has one knot
+        for knot in knots[1:-1]:
+            if enough(kept[-1], knot):
+                kept.append(knot)
+        if len(kept) > 1 and not enough(kept[-1], np.inf):
+            kept.pop()
+        chosen.append(np.array([*kept, *last]))
+    return tuple(chosen)
+
+
+def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> Structure:
     """No lobes yet, on knots within the rows that have data."""
     measured = weight.sum(axis=(0, 3)) > 0
     first, last = THETA_DIFF[np.flatnonzero(measured.any(axis=1))[[0, -1]]]

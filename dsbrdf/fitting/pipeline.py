@@ -131,12 +131,16 @@ def _fit_samples(
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     model: DSBRDF | None = None
+    results = []
     for number in range(_SAMPLE_ROUNDS):
         data = sample_profiles(samples, options, model)
         clock.lap("profiles")
         result = _fit_profiles(data, options, partial(_report_round, progress, number), clock)
         model = result.model
-    return replace(result, report=replace(result.report, metrics=scattered_metrics(result.model, samples)))
+        report = replace(result.report, metrics=scattered_metrics(model, samples))
+        results.append(replace(result, report=report))
+    # Each round is better than the one before as a rule; where samples are sparse it may not be.
+    return min(results, key=lambda result: result.report.metrics.relative_rms or 0.0)
 
 
 def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:

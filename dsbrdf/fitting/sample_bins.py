@@ -21,7 +21,7 @@ __all__ = ["sample_profiles", "scattered_metrics"]
 
 Array = NDArray[np.float64]
 
-_LARGEST_RATIO = 4.0  # a model that differs by more between a sample and its bin is not to be trusted with moving it
+_LARGEST_RATIO = 16.0  # a model that differs by more between a sample and its bin is not to be trusted with moving it
 _QUARTER = PHI_DIFF.size // 2 + 1
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.reduction import profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
@@ -42,6 +43,24 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
         gamma=gamma[None],
         elongation=random.uniform(0.2, 1.0, (1, n_lobes)),
     )
+
+
+def scattered_samples(model: DSBRDF, count: int = 5000, seed: int = 1) -> ScatteredSamples:
+    """Return samples of a model without noise: half of them where it reflects, half anywhere."""
+    random = np.random.default_rng(seed)
+    omega_in, omega_out = _hemisphere(random, count), _hemisphere(random, count)
+    where = model.sample(omega_out[: count // 2], random)[0]
+    above = np.flatnonzero(where[:, 2] > 0.05)
+    omega_in[above] = where[above]
+    return ScatteredSamples.from_arrays(
+        omega_in, omega_out, model.evaluate_directions(omega_in, omega_out), name="known"
+    )
+
+
+def _hemisphere(random: np.random.Generator, count: int) -> Array:
+    cosine, turn = np.sqrt(random.uniform(0.02, 1.0, count)), random.uniform(0.0, 2.0 * np.pi, count)
+    sine = np.sqrt(1.0 - cosine**2)
+    return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
 
 def found_by_fit(n_lobes: int, seed: int) -> DSBRDF:

@@ -9,33 +9,16 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.sample_bins import sample_profiles
-from dsbrdf.model.dsbrdf import DSBRDF
-from tests.support.mixtures import deviations, mixture
+from tests.support.mixtures import deviations, mixture, scattered_samples
 
 TRUTH = mixture(2, 1)
 
 
-def hemisphere(random: np.random.Generator, count: int) -> np.ndarray:
-    cosine, turn = np.sqrt(random.uniform(0.02, 1.0, count)), random.uniform(0.0, 2.0 * np.pi, count)
-    sine = np.sqrt(1.0 - cosine**2)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
-
-
-def drawn(model: DSBRDF, count: int = 5000, seed: int = 1) -> ScatteredSamples:
-    """Samples of a model: half of them where it reflects, half anywhere."""
-    random = np.random.default_rng(seed)
-    omega_in, omega_out = hemisphere(random, count), hemisphere(random, count)
-    where = model.sample(omega_out[: count // 2], random)[0]
-    above = np.flatnonzero(where[:, 2] > 0.05)
-    omega_in[above] = where[above]
-    return ScatteredSamples.from_arrays(
-        omega_in, omega_out, model.evaluate_directions(omega_in, omega_out), name="known"
-    )
-
-
 def test_parameters_of_a_known_model_are_found() -> None:
-    result = dsbrdf.fit(drawn(TRUTH), n_lobes=2, ring_lobes=0)
-    assert max(deviations(result.model, TRUTH).values()) < 0.03
+    """Few of the samples are at grazing angles: with as many knots there as a table has, the fit runs away."""
+    truth = mixture(3, 4)
+    result = dsbrdf.fit(scattered_samples(truth), n_lobes=3, ring_lobes=0)
+    assert max(deviations(result.model, truth).values()) < 0.03
     metrics = result.report.metrics
     assert metrics.relative_rms is not None
     assert metrics.relative_rms < 3e-3
@@ -44,7 +27,7 @@ def test_parameters_of_a_known_model_are_found() -> None:
 
 
 def test_bins_of_moved_samples_are_the_means_of_the_model() -> None:
-    samples, options = drawn(TRUTH, 3000), FitOptions()
+    samples, options = scattered_samples(TRUTH, 3000), FitOptions()
     moved = sample_profiles(samples, options, TRUTH)
     rough = sample_profiles(samples, options)
     used = moved.folded.weight[0] > 0.0
@@ -60,7 +43,7 @@ def test_bins_of_moved_samples_are_the_means_of_the_model() -> None:
 
 
 def test_weights_are_those_of_repeated_samples() -> None:
-    samples = drawn(TRUTH, 400)
+    samples = scattered_samples(TRUTH, 400)
     first, second, values = samples.omega_in, samples.omega_out, samples.values
     twice = [np.concatenate([part, part]) for part in (first, second, values)]
     doubled = ScatteredSamples.from_arrays(twice[0], twice[1], twice[2])
@@ -72,4 +55,4 @@ def test_weights_are_those_of_repeated_samples() -> None:
 
 def test_the_papers_method_needs_slices() -> None:
     with pytest.raises(InvalidArgumentError, match="cannot be fitted with method 'paper'"):
-        dsbrdf.fit(drawn(TRUTH, 300), method="paper")
+        dsbrdf.fit(scattered_samples(TRUTH, 300), method="paper")
