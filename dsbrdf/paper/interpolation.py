@@ -154,7 +154,7 @@ def _draw(computed: Sequence[Computed]) -> Figure:
             _draw_exposed(above[number], parameters, f"{share:g}")
             _draw_exposed(below[number], sphere(_blend(*ends, share), _SIZE))
         for ax, one in zip(above[[0, -1]], (first, second), strict=True):
-            _draw_exposed(ax, one["sphere"], f"{one.label}: data")
+            _draw_exposed(ax, one["sphere"], f"data of\n{one.label}")
         above[1].set_ylabel("parameters", fontsize=8)
         below[1].set_ylabel("values", fontsize=8)
         for ax in below[[0, -1]]:
