@@ -8,7 +8,7 @@ of ``omega_out``, the unit vectors towards the light and the viewer with the nor
 import hashlib
 import os
 from collections.abc import Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 
@@ -57,6 +57,11 @@ class ScatteredSamples:
     weight: Array
     name: str
     sha256: str
+
+    def take(self, chosen: NDArray[np.bool_]) -> "ScatteredSamples":
+        """Return some of the samples."""
+        arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
+        return replace(self, **arrays)
 
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"

@@ -17,7 +17,7 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import IN_BIN, OUTLIER, Profiles
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import Slices
@@ -57,6 +57,7 @@ _DARK = 0.02  # of the mean of a row: residuals of values below are relative to 
 _SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
+_MANY_SAMPLES = 5000
 _FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
 
 
@@ -67,10 +68,15 @@ class GlobalFit:
     model: DSBRDF
     slices: Slices
     growth: list[GrowthStep]
+    mixture: Mixture
 
 
 def fit_global(
-    data: Profiles, options: FitOptions, progress: Callable[[float], None], on_stage: Callable[[str], None]
+    data: Profiles,
+    options: FitOptions,
+    progress: Callable[[float], None],
+    on_stage: Callable[[str], None],
+    split: tuple[Profiles, Profiles] | None = None,
 ) -> GlobalFit:
     """Fit all rows at once.
 
@@ -82,6 +88,9 @@ def fit_global(
         Called with the share of the work done.
     on_stage : callable
         Called with the name of each stage that has ended.
+    split : tuple of Profiles, optional
+        What lobes are fitted to while they are searched for, and what tells whether they pay, where rows and columns
+        in between have no data of their own.
 
     Returns
     -------
@@ -92,10 +101,14 @@ def fit_global(
     FitError
         If the options leave no data to fit.
     """
-    weight = _weights(data, options)
+    weight = fit_weights(data, options)
     coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)
-    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS).take_bins(_SEARCH_BINS)
-    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS).take_bins(_SEARCH_BINS)
+    if split is None:
+        fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
+        held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
+    else:
+        fitted, held_out = (_select(part, fit_weights(part, options), FIT_ROWS, FIT_COLUMNS) for part in split)
+    fitted, held_out = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
@@ -110,16 +123,43 @@ def fit_global(
     solution = _refine(
         _select(data, weight, FIT_ROWS, FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
     )
-    model = _model(mixture.structure, solution.unknowns)
     on_stage("refine")
+    return _found(structure, solution, weight.sum(axis=(2, 3)) > 0, growth)
+
+
+def refine_at_samples(data: FitData, found: GlobalFit) -> GlobalFit:
+    """Fit the mixture that was found in bins again, to values at the very points where they were measured.
+
+    Parameters
+    ----------
+    data : FitData
+        A row for each whole degree of theta_diff that has samples.
+    found : GlobalFit
+
+    Returns
+    -------
+    GlobalFit
+    """
+    structure = found.mixture.structure
+    # Fewer samples say less: parameters have to be smoother.
+    pull = max(1.0, _MANY_SAMPLES / np.count_nonzero(data.weight[0]))
+    amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
+    problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
+    solution = minimize(problem, found.mixture.unknowns, tolerance=TOLERANCE, iterations=MAX_ITERATIONS)
+    seen = np.isin(THETA_DIFF, data.theta_diff)
+    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), found.growth)
+
+
+def _found(structure: Structure, solution: Solution, seen: NDArray[np.bool_], growth: list[GrowthStep]) -> GlobalFit:
+    """Put a solution and what is reported of it together; `seen` says of each channel which rows had data."""
+    model = _model(structure, solution.unknowns)
     knots = model.theta_diff
-    seen = weight.sum(axis=(2, 3)) > 0
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
     slices = Slices.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, _bounds_hit(model))
-    return GlobalFit(model, slices, growth)
+    return GlobalFit(model, slices, growth, Mixture(structure, solution.unknowns))
 
 
-def _weights(data: Profiles, options: FitOptions) -> Array:
+def fit_weights(data: Profiles, options: FitOptions) -> Array:
     """Weights of the folded bins, 0 for what is masked."""
     weight = bin_weights(data.folded, options.resolved_weighting, options.horizon_cutoff)
     mask = options.mask or 0.0
@@ -221,7 +261,7 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
     Elongated lobes change so fast within a bin that the two differ.
     """
     data = problem.data
-    theta_half, theta_diff = THETA_HALF[data.columns][:, None], THETA_DIFF[data.rows][:, None, None]
+    theta_half, theta_diff = data.theta_half[:, None], data.theta_diff[:, None, None]
     count = above_horizon(theta_half, theta_diff, PHI_DIFF[:_QUARTER]) * _SAMPLES_IN_BIN.sum(axis=1)
     nodes = np.broadcast_to(np.cos(PHI_DIFF[:_QUARTER]) ** 2, count.shape)
     values = MixtureProblem(replace(data, cos2_phi=nodes), problem.structure).values(unknowns)

@@ -49,30 +49,32 @@ _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the t
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Folded profiles on chosen rows and columns, with the weights that the fit gives them.
+    """Values at points that lie in rows of equal theta_diff, with the weights that the fit gives them.
 
     Attributes
     ----------
-    mean, weight : ndarray, shape (3, R, N, 9)
-    cos2_phi : ndarray, shape (R, N, 9)
-    rows, columns : ndarray of int, shapes (R,), (N,)
-        On the axes of theta_diff and theta_half.
+    mean, weight : ndarray, shape (3, R, N, P)
+        N angles theta_half in each row, P values of phi_diff each.
+    cos2_phi : ndarray, shape (R, N, P)
+    theta_diff : ndarray, shape (R,)
+    theta_half : ndarray, shape (N,) or (R, N)
+        The same for all rows, or each row's own [rad].
     """
 
     mean: Array
     weight: Array
     cos2_phi: Array
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    theta_diff: Array
+    theta_half: Array
 
     @classmethod
     def select(
         cls, folded: FoldedProfiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> "FitData":
-        """Take rows of theta_diff and columns of theta_half."""
+        """Take rows of theta_diff and columns of theta_half of folded profiles, with all of their bins."""
         chosen = np.ix_(np.arange(3), rows, columns)
         cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
-        return cls(folded.mean[chosen], weight[chosen], cos2_phi, rows, columns)
+        return cls(folded.mean[chosen], weight[chosen], cos2_phi, THETA_DIFF[rows], THETA_HALF[columns])
 
     def take_bins(self, bins: Sequence[int]) -> "FitData":
         """Keep some bins of phi_diff only."""
@@ -100,16 +102,15 @@ class MixtureProblem:
 
     def __init__(self, data: FitData, structure: Structure, smoothing: tuple[float, float, float] = SMOOTHING) -> None:
         self.data, self.structure = data, structure
-        angles = THETA_DIFF[data.rows]
         knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
-        self.bases = tuple(spline_basis(k, angles) for k in knots)
-        self._squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
-        self._log_cos = log_cosine(angles)[:, None, None]
+        self.bases = tuple(spline_basis(k, data.theta_diff) for k in knots)
+        self._squared = np.tan(data.theta_half)[..., None] ** 2
+        self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._signal = data.signal
         self._rough = tuple(pull * roughness(b.shape[1]) for b, pull in zip(self.bases, smoothing, strict=True))
 
     def values(self, unknowns: Array) -> Array:
-        """Values of the mixture, shape (3, R, N, 9) [1/sr]."""
+        """Values of the mixture, shape (3, R, N, P) [1/sr]."""
         amplitude, shape, elongation = self.row_parameters(unknowns)
         return np.einsum("crk,krnp->crnp", amplitude, self._values(shape, elongation), optimize=True)
 
@@ -133,7 +134,7 @@ class MixtureProblem:
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
         """Gauss-Newton matrix (U, U) and half the gradient (U,) of the cost."""
-        k, n_rows = self.structure.n_lobes, len(self.data.rows)
+        k, n_rows = self.structure.n_lobes, self.data.theta_diff.size
         rings = np.flatnonzero(self.structure.rings)
         lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
         within, across, shared = _empty_blocks(n_rows, k, lobe_of.size)
@@ -223,9 +224,9 @@ class Evaluation:
     cost : float
         Weighted squared error plus the pull towards smooth parameters.
     amplitude : ndarray, shape (3, R, K)
-    curves : ndarray, shape (R, K + P, N * 9)
-        Lobes of height 1, then their derivatives in the P parameters that the channels share.
-    residual : ndarray, shape (3, R, N * 9)
+    curves : ndarray, shape (R, K + Q, N * P)
+        Lobes of height 1, then their derivatives in the Q parameters that the channels share.
+    residual : ndarray, shape (3, R, N * P)
         Mixture less data.
     """
 

@@ -19,7 +19,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
@@ -184,13 +183,13 @@ def _candidates() -> list[_Candidate]:
 
 def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     """Values of a candidate, shape (R, N * 9)."""
-    squared = np.tan(THETA_HALF[data.columns])[:, None] ** 2
-    log_cos = log_cosine(THETA_DIFF[data.rows])[:, None, None]
+    squared = np.tan(data.theta_half)[:, None] ** 2
+    log_cos = log_cosine(data.theta_diff)[:, None, None]
     at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent
     center = np.array(candidate.center) if candidate.is_ring else None
     kappa = np.array(_START_KAPPA)
     values = lobe_values(at, kappa, gamma_of_half_width(np.array(candidate.width), kappa, family), center, family)
-    return np.ascontiguousarray(values.reshape(len(data.rows), -1))
+    return np.ascontiguousarray(values.reshape(data.theta_diff.size, -1))
 
 
 def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> Mixture:
@@ -294,7 +293,7 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
 
 def _project(data: FitData, residual: Array, curves: Array) -> tuple[Array, Array]:
     """Gain (n,) of each curve alone, and its amplitude in each channel and row (3, R, n), zero or positive."""
-    n_rows = len(data.rows)
+    n_rows = data.theta_diff.size
     by_row = np.ascontiguousarray(curves.transpose(1, 0, 2))
     squares = by_row**2
     gain, amplitude = np.zeros(len(curves)), np.zeros((3, n_rows, len(curves)))

@@ -16,21 +16,22 @@ from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
-from dsbrdf.fitting.global_method import fit_global
-from dsbrdf.fitting.lobe_selection import SelectionStep
-from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.global_method import GlobalFit, fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.paper_method import fit_slicewise
+from dsbrdf.fitting.paper_method import PaperFit, fit_slicewise
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
-from dsbrdf.fitting.sample_bins import sample_profiles, scattered_metrics
+from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
 
-_SAMPLE_ROUNDS = 5  # fits of scattered samples; more of them change parameters by about 1 %
+_BINNED_ROUNDS = 2  # fits of scattered samples in bins: the second knows how to move them there
+_HELD_OUT = 5  # of which each one scattered sample tells whether a lobe pays
+_MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of more, so many taken at random
+_EXACT_ROUNDS = 3  # fits of scattered samples where they are
 
 
 def fit(
@@ -97,14 +98,16 @@ def fit(
 
 def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: "_Clock") -> FitResult:
     """Fit a model and report what the profiles can tell."""
-    growth, selection = tuple[GrowthStep, ...](), tuple[SelectionStep, ...]()
     if options.method == "paper":
         papers = fit_slicewise(data, options, progress)
-        model, slices, selection = papers.model, papers.slices, papers.selection
         clock.lap("em")
-    else:
-        found = fit_global(data, options, progress, clock.lap)
-        model, slices, growth = found.model, found.slices, tuple(found.growth)
+        return _result(papers, data, options, clock)
+    return _result(fit_global(data, options, progress, clock.lap), data, options, clock)
+
+
+def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, clock: "_Clock") -> FitResult:
+    """Model and report, without the metrics."""
+    model, slices = found.model, found.slices
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
     clock.lap("albedo")
     report = FitReport(
@@ -113,8 +116,8 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
         by_channel=(),
         by_theta_diff=(),
         slices=slices,
-        growth=growth,
-        selection=selection,
+        growth=tuple(found.growth) if isinstance(found, GlobalFit) else (),
+        selection=found.selection if isinstance(found, PaperFit) else (),
         albedo=albedo,
         n_numbers=model.n_numbers,
         timings=clock.laps,
@@ -127,25 +130,33 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
 def _fit_samples(
     samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: "_Clock"
 ) -> FitResult:
-    """Fit samples in bins, and again with the samples moved to their bins by the model found."""
+    """Fit samples in bins, again with the samples moved to their bins by the model found, then where they are.
+
+    A robust fit ends in the bins, where it compares samples with their neighbours.
+    """
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
+    order = np.random.default_rng(0).permutation(len(samples.values))
+    parts = samples.take(order % _HELD_OUT != 0), samples.take(order % _HELD_OUT == 0)
     model: DSBRDF | None = None
-    results = []
-    for number in range(_SAMPLE_ROUNDS):
+    for number in range(_BINNED_ROUNDS):
         data = sample_profiles(samples, options, model)
+        fitted, held_out = (sample_profiles(part, options, model) for part in parts)
         clock.lap("profiles")
-        result = _fit_profiles(data, options, partial(_report_round, progress, number), clock)
-        model = result.model
-        report = replace(result.report, metrics=scattered_metrics(model, samples))
-        results.append(replace(result, report=report))
-    # Each round is better than the one before as a rule; where samples are sparse it may not be.
-    return min(results, key=lambda result: result.report.metrics.relative_rms or 0.0)
+        found = fit_global(data, options, partial(_report_round, progress, number), clock.lap, (fitted, held_out))
+        model = found.model
+    exact = samples.take(order < _MOST_EXACT)
+    for _ in range(0 if options.robust else _EXACT_ROUNDS):
+        found = refine_at_samples(sample_rows(exact, data, options, found.model), found)
+        clock.lap("refine")
+    result = _result(found, data, options, clock)
+    metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
+    return replace(result, report=replace(result.report, metrics=metrics))
 
 
 def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:
     """Tell how much is done of the whole when a share of one round is."""
-    progress((number + share) / _SAMPLE_ROUNDS)
+    progress(0.9 * (number + share) / _BINNED_ROUNDS)
 
 
 def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:

@@ -1,8 +1,9 @@
-"""Scattered samples as folded profiles: what the fit works on, without a table in between.
+"""Scattered samples as what the fit works on, without a table in between.
 
-A sample is put into the nearest of the rows and columns of the grid that the fit uses, and into its bin of phi_diff.
-There the model has another value than where the sample was taken.  Once there is a model, the sample is multiplied by
-the ratio of the two, so that what was lost by moving it comes back with each fit.
+For the search a sample is put into the nearest of the rows and columns of the grid that the fit uses, and into its bin
+of phi_diff.  There the model has another value than where the sample was taken.  Once there is a model, the sample is
+multiplied by the ratio of the two.  The last fits take each sample where it is, but for its theta_diff, which is moved
+by less than a degree: there the ratio is near 1.
 """
 
 import numpy as np
@@ -12,12 +13,13 @@ from dsbrdf.data.geometry import above_horizon, half_difference
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import IN_BIN, N_BINS, FoldedProfiles, Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS
+from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, fit_weights
+from dsbrdf.fitting.least_squares import FitData
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 
-__all__ = ["sample_profiles", "scattered_metrics"]
+__all__ = ["sample_profiles", "sample_rows", "scattered_metrics"]
 
 Array = NDArray[np.float64]
 
@@ -40,18 +42,11 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
     -------
     Profiles
     """
-    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
-    row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
-    column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
-    turned = np.degrees(phi_diff) % 180.0
-    folded_phi = np.minimum(turned, 180.0 - turned)
-    bin_of = np.minimum(np.rint(folded_phi).astype(np.intp) * N_BINS // 90, N_BINS - 1)
-    cells, cell = np.unique(np.stack([row, column, bin_of]), axis=1, return_inverse=True)
+    angles = half_difference(samples.omega_in, samples.omega_out)
+    cells, cell = np.unique(_cells(*angles), axis=1, return_inverse=True)
     values = samples.values
     if model is not None:
-        at_sample = model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
-        ratio = _mean_in_cells(model, cells)[cell] / np.maximum(at_sample, 1e-300)
-        values = values * np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
+        values = values * _ratio(_mean_in_cells(model, cells)[cell], model.evaluate_unmasked(*angles))
     shape = (THETA_DIFF.size, THETA_HALF.size, N_BINS)
     weight, mean = np.zeros((3, *shape)), np.zeros((3, *shape))
     total = np.bincount(cell, samples.weight)
@@ -63,14 +58,52 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
     return _profiles(samples, options, FoldedProfiles(mean, weight, cos2_phi))
 
 
-def scattered_metrics(model: DSBRDF, samples: ScatteredSamples) -> Metrics:
-    """Errors of a model on samples: relative_rms and male, weighted; the others need a whole measurement."""
+def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions, model: DSBRDF) -> FitData:
+    """Put samples into rows of whole degrees of theta_diff, each at its own theta_half and phi_diff.
+
+    Parameters
+    ----------
+    samples : ScatteredSamples
+    binned : Profiles
+        The same samples in bins, whose weights they get.
+    options : FitOptions
+    model : DSBRDF
+        A fit of the samples, by which they are moved to their rows.
+
+    Returns
+    -------
+    FitData
+        Shorter rows end with samples of no weight.
+    """
+    angles = half_difference(samples.omega_in, samples.omega_out)
+    per_weight = fit_weights(binned, options) / np.where(binned.folded.weight > 0.0, binned.folded.weight, 1.0)
+    weight = per_weight[:, *_cells(*angles)] * samples.weight
+    theta_half, theta_diff, phi_diff = angles
+    row = _nearest(THETA_DIFF, theta_diff)
+    at_row = model.evaluate_unmasked(theta_half, THETA_DIFF[row], phi_diff)
+    values = samples.values * _ratio(at_row, model.evaluate_unmasked(*angles))
+    rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
+    order = np.argsort(index, kind="stable")
+    place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    shape = (rows.size, counts.max())
+    data = FitData(
+        np.zeros((3, *shape, 1)), np.zeros((3, *shape, 1)), np.zeros((*shape, 1)), THETA_DIFF[rows], np.zeros(shape)
+    )
+    data.mean[:, *place, 0], data.weight[:, *place, 0] = values[order].T, weight[:, order]
+    data.cos2_phi[*place, 0], data.theta_half[place] = np.cos(phi_diff[order]) ** 2, theta_half[order]
+    return data
+
+
+def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
+    """Errors of a model on samples: relative_rms within the cutoff, male over all; others need a whole measurement."""
     fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
     cosine, weight = samples.omega_in[:, 2:], samples.weight[:, np.newaxis]
-    error, signal = np.sum(weight * (samples.values - fitted) ** 2), np.sum(weight * samples.values**2)
+    lowest = np.minimum(samples.omega_in[:, 2:], samples.omega_out[:, 2:])
+    within = weight * (lowest >= np.cos(np.pi / 2 if horizon_cutoff is None else horizon_cutoff))
+    error, signal = np.sum(within * (samples.values - fitted) ** 2), np.sum(within * samples.values**2)
     log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
     return Metrics(
-        relative_rms=float(np.sqrt(error / signal)),
+        relative_rms=float(np.sqrt(error / signal)) if signal > 0.0 else None,
         male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
     )
 
@@ -81,6 +114,20 @@ def _profiles(samples: ScatteredSamples, options: FitOptions, folded: FoldedProf
     within = np.sum(folded.weight * (folded.mean - mean[..., np.newaxis]) ** 2, axis=3)
     made = (options.horizon_cutoff, "plain", options.robust)
     return Profiles(mean, total, within, folded, *made, samples.name, samples.sha256)
+
+
+def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> NDArray[np.intp]:
+    """Row, column and bin of phi_diff of each sample, shape (3, n)."""
+    row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
+    column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
+    turned = np.degrees(phi_diff) % 180.0
+    folded_phi = np.minimum(turned, 180.0 - turned)
+    bin_of = np.minimum(np.rint(folded_phi).astype(np.intp) * N_BINS // 90, N_BINS - 1)
+    return np.stack([row, column, bin_of])
+
+
+def _ratio(there: Array, here: Array) -> Array:
+    return np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
 
 
 def _nearest(axis: Array, angles: Array) -> NDArray[np.intp]:

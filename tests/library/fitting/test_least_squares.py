@@ -37,7 +37,8 @@ def data_of(values: Array, cos2_phi: Array, *, seed: int = 0) -> FitData:
     """Bins with 5 % noise and uneven weights, some of them zero."""
     random = np.random.default_rng(seed)
     weight = random.uniform(2.0, 20.0, values.shape) * (random.uniform(size=values.shape) > 0.1)
-    return FitData(values * (1.0 + 0.05 * random.standard_normal(values.shape)), weight, cos2_phi, ROWS, COLUMNS)
+    noisy = values * (1.0 + 0.05 * random.standard_normal(values.shape))
+    return FitData(noisy, weight, cos2_phi, THETA_DIFF[ROWS], THETA_HALF[COLUMNS])
 
 
 def truth_of(structure: Structure, seed: int = 0) -> Array:
@@ -55,7 +56,8 @@ def truth_of(structure: Structure, seed: int = 0) -> Array:
 def problem_of(structure: Structure, seed: int = 0) -> MixtureProblem:
     cos2_phi = np.tile(np.cos(np.radians(np.arange(5.0, 90.0, 10.0))) ** 2, (ROWS.size, COLUMNS.size, 1))
     blank = np.zeros((3, *cos2_phi.shape))
-    exact = MixtureProblem(FitData(blank, blank, cos2_phi, ROWS, COLUMNS), structure).values(truth_of(structure))
+    points = FitData(blank, blank, cos2_phi, THETA_DIFF[ROWS], THETA_HALF[COLUMNS])
+    exact = MixtureProblem(points, structure).values(truth_of(structure))
     return MixtureProblem(data_of(exact, cos2_phi, seed=seed), structure, SMOOTHING)
 
 

@@ -52,7 +52,7 @@ def data_of(model: DSBRDF, rows: NDArray[np.intp] = ROWS, *, noise: float = 0.0,
     mean = model.evaluate_unmasked(half.ravel(), diff.ravel(), phi.ravel()).T.reshape(3, *shape)
     mean = mean * (1.0 + noise * np.random.default_rng(seed).standard_normal(mean.shape))
     weight = 1.0 / (mean + 0.05 * np.median(mean)) ** 1.2  # so that dark lobes count too, as in a fit
-    return FitData(mean, weight, np.broadcast_to(COS2_PHI, shape), rows, COLUMNS)
+    return FitData(mean, weight, np.broadcast_to(COS2_PHI, shape), THETA_DIFF[rows], THETA_HALF[COLUMNS])
 
 
 def nothing() -> None:

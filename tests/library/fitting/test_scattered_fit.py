@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.sample_bins import sample_profiles
+from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows
 from tests.support.mixtures import deviations, mixture, scattered_samples
 
 TRUTH = mixture(2, 1)
@@ -40,6 +41,21 @@ def test_bins_of_moved_samples_are_the_means_of_the_model() -> None:
     assert difference[0] < 0.005
     assert difference[1] > 5.0 * difference[0]
     assert set(b) == set(range(9))
+
+
+def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
+    samples, options = scattered_samples(TRUTH, 3000), FitOptions()
+    data = sample_rows(samples, sample_profiles(samples, options, TRUTH), options, TRUTH)
+    used = data.weight[0, ..., 0] > 0.0
+    assert np.count_nonzero(used) == 3000
+    row, _ = np.nonzero(used)
+    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
+    np.testing.assert_allclose(np.sort(data.theta_half[used]), np.sort(theta_half))
+    np.testing.assert_allclose(np.sort(data.cos2_phi[used][:, 0]), np.sort(np.cos(phi_diff) ** 2))
+    assert np.abs(np.sort(data.theta_diff[row]) - np.sort(theta_diff)).max() < np.radians(1.0)
+    phi = np.arccos(np.sqrt(data.cos2_phi[used][:, 0]))
+    there = TRUTH.evaluate_unmasked(data.theta_half[used], data.theta_diff[row], phi)
+    np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
 
 
 def test_weights_are_those_of_repeated_samples() -> None:
