@@ -1,6 +1,9 @@
 """Fixtures shared by all tests: measurements, clusters and services."""
 
+import ctypes
+import gc
 import os
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,6 +28,20 @@ settings.register_profile(
 )
 settings.register_profile("soak", settings.get_profile("here"), max_examples=10_000, derandomize=False)
 settings.load_profile("soak" if SOAK else "here")
+
+gc.disable()  # until all tests are collected: what is imported and collected stays
+
+if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
+    # To give the memory of large arrays back and to get it anew, zeroed, takes a tenth of the time of the tests; so it
+    # is kept. The processes that tests start do as they always do.
+    for parameter, size in (-3, 1 << 28), (-1, 1 << 30):  # M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of malloc.h
+        ctypes.CDLL(None).mallopt(parameter, size)
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage from now on, but not among modules and tests, again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

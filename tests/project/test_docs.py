@@ -22,9 +22,11 @@ from matplotlib.image import imread
 import dsbrdf
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.demo import running_service, stop
+from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.export import materialx
+from dsbrdf.output.export.openpbr import OpenPBR
 from service.settings import Settings
 from tests.support.commands import run_main
 
@@ -158,8 +160,10 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     used = {line.split()[1] for line in lines}
     assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
-    # Smaller pictures for the fit of a MaterialX surface, which has tests of its own.
-    monkeypatch.setattr(materialx, "_FIT_SIZES", dict.fromkeys(materialx._FIT_SIZES, 8))
+    # The fit of a MaterialX surface has tests of its own.
+    surface = materialx.FittedSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0, "environment": 30.0})
+    monkeypatch.setattr(materialx, "fit_openpbr", lambda _: surface)
+    monkeypatch.setattr(em, "EM_TOLERANCE", 0.1)  # the paper's method has tests of its own, too
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]
     assert [answer.returncode for answer in shown] == [0] * len(lines)

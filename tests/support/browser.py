@@ -25,27 +25,33 @@ def running_browser() -> Iterator[Browser]:
         browser.close()
 
 
+def new_context(browser: Browser, site: str, key: str | None, **options: Any) -> BrowserContext:
+    """Return what keeps cookies and files of its own in a browser, signed in if there is a key."""
+    # Without a graphics card a sphere of many pixels takes seconds.
+    options = {"device_scale_factor": 0.25, **options}
+    context = browser.new_context(base_url=site, **options)
+    context.set_default_timeout(_PATIENCE)
+    if key is not None:
+        cookie = {"name": "dsbrdf_key", "value": key, "url": site, "httpOnly": True, "sameSite": "Strict"}
+        context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members
+    return context
+
+
 class Visitor:
     """Someone who looks at pages of one site; `close` checks that nothing went wrong and nothing came from elsewhere.
 
-    `requests` are what the browser has asked for: method, address and type of the body.
+    `requests` are what the page has asked for: method, address and type of the body.
     """
 
-    def __init__(self, browser: Browser, site: str, key: str | None, **options: Any) -> None:
-        self.site = site.rstrip("/")
-        # Without a graphics card a sphere of many pixels takes seconds.
-        options = {"device_scale_factor": 0.25, **options}
-        self.context: BrowserContext = browser.new_context(base_url=self.site, **options)
-        self.context.set_default_timeout(_PATIENCE)
-        if key is not None:
-            cookie = {"name": "dsbrdf_key", "value": key, "url": self.site, "httpOnly": True, "sameSite": "Strict"}
-            self.context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members
-        self.page: Page = self.context.new_page()
+    def __init__(self, context: BrowserContext, site: str) -> None:
+        self.site = site
+        self.context = context
+        self.page: Page = context.new_page()
         self.faults: list[str] = []
         self.requests: list[tuple[str, str, str]] = []
         self.page.on("console", self._on_console)
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.context.on(
+        self.page.on(
             "request",
             lambda request: self.requests.append(
                 (request.method, request.url, request.headers.get("content-type", ""))
@@ -58,7 +64,7 @@ class Visitor:
             self.faults.append(message.text)
 
     def close(self) -> None:
-        self.context.close()
+        self.page.close()
         assert self.faults == []
         assert self.requests
         elsewhere = [url for _, url, _ in self.requests if not url.startswith((f"{self.site}/", "data:"))]

@@ -1,9 +1,11 @@
 """Short durability series; ``make soak`` and ``python -m benchmarks durability`` run what is promised, in full."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support.durability.harness import end_fitting_process
 from tests.support.durability.series import SERIES, run
 from tests.support.soak import repeats
 
@@ -17,6 +19,13 @@ TIMES = {
     "same-file": 4,
     "disk": 1,
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_process_is_left() -> Iterator[None]:
+    """End the process that all series share."""
+    yield
+    end_fitting_process()
 
 
 @pytest.mark.parametrize("name", SERIES)

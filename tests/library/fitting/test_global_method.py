@@ -138,6 +138,11 @@ def test_default_beats_the_paper_and_looks_right(
         assert ours["excess"] < 1.1  # type: ignore[operator]
 
 
+def test_ordinary_materials_have_no_warnings(default_fits: tuple[FitResult, ...]) -> None:
+    for result in default_fits:
+        assert result.report.warnings == ()
+
+
 # The model that it gives
 
 

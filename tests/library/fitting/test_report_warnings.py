@@ -14,7 +14,7 @@ from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.report import DirectionalAlbedo, FitResult, Slices
+from dsbrdf.fitting.report import DirectionalAlbedo, Slices
 from dsbrdf.fitting.report_warnings import accuracy_warnings, fit_warnings
 from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -36,11 +36,6 @@ def lobes(*half_widths: float, heights: tuple[float, ...]) -> DSBRDF:
     return DSBRDF(
         np.zeros(1), np.array(heights) * np.ones((3, 1, 1)), kappa * ones, gamma * ones, interpolation="linear"
     )
-
-
-def test_ordinary_materials_have_none(default_fits: tuple[FitResult, ...]) -> None:
-    for result in default_fits:
-        assert result.report.warnings == ()
 
 
 @pytest.mark.parametrize("name", ["rgl_satin_purple", "rgl_acrylic_felt_pink", "merl_red-plastic"])

@@ -11,9 +11,13 @@ from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
 
 if CHROMIUM is not None:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, BrowserContext
 
-    from tests.support.browser import Visitor, running_browser
+    from tests.support.browser import Visitor, new_context, running_browser
+
+
+NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'
+"""Instead of figures that take the service seconds to draw; the shared browser has them, drawn once."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,10 @@ class Site:
     http: httpx.Client
     header: dict[str, str]
     fits: dict[str, str]
+
+    @property
+    def address(self) -> str:
+        return str(self.http.base_url).rstrip("/")
 
     @property
     def key(self) -> str:
@@ -53,16 +61,33 @@ def browser() -> "Iterator[Browser]":
         yield running
 
 
+@pytest.fixture(scope="module")
+def signed_in(browser: "Browser", site: Site) -> "BrowserContext":
+    """The browser of the user, who looks at all pages in it: what the service has drawn once it need not draw again."""
+    return new_context(browser, site.address, site.key)
+
+
 @pytest.fixture
-def visit(browser: "Browser", site: Site) -> "Iterator[Callable[..., Visitor]]":
-    """Open a page in a browser of its own; afterwards nothing may have gone wrong."""
+def visit(browser: "Browser", site: Site, signed_in: "BrowserContext") -> "Iterator[Callable[..., Visitor]]":
+    """Open a page, for a key or with options of its own in a browser without cookies and files.
+
+    Afterwards nothing may have gone wrong.
+    """
     visitors: list[Visitor] = []
 
-    def open_page(path: str, *, key: str | None = site.key, **options: Any) -> "Visitor":
-        visitors.append(Visitor(browser, str(site.http.base_url), key, **options))
-        visitors[-1].page.goto(path)
+    def open_page(path: str | None, *, key: str | None = site.key, **options: Any) -> "Visitor":
+        shared = key == site.key and not options
+        context = signed_in
+        if not shared:
+            context = new_context(browser, site.address, key, **options)
+            context.route("**/figures/*.svg", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
+        visitors.append(Visitor(context, site.address))
+        if path is not None:
+            visitors[-1].page.goto(path)
         return visitors[-1]
 
     yield open_page
     for visitor in visitors:
         visitor.close()
+        if visitor.context is not signed_in:
+            visitor.context.close()

@@ -84,9 +84,20 @@ class Harness:
 def _models(measurement: Path, choices: str) -> tuple[dsbrdf.DSBRDF, ...]:
     """Return models that several series ask for, fitted once."""
     options = json.loads(choices)
+    return tuple(_fitting_process().map(_model, [measurement] * len(options), options))
+
+
+@cache
+def _fitting_process() -> ProcessPoolExecutor:
+    """Return the one process that fits for all series."""
     os.environ.update(ONE_CORE)  # for the process that is still to be started: more threads give other last bits
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return tuple(pool.map(_model, [measurement] * len(options), options))
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+
+
+def end_fitting_process() -> None:
+    """End the process that fits for the series; it ends with this one, too."""
+    _fitting_process().shutdown()
+    _fitting_process.cache_clear()
 
 
 def _model(measurement: Path, options: dict[str, Any]) -> dsbrdf.DSBRDF:
