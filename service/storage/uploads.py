@@ -179,16 +179,16 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
 
 
 async def _pieces(parts: AsyncIterator[bytes], least: int) -> AsyncIterator[bytes]:
-    """Yield the body in pieces that are worth a switch to another thread."""
+    """Yield the body in pieces that are worth a switch to another thread, but its head, which may be wrong, at once."""
     waiting: list[bytes] = []
-    size = 0
+    size, enough = 0, HEADER_SIZE
     async for part in parts:
         waiting.append(part)
         size += len(part)
-        if size >= least:
+        if size >= enough:
             piece = part if size == len(part) else b"".join(waiting)
             waiting.clear()
-            size = 0
+            size, enough = 0, least
             yield piece
     if size:
         yield b"".join(waiting)
