@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import App
 
-from dsbrdf.cli.fit_arguments import add_fit_options, fit_options
+from dsbrdf.cli.fit_arguments import DEFAULT, Flags
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement
@@ -129,16 +130,20 @@ def print_summary(rows: Sequence[Row]) -> None:
             print_row(f"{share} of {group} ({count})", spread)
 
 
+def _options(*, flags: Flags = DEFAULT) -> FitOptions:
+    return flags.options()
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, or the same as JSON; the exit code is 1 if a fit failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks materials", description=__doc__)
+    options_help = "The options of the fit are those of dsbrdf fit --help."
+    parser = argparse.ArgumentParser(prog="python -m benchmarks materials", description=__doc__, epilog=options_help)
     parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th of them (default: 1)")
     parser.add_argument("--http", metavar="URL", help="fit through the service there, not in this process")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
-    add_fit_options(parser)
-    arguments = parser.parse_args(argv)
-    options = fit_options(arguments)
+    arguments, words = parser.parse_known_args(argv)
+    options: FitOptions = App(default_command=_options, result_action="return_value")(words)
     rows, failures = [], []
     if not arguments.json:
         print(f"{'':34}{''.join(f'{figure:>{WIDTH}}' for figure in FIGURES)}{'lobes':>7}")

@@ -11,7 +11,8 @@ from importlib import import_module
 from typing import Any
 from unittest import mock
 
-from dsbrdf.cli.main import command_names, parsers
+from dsbrdf.cli.commands import command_names
+from dsbrdf.cli.main import main
 from dsbrdf.cli.service_commands import SERVICE_COMMANDS
 from service.app import create_app
 from service.http import problems
@@ -26,27 +27,26 @@ Answer = tuple[str, str, str]
 
 def command_line() -> str:
     """Return a section for each command with what its ``--help`` prints."""
-    _, of_commands = parsers(command_names())
-    helps = {name: parser.format_help for name, parser in of_commands.items() if name in command_names()}
-    helps |= {name: lambda name=name: _help_of(_service_main(name)) for name in SERVICE_COMMANDS}
-    helps |= {f"keys {name}": lambda name=name: _help_of(_service_main("keys"), name) for name in _KEY_COMMANDS}
     with mock.patch.dict(os.environ, {"COLUMNS": _COLUMNS}):
-        sections = [f"## dsbrdf {name}\n\n```text\n{text().rstrip()}\n```" for name, text in helps.items()]
+        helps = {name: _help_of(main, name) for name in command_names()}
+        helps |= {name: _help_of(_service_main(name)) for name in SERVICE_COMMANDS}
+        helps |= {f"keys {name}": _help_of(_service_main("keys"), name) for name in _KEY_COMMANDS}
+    sections = [f"## dsbrdf {name}\n\n```text\n{text}\n```" for name, text in helps.items()]
     return "\n\n".join([*sections, ""])
 
 
 def _service_main(command: str) -> Callable[[Sequence[str]], int]:
     module = "service.__main__" if command == "serve" else f"service.commands.{command}"
-    main: Callable[[Sequence[str]], int] = import_module(module).main
-    return main
+    command: Callable[[Sequence[str]], int] = import_module(module).main
+    return command
 
 
-def _help_of(main: Callable[[Sequence[str]], int], *words: str) -> str:
+def _help_of(command: Callable[[Sequence[str]], int], *words: str) -> str:
     """Return what a command prints with ``--help``."""
     printed = io.StringIO()
-    with redirect_stdout(printed), suppress(SystemExit):  # argparse ends the program after its help
-        main([*words, "--help"])
-    return printed.getvalue()
+    with redirect_stdout(printed), suppress(SystemExit):  # a command of the service ends after its help
+        command([*words, "--help"])
+    return "\n".join(line.rstrip() for line in printed.getvalue().rstrip().splitlines())
 
 
 def openapi_document() -> Document:

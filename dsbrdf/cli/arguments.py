@@ -1,4 +1,4 @@
-"""What the commands share: a parser that reports errors in one sentence, types of arguments, and output.
+"""What the commands and those of the service share: output, errors in one sentence, points on the command line.
 
 Imports nothing that takes time, so that commands which compute nothing answer at once.
 """
@@ -21,7 +21,7 @@ _NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e,]*")
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a usage error in one sentence instead of printing the whole usage."""
+    """Reports a usage error in one sentence instead of printing the whole usage; for the commands of the service."""
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong, and what may have been meant, and exit."""
@@ -47,33 +47,18 @@ def print_error(error: BaseException | str) -> None:
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
-def whole_number(text: str) -> int:
-    """Argument type: an int."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
-
-
-def number(text: str) -> float:
-    """Argument type: a float."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
-
-
 def split_points(words: Sequence[str]) -> list[str]:
     """Give each number of a point its flag: ``--theta-half 0 10 m.json`` is ``--theta-half=0 --theta-half=10 m.json``.
 
-    argparse would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
+    cyclopts would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
     """
     split: list[str] = []
     flag = ""
     for word in words:
-        first = bool(flag) and split[-1] == flag and not word.startswith("--")
-        if first or (flag and _NUMBERS.fullmatch(word)):
-            split[len(split) - first :] = [f"{flag}={word}"]
+        if flag and _NUMBERS.fullmatch(word):
+            if split[-1] == flag:
+                split.pop()
+            split.append(f"{flag}={word}")
         else:
             flag = word if word in POINT_FLAGS else ""
             split.append(word)

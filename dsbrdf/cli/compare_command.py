@@ -1,12 +1,12 @@
 """The command ``dsbrdf compare``: two models or measurements beside each other."""
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dsbrdf.cli.arguments import add_json_option, print_json
+from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.parameters import Json, OutputFile, SourceFile
 from dsbrdf.cli.source_files import MEASUREMENTS, read_grid, read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.errors import InvalidArgumentError
@@ -20,47 +20,36 @@ from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, side_by_side
 _SIZE = 256  # pixels of a sphere
 
 
-def configure(parser: argparse.ArgumentParser, _: str) -> None:
-    """Add the arguments of the command to its parser."""
-    parser.set_defaults(run=_compare)
-    for name in ("first", "second"):
-        parser.add_argument(
-            name, type=Path, metavar=name.upper(), help="a .json or .npz model, or a .binary or .bsdf measurement"
-        )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="OUT.png",
-        help="write a picture: both spheres with the exposure of the first, and their difference",
-    )
-    add_json_option(parser)
+def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | None = None, json: Json = False) -> int:
+    """Compare two models or measurements; return the exit code.
 
-
-def _compare(arguments: argparse.Namespace) -> int:
-    if arguments.output is not None and arguments.output.suffix.lower() != ".png":
-        raise InvalidArgumentError(f"{arguments.output}: the picture's file must end in .png")
-    paths = (arguments.first, arguments.second)
+    Parameters
+    ----------
+    output
+        Write a picture, a .png file: both spheres with the exposure of the first, and their difference.
+    """
+    if output is not None and output.suffix.lower() != ".png":
+        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
+    paths = (first, second)
     sources, columns = zip(*(_source(path) for path in paths), strict=True)
-    first, second = (render_sphere(source, size=_SIZE) for source in sources)
-    psnr, ssim = sphere_likeness(first, second)
-    if arguments.output is not None:
-        factor = exposure(first, sphere_normals(_SIZE)[1])
-        panels = {"first": displayed(first, factor), "second": displayed(second, factor)}
+    spheres = [render_sphere(source, size=_SIZE) for source in sources]
+    psnr, ssim = sphere_likeness(*spheres)
+    if output is not None:
+        factor = exposure(spheres[0], sphere_normals(_SIZE)[1])
+        panels = {name: displayed(sphere, factor) for name, sphere in zip(("first", "second"), spheres, strict=True)}
         panels["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(panels["first"] - panels["second"]), 0.0, 1.0)
-        write_atomically(arguments.output, [encode_png(side_by_side(panels))])
-    if arguments.json:
+        write_atomically(output, [encode_png(side_by_side(panels))])
+    if json:
         likeness = {"psnr": psnr if np.isfinite(psnr) else None, "ssim": ssim}
         items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
-        output = None if arguments.output is None else str(arguments.output)
-        print_json({"items": items, "likeness": likeness, "output": output})
+        print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
         return 0
     print(f"{'':<18}" + "".join(f"{path.name:>26}" for path in paths))
     for name in columns[0]:
         print(f"{name:<18}" + "".join(f"{_cell(column[name]):>26}" for column in columns))
     print(f"likeness of their lit spheres: PSNR {psnr:.1f} dB, SSIM {ssim:.4f}")
-    if arguments.output is not None:
-        print(f"{arguments.output}: both spheres, and their difference times {DIFFERENCE_GAIN:g}")
+    if output is not None:
+        print(f"{output}: both spheres, and their difference times {DIFFERENCE_GAIN:g}")
     return 0
 
 

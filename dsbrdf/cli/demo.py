@@ -3,7 +3,6 @@
 The service runs in a process of its own, as for any other client; the demo uses it through httpx only.
 """
 
-import argparse
 import re
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.cli.parameters import OutputFolder
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
@@ -44,17 +44,15 @@ SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 30, 60)  # of theta_half and theta_d
 SHOWN_THETA_DIFF = 30.0  # of the parameters [degrees]
 
 
-def configure(parser: argparse.ArgumentParser, _: str) -> None:
-    """Add the arguments of the command to its parser."""
-    parser.set_defaults(run=run)
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("out"), metavar="DIR", help="folder of the figure (default: out)"
-    )
+def demo(*, output: OutputFolder = Path("out")) -> int:
+    """Run the command; return the exit code.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the command; return the exit code."""
-    run_demo(arguments.output)
+    Parameters
+    ----------
+    output
+        Folder of the figure.
+    """
+    run_demo(output)
     return 0
 
 

@@ -1,74 +1,104 @@
 """The command ``dsbrdf fit``."""
 
-import argparse
 import re
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from dsbrdf.cli.arguments import BAD_INPUT, add_json_option, print_json, whole_number
-from dsbrdf.cli.fit_arguments import add_fit_options, fit_options
+from cyclopts import Parameter
+
+from dsbrdf.cli.arguments import BAD_INPUT, print_json
+from dsbrdf.cli.fit_arguments import DEFAULT, Flags
 from dsbrdf.cli.fit_summary import summary_csv, summary_table
+from dsbrdf.cli.parameters import Jobs, Json, OutputFolder, RequiredFiles
 from dsbrdf.cli.progress import progress_bar
 from dsbrdf.cli.server_engine import ServerEngine
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 
-
-def configure(parser: argparse.ArgumentParser, _: str) -> None:
-    """Add the arguments of the command to its parser."""
-    parser.set_defaults(run=run)
-    parser.add_argument(
-        "files",
-        nargs="+",
-        type=Path,
-        metavar="FILE",
-        help="a MERL .binary file, a folder of them, an RGL .bsdf file, or a .csv table of scattered samples",
-    )
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="save NAME.json in this folder")
-    parser.add_argument("--jobs", type=whole_number, metavar="N", help="fits at once (default: one for each core)")
-    parser.add_argument(
-        "--scheduler",
-        type=_scheduler_address,
-        metavar="ADDRESS",
-        help="compute on the Dask cluster with this scheduler (tcp://host:8786)",
-    )
-    parser.add_argument(
-        "--url", type=_url, metavar="URL", help="compute on the service there; DSBRDF_KEY in the environment is the key"
-    )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the metrics of all files as a table")
-    parser.add_argument(
-        "--plot", action="store_true", help="write a figure NAME.png of each fit into the folder, or here without one"
-    )
-    parser.add_argument("--force", action="store_true", help="fit again even if the folder has the fit already")
-    add_json_option(parser)
-    add_fit_options(parser)
+_SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
+_URL = r"https?://[^/\s]+(/\S*)?"
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Fit the files; return the exit code."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Work:
+    """Where fits are computed and stored.
+
+    Attributes
+    ----------
+    output
+        Save NAME.json in this folder.
+    force
+        Fit again even if the folder has the fit already.
+    jobs
+        Fits at once; by default one for each core.
+    scheduler
+        Compute on the Dask cluster with this scheduler, tcp://host:8786.
+    url
+        Compute on the service there; DSBRDF_KEY in the environment is the key.
+    """
+
+    output: OutputFolder | None = None
+    force: bool = False
+    jobs: Jobs = None
+    scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None
+    url: Annotated[str | None, Parameter(metavar="URL")] = None
+
+    def __post_init__(self) -> None:
+        for name, text, address, example in (
+            ("--scheduler", self.scheduler, _SCHEDULER, "tcp://host:8786"),
+            ("--url", self.url, _URL, "http://127.0.0.1:8000"),
+        ):
+            if text is not None and re.fullmatch(address, text) is None:
+                raise InvalidArgumentError(f"{name}: must be an address such as {example}, not {text!r}")
+
+
+_HERE = Work()
+
+
+def fit(
+    *files: RequiredFiles,
+    work: Work = _HERE,
+    csv: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    plot: bool = False,
+    json: Json = False,
+    flags: Flags = DEFAULT,
+) -> int:
+    """Fit the files; return the exit code.
+
+    Parameters
+    ----------
+    files
+        A MERL .binary file, a folder of them, an RGL .bsdf file, or a .csv table of scattered samples.
+    csv
+        Write the metrics of all files as a table.
+    plot
+        Write a figure NAME.png of each fit into the folder, or here without one.
+    """
     keep_freed_memory()
-    options = fit_options(arguments)
-    files = measurement_files(arguments.files)
-    if arguments.plot:
+    paths = measurement_files(files)
+    if plot:
         require("plot", "matplotlib", purpose="dsbrdf fit --plot")
-    done = _fit(files, options, arguments)
-    if arguments.csv is not None:
-        write_atomically(arguments.csv, [summary_csv(done)])
-    if arguments.plot:
-        for line in _plot(done, arguments.output or Path()):
-            if not arguments.json:
+    done = _fit(paths, flags.options(), work, quiet=json)
+    if csv is not None:
+        write_atomically(csv, [summary_csv(done)])
+    if plot:
+        for line in _plot(done, work.output or Path()):
+            if not json:
                 print(line)
-    if arguments.json:
+    if json:
         documents = [_document(item) for item in done]
-        single = len(arguments.files) == 1 and not arguments.files[0].is_dir()
+        single = len(files) == 1 and not files[0].is_dir()
         print_json(documents[0] if single else {"items": documents})
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
@@ -77,30 +107,30 @@ def run(arguments: argparse.Namespace) -> int:
     return BAD_INPUT if any(item.error is not None for item in done) else 0
 
 
-def _fit(files: list[Path], options: FitOptions, arguments: argparse.Namespace) -> list[FileFit]:
-    """Fit the files, and print each result as soon as it is there."""
+def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> list[FileFit]:
+    """Fit the files, and print each result as soon as it is there unless `quiet`."""
     done: list[FileFit] = []
-    jobs = core_count() if arguments.jobs is None else arguments.jobs
+    jobs = core_count() if work.jobs is None else work.jobs
     with (
         progress_bar(len(files), "files") as progress,
         closing(
             fit_files(
                 files,
                 options,
-                arguments.output,
+                work.output,
                 jobs=jobs,
-                scheduler=arguments.scheduler,
-                engine=None if arguments.url is None else ServerEngine(arguments.url, jobs),
-                force=arguments.force,
+                scheduler=work.scheduler,
+                engine=None if work.url is None else ServerEngine(work.url, jobs),
+                force=work.force,
                 progress=progress,
             )
         ) as items,
     ):
         for item in items:
             done.append(item)
-            for message in _messages(item, printed=arguments.json or len(files) == 1):
+            for message in _messages(item, printed=quiet or len(files) == 1):
                 progress.write(f"dsbrdf: {item.file}: {message}", error=True)
-            if not arguments.json:
+            if not quiet:
                 for line in _text(item, whole=len(files) == 1):
                     progress.write(line)
     return done
@@ -118,20 +148,6 @@ def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
             path = folder / f"{item.file.stem}.png"
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"
-
-
-def _scheduler_address(text: str) -> str:
-    """Argument type: the address of a Dask scheduler."""
-    if re.fullmatch(r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+", text) is None:
-        raise argparse.ArgumentTypeError(f"must be an address such as tcp://host:8786, not {text!r}")
-    return text
-
-
-def _url(text: str) -> str:
-    """Argument type: the address of a service."""
-    if re.fullmatch(r"https?://[^/\s]+(/\S*)?", text) is None:
-        raise argparse.ArgumentTypeError(f"must be an address such as http://127.0.0.1:8000, not {text!r}")
-    return text
 
 
 def _messages(item: FileFit, *, printed: bool) -> tuple[str, ...]:

@@ -1,104 +1,102 @@
 """Commands that read a stored model: ``dsbrdf eval``, ``show``, ``decompose`` and ``export``."""
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import add_json_option, print_json
-from dsbrdf.cli.point_arguments import add_point_options, given_points
+from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile
+from dsbrdf.cli.point_arguments import Points
 from dsbrdf.cli.source_files import read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.decomposition import LABELS, decompose
+from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 
+Channel = Annotated[str, Parameter(choices=CHANNELS)]
+Format = Annotated[str | None, Parameter(name="--format", choices=tuple(FORMATS))]
 
-def configure(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the arguments of one of the commands to its parser."""
-    {
-        "eval": _configure_eval,
-        "show": _configure_show,
-        "decompose": _configure_decompose,
-        "export": _configure_export,
-    }[command](parser)
-    parser.add_argument("model", type=Path, metavar="MODEL", help="a .json or .npz file from dsbrdf fit")
-    add_json_option(parser)
-    if command in ("eval", "export"):
-        parser.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
+_NO_POINTS = Points()
 
 
-def _configure_eval(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run=_eval)
-    add_point_options(parser)
-
-
-def _configure_show(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run=_show)
-
-
-def _configure_decompose(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run=_decompose)
-    parser.add_argument("--channel", choices=CHANNELS, default="red", help="channel of the parameters in the text")
-
-
-def _configure_export(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run=_export)
-    parser.add_argument(
-        "--format", choices=FORMATS, help="by default that of OUT's suffix; merl is a .binary file, a table of values"
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the file to write")
-
-
-def _eval(arguments: argparse.Namespace) -> int:
-    model = _component(read_model(arguments.model)[0], arguments.component)
-    points = given_points(arguments)
-    if "omega_in" in points:
-        values = model.evaluate_directions(points["omega_in"], points["omega_out"])
+def evaluate(
+    model: ModelFile, /, *, points: Points = _NO_POINTS, component: Component = None, json: Json = False
+) -> int:
+    """Print values of a model or of one of its components; return the exit code."""
+    part = _component(read_model(model)[0], component)
+    columns = points.arrays()
+    if "omega_in" in columns:
+        values = part.evaluate_directions(columns["omega_in"], columns["omega_out"])
     else:
-        values = model.evaluate(*(np.radians(angles) for angles in points.values()))
-    if arguments.json:
-        print_json({name: array.tolist() for name, array in points.items()} | {"values": values.tolist()})
+        values = part.evaluate(*(np.radians(angles) for angles in columns.values()))
+    if json:
+        print_json({name: array.tolist() for name, array in columns.items()} | {"values": values.tolist()})
         return 0
-    print("".join(f"{name:>24}" for name in points) + "".join(f"{channel:>14}" for channel in CHANNELS))
-    for *point, value in zip(*points.values(), values, strict=True):
+    print("".join(f"{name:>24}" for name in columns) + "".join(f"{channel:>14}" for channel in CHANNELS))
+    for *point, value in zip(*columns.values(), values, strict=True):
         left = "".join(f"{','.join(f'{number:.6g}' for number in np.ravel(part)):>24}" for part in point)
         print(left + "".join(f"{number:>14.6g}" for number in value))
     return 0
 
 
-def _show(arguments: argparse.Namespace) -> int:
-    model, report = read_model(arguments.model)
-    if arguments.json:
-        print_json(result_document(model, report))
+def show(model: ModelFile, /, *, json: Json = False) -> int:
+    """Print the report of a fit again; return the exit code."""
+    stored, report = read_model(model)
+    if json:
+        print_json(result_document(stored, report))
     elif report is None:
-        print(f"{arguments.model.stem}: {lobes_phrase(model)}", "", *model_text(model), sep="\n")
+        print(f"{model.stem}: {lobes_phrase(stored)}", "", *model_text(stored), sep="\n")
     else:
-        print(*result_text(arguments.model, FitResult(model, report)), sep="\n")
+        print(*result_text(model, FitResult(stored, report)), sep="\n")
     return 0
 
 
-def _decompose(arguments: argparse.Namespace) -> int:
-    model, _ = read_model(arguments.model)
-    if arguments.json:
-        print_json({"items": component_documents(model)})
+def print_components(model: ModelFile, /, *, channel: Channel = "red", json: Json = False) -> int:
+    """Print the components of a model and their lobes; return the exit code.
+
+    Parameters
+    ----------
+    channel
+        Channel of the parameters in the text.
+    """
+    stored, _ = read_model(model)
+    if json:
+        print_json({"items": component_documents(stored)})
     else:
-        print(*model_text(model, channel=arguments.channel), sep="\n")
+        print(*model_text(stored, channel=channel), sep="\n")
     return 0
 
 
-def _export(arguments: argparse.Namespace) -> int:
-    file_format = arguments.format or _format_of(arguments.output)
-    model, report = read_model(arguments.model)
-    whole = arguments.component is None
-    content = export_model(_component(model, arguments.component), file_format, report if whole else None)
-    write_atomically(arguments.output, [content])
-    if arguments.json:
-        print_json({"output": str(arguments.output), "format": file_format, "bytes": len(content)})
+def export(
+    model: ModelFile,
+    /,
+    *,
+    file_format: Format = None,
+    output: OutputFile,
+    component: Component = None,
+    json: Json = False,
+) -> int:
+    """Write a model, or one of its components, for other programs; return the exit code.
+
+    Parameters
+    ----------
+    file_format
+        By default that of the file's suffix; merl is a .binary file, a table of values.
+    output
+        The file to write.
+    """
+    name = file_format or _format_of(output)
+    stored, report = read_model(model)
+    content = export_model(_component(stored, component), name, report if component is None else None)
+    write_atomically(output, [content])
+    if json:
+        print_json({"output": str(output), "format": name, "bytes": len(content)})
     return 0
 
 

@@ -1,75 +1,68 @@
 """The command ``dsbrdf paper``: the figures of Nishino 2009 on a folder of measurements, and a report of them all."""
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
-from dsbrdf.cli.arguments import BAD_INPUT, whole_number
+from cyclopts import Parameter
+
+from dsbrdf.cli.arguments import BAD_INPUT
+from dsbrdf.cli.parameters import Folder, Jobs, OutputFolder
 from dsbrdf.cli.progress import progress_bar
 from dsbrdf.paper.materials import STAND_INS, Failure, Material, find_materials
-from dsbrdf.paper.paper_figure import make
+from dsbrdf.paper.paper_figure import PaperFigure, make
 from dsbrdf.paper.report import FIGURES, write_report
 from dsbrdf.process_settings import core_count
 
 _REPORT = "report"
 
-
-def configure(parser: argparse.ArgumentParser, _: str) -> None:
-    """Add the arguments of the command to its parser."""
-    parser.set_defaults(run=_run)
-    names = [*(figure.name for figure in FIGURES), _REPORT]
-    parser.add_argument("what", choices=names, metavar="|".join(names), help="one figure, or a page with all of them")
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a folder of MERL .binary files")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="the folder to write to; results of materials are kept there and used again",
-    )
-    parser.add_argument(
-        "--materials", nargs="+", default=[], metavar="NAME", help="only these; by default what suits each figure"
-    )
-    parser.add_argument(
-        "--stand-ins",
-        default=STAND_INS,
-        metavar="PATTERN",
-        help="names of files that are no measurements but decoded descriptions; default: %(default)s",
-    )
-    parser.add_argument(
-        "--peers",
-        type=Path,
-        metavar="DIR",
-        help="a folder of the same materials as another model encodes them, peer_NAME.binary: points in the footprint",
-    )
-    parser.add_argument("--jobs", type=whole_number, metavar="N", help="processes (default: one for each core)")
+What = Annotated[str, Parameter(choices=[*(figure.name for figure in FIGURES), _REPORT])]
+Names = Annotated[tuple[str, ...], Parameter(metavar="NAME...", consume_multiple=1)]
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    output: Path = arguments.output
+def paper(
+    what: What,
+    /,
+    *,
+    data: Folder,
+    output: OutputFolder,
+    materials: Names = (),
+    stand_ins: Annotated[str, Parameter(metavar="PATTERN")] = STAND_INS,
+    peers: Folder | None = None,
+    jobs: Jobs = None,
+) -> int:
+    """Make figures of Nishino 2009, or a page with all of them; return the exit code.
+
+    Parameters
+    ----------
+    what
+        One figure, or a page with all of them.
+    data
+        A folder of MERL .binary files.
+    output
+        The folder to write to; results of materials are kept there and used again.
+    materials
+        Only these; by default what suits each figure.
+    stand_ins
+        Names of files that are no measurements but decoded descriptions.
+    peers
+        A folder of the same materials as another model encodes them, peer_NAME.binary: points in the footprint.
+    jobs
+        Processes; by default one for each core.
+    """
     output.mkdir(parents=True, exist_ok=True)
-    jobs = core_count() if arguments.jobs is None else arguments.jobs
-    materials = find_materials(
-        arguments.data,
-        output / "kept" / "fits",
-        names=arguments.materials,
-        stand_ins=arguments.stand_ins,
-        peers=arguments.peers,
-    )
-    if arguments.what == _REPORT:
+    found = find_materials(data, output / "kept" / "fits", names=materials, stand_ins=stand_ins, peers=peers)
+    processes = core_count() if jobs is None else jobs
+    if what == _REPORT:
         with progress_bar(len(FIGURES), "figures") as progress:
-            failures = write_report(materials, output, jobs=jobs, progress=progress)
+            failures = write_report(found, output, jobs=processes, progress=progress)
             progress.write(str(output / "report.html"))
     else:
-        failures = _one_figure(arguments, materials, output, jobs)
+        (figure,) = (figure for figure in FIGURES if figure.name == what)
+        failures = _one_figure(figure, list(found) if materials else figure.choose(found), output, processes)
     return BAD_INPUT if failures else 0
 
 
-def _one_figure(
-    arguments: argparse.Namespace, materials: tuple[Material, ...], output: Path, jobs: int
-) -> list[Failure]:
-    (figure,) = (figure for figure in FIGURES if figure.name == arguments.what)
-    chosen = list(materials) if arguments.materials else figure.choose(materials)
+def _one_figure(figure: PaperFigure, chosen: list[Material], output: Path, jobs: int) -> list[Failure]:
     with progress_bar(len(chosen), "materials") as progress:
         made = make(figure, chosen, output, jobs=jobs, progress=progress)
         for failure in made.failures:

@@ -1,18 +1,20 @@
 """The command ``dsbrdf render``: lit spheres of models and measurements as a PNG file."""
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 from numpy.typing import NDArray
 
-from dsbrdf.cli.arguments import add_json_option, number, print_json, whole_number
+from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.parameters import Component, Json, OutputFile, RequiredFiles, Whole
 from dsbrdf.cli.source_files import named_in_errors, read_source
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.decomposition import LABELS, decompose
+from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
@@ -25,63 +27,69 @@ Array = NDArray[np.float64]
 _PICTURES = (".hdr", ".exr")
 
 
-def configure(parser: argparse.ArgumentParser, _: str) -> None:
-    """Add the arguments of the command to its parser."""
-    parser.set_defaults(run=_render)
-    parser.add_argument(
-        "sources",
-        nargs="+",
-        type=Path,
-        metavar="SOURCE",
-        help="a .json or .npz model, or a .binary or .bsdf measurement; a second one, a model, is compared with the "
-        "first: the picture then shows both, their difference and the components of the model",
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.png", help="the file to write")
-    parser.add_argument(
-        "--lighting",
-        type=_lighting,
-        default=LIGHTINGS[0],
-        metavar="|".join((*LIGHTINGS, "FILE")),
-        help="default: %(default)s; FILE is a panorama of 360 by 180 degrees, .hdr or .exr",
-    )
-    parser.add_argument("--size", type=whole_number, default=256, metavar="PIXELS", help="default: %(default)s")
-    parser.add_argument("--component", choices=LABELS, help="one component instead of the whole model")
-    parser.add_argument(
-        "--exposure",
-        type=number,
-        metavar="FACTOR",
-        help="what radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; "
-        "by default the 99th percentile of the whole material, or of the first source, becomes 1",
-    )
-    add_json_option(parser)
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Look:
+    """How spheres are drawn.
+
+    Attributes
+    ----------
+    lighting
+        three_lights, environment, or a panorama of 360 by 180 degrees, .hdr or .exr.
+    size
+        Of a sphere [pixels].
+    component
+        One component instead of the whole model.
+    exposure
+        What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
+        of the whole material, or of the first source, becomes 1.
+    """
+
+    lighting: Annotated[str, Parameter(metavar="NAME|FILE")] = LIGHTINGS[0]
+    size: Annotated[int, Whole, Parameter(metavar="PIXELS")] = 256
+    component: Component = None
+    exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
+
+    def __post_init__(self) -> None:
+        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(_PICTURES):
+            raise InvalidArgumentError(
+                f"--lighting: must be {', '.join(LIGHTINGS)} or a .hdr or .exr file, not {self.lighting!r}"
+            )
+        if self.exposure is not None and not 0.0 < self.exposure < float("inf"):
+            raise InvalidArgumentError(f"the exposure must be a positive number, not {self.exposure:g}")
+
+    def light(self) -> str | EnvironmentMap:
+        """Return the name of the lighting, or the panorama; an error names its file."""
+        if self.lighting in LIGHTINGS:
+            return self.lighting
+        with named_in_errors(Path(self.lighting)):
+            return read_environment(self.lighting)
 
 
-def _lighting(text: str) -> str:
-    """Argument type: the name of a lighting or of a picture."""
-    if text in LIGHTINGS or text.lower().endswith(_PICTURES):
-        return text
-    raise argparse.ArgumentTypeError(f"must be {', '.join(LIGHTINGS)} or a .hdr or .exr file, not {text!r}")
+_USUAL = Look()
 
 
-def _render(arguments: argparse.Namespace) -> int:
-    if arguments.output.suffix.lower() != ".png":
-        raise InvalidArgumentError(f"{arguments.output}: the picture's file must end in .png")
-    factor = arguments.exposure
-    if factor is not None and not 0.0 < factor < float("inf"):
-        raise InvalidArgumentError(f"the exposure must be a positive number, not {factor:g}")
-    if len(arguments.sources) > 2:
-        raise InvalidArgumentError(f"one or two sources can be drawn, not {len(arguments.sources)}")
-    lighting: str | EnvironmentMap = arguments.lighting
-    if arguments.lighting not in LIGHTINGS:
-        with named_in_errors(Path(arguments.lighting)):
-            lighting = read_environment(arguments.lighting)
-    draw = _sphere if len(arguments.sources) == 1 else _comparison
-    image, about = draw(arguments, lighting)
-    write_atomically(arguments.output, [encode_png(image)])
-    if arguments.json:
-        print_json({"output": str(arguments.output), "lighting": arguments.lighting} | about)
+def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, json: Json = False) -> int:
+    """Draw a lit sphere of a model or a measurement; return the exit code.
+
+    Parameters
+    ----------
+    sources
+        A .json or .npz model, or a .binary or .bsdf measurement; a second one, a model, is compared with the first:
+        the picture then shows both, their difference and the components of the model.
+    output
+        The file to write, a .png.
+    """
+    if output.suffix.lower() != ".png":
+        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
+    if len(sources) > 2:
+        raise InvalidArgumentError(f"one or two sources can be drawn, not {len(sources)}")
+    image, about = _sphere(sources[0], look) if len(sources) == 1 else _comparison(sources[0], sources[1], look)
+    write_atomically(output, [encode_png(image)])
+    if json:
+        print_json({"output": str(output), "lighting": look.lighting} | about)
         return 0
-    print(f"{arguments.output}: {arguments.lighting}, radiance times {about['exposure']:.4g}, clipped at 1, sRGB curve")
+    print(f"{output}: {look.lighting}, radiance times {about['exposure']:.4g}, clipped at 1, sRGB curve")
     if "panels" in about:
         print(f"from left to right: {', '.join(about['panels'])}")
         psnr = "infinite" if about["psnr"] is None else f"{about['psnr']:.1f} dB"
@@ -89,29 +97,30 @@ def _render(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sphere(arguments: argparse.Namespace, lighting: str | EnvironmentMap) -> tuple[Array, dict[str, Any]]:
+def _sphere(path: Path, look: Look) -> tuple[Array, dict[str, Any]]:
     """Picture of one source, or of one of its components, and what to report."""
-    whole, factor = read_source(arguments.sources[0]), arguments.exposure
+    light, whole = look.light(), read_source(path)
     source = whole
-    if arguments.component is not None:
+    if look.component is not None:
         if isinstance(whole, Measurement):
-            raise InvalidArgumentError(f"{arguments.sources[0]}: a measurement has no components; fit it first")
-        source = decompose(whole)[arguments.component].model
-    image = render_sphere(source, lighting=lighting, size=arguments.size)
+            raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")
+        source = decompose(whole)[look.component].model
+    image = render_sphere(source, lighting=light, size=look.size)
+    factor = look.exposure
     if factor is None:
-        of_whole = image if source is whole else render_sphere(whole, lighting=lighting, size=arguments.size)
-        factor = exposure(of_whole, sphere_normals(arguments.size)[1])
+        of_whole = image if source is whole else render_sphere(whole, lighting=light, size=look.size)
+        factor = exposure(of_whole, sphere_normals(look.size)[1])
     return displayed(image, factor), {"exposure": factor}
 
 
-def _comparison(arguments: argparse.Namespace, lighting: str | EnvironmentMap) -> tuple[Array, dict[str, Any]]:
+def _comparison(first: Path, second: Path, look: Look) -> tuple[Array, dict[str, Any]]:
     """Panels of two sources, and what to report."""
-    if arguments.component is not None:
+    if look.component is not None:
         raise InvalidArgumentError("a comparison shows all components: leave --component out")
-    measured, fit = (read_source(path) for path in arguments.sources)
+    light, measured, fit = look.light(), read_source(first), read_source(second)
     if not isinstance(fit, DSBRDF):
-        raise InvalidArgumentError(f"{arguments.sources[1]}: the second source must be a model, the fit of the first")
-    found = compare_spheres(measured, fit, lighting=lighting, size=arguments.size, factor=arguments.exposure)
+        raise InvalidArgumentError(f"{second}: the second source must be a model, the fit of the first")
+    found = compare_spheres(measured, fit, lighting=light, size=look.size, factor=look.exposure)
     psnr = found.psnr if np.isfinite(found.psnr) else None
     about = {"exposure": found.exposure, "panels": list(found.panels), "psnr": psnr, "ssim": found.ssim}
     return side_by_side(found.panels), about

@@ -9,10 +9,10 @@ from dsbrdf.extras import require
 
 # command -> (modules that it needs, what it does)
 SERVICE_COMMANDS = {
-    "serve": (("fastapi", "pydantic_settings", "uvicorn"), "run the HTTP service"),
-    "keys": (("pydantic_settings",), "add, list and revoke API keys of the service"),
-    "purge": (("pydantic_settings",), "remove old fits and measurements of the service"),
-    "doctor": (("pydantic_settings",), "check the service's database and stored files"),
+    "serve": (("fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
+    "keys": (("pydantic_settings",), "Add, list and revoke API keys of the service."),
+    "purge": (("pydantic_settings",), "Remove old fits and measurements of the service."),
+    "doctor": (("pydantic_settings",), "Check the service's database and stored files."),
 }
 
 

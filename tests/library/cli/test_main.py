@@ -36,9 +36,14 @@ def test_service_accepts_the_flags_of_serve() -> None:
         assert flag in answer.stdout
 
 
-@pytest.mark.parametrize(("command", "extra"), [("serve", "service"), ("demo", "dev")])
-def test_missing_extra_is_named(command: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+@pytest.mark.parametrize(
+    ("command", "installed", "extra"),
+    [("serve", (), "service"), ("demo", ("cyclopts", "rich"), "dev"), ("fit", (), "cli"), ("--help", (), "cli")],
+)
+def test_missing_extra_is_named(
+    command: str, installed: tuple[str, ...], extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda name: name in installed or None)
     assert cli.main([command]) == 1
     assert f"pip install 'dsbrdf[{extra}]'" in sentence(capsys)
 

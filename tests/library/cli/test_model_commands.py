@@ -107,8 +107,11 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
         (["--phi-diff", "1", "--omega-in", "0,0,1", "--omega-out", "0,0,1"], "either --theta-half and --theta-diff or"),
         (["--theta-half", "1", "--theta-diff", "1", "--phi-diff", "nan"], "phi_diff must be finite"),
         (["--theta-half", "1", "--theta-diff", "1", "2", "--phi-diff", "1", "2", "3"], "cannot be combined"),
-        (["--omega-in", "0,1", "--omega-out", "0,0,1"], "--omega-in: must be three numbers x,y,z, not '0,1'"),
-        (["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"], "invalid choice: 'shiny'"),
+        (["--omega-in", "0,1", "--omega-out", "0,0,1"], "a direction must be three numbers x,y,z, not '0,1'"),
+        (
+            ["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"],
+            "--component: must be specular_spike or specular_lobe or diffuse",
+        ),
     ],
 )
 def test_invalid_points_are_refused_in_one_sentence(

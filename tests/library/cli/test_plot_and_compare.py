@@ -2,13 +2,14 @@
 
 import subprocess
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from matplotlib.figure import Figure
 
 from dsbrdf.cli import main as cli
 from dsbrdf.cli import plot_command
-from dsbrdf.cli.completion_command import SHELLS
+from dsbrdf.cli.completion_command import Shell
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -69,7 +70,7 @@ def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult, capsys: Capt
     assert answer["output"] is None
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", get_args(Shell))
 def test_completion_knows_commands_options_and_files(shell: str, capsys: Capture) -> None:
     assert cli.main(["completion", shell]) == 0
     script = capsys.readouterr().out
@@ -81,6 +82,6 @@ def test_bash_completes_a_command(tmp_path: Path, capsys: Capture) -> None:
     assert cli.main(["completion", "bash"]) == 0
     script = tmp_path / "completion.sh"
     script.write_text(capsys.readouterr().out)
-    ask = "COMP_WORDS=(dsbrdf comp); COMP_CWORD=1; _shtab_dsbrdf; echo ${COMPREPLY[@]}"
+    ask = "COMP_WORDS=(dsbrdf comp); COMP_CWORD=1; _dsbrdf; echo ${COMPREPLY[@]}"
     answer = subprocess.run(["bash", "-c", f"source '{script}'; {ask}"], capture_output=True, text=True, check=True)
-    assert answer.stdout.split() == ["compare", "completion"]
+    assert answer.stdout.split() == ["completion", "compare"]
