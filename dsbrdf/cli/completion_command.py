@@ -15,5 +15,6 @@ def completion(shell: Shell, /) -> int:
     """
     from dsbrdf.cli.commands import application  # it imports this module
 
-    print(application().generate_completion(shell=shell))
+    script = application().generate_completion(shell=shell)  # nosec B604
+    print(script)
     return 0
