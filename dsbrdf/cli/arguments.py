@@ -47,22 +47,20 @@ def print_error(error: BaseException | str) -> None:
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
-def split_points(words: Sequence[str]) -> list[str]:
-    """Give each number of a point its flag: ``--theta-half 0 10 m.json`` is ``--theta-half=0 --theta-half=10 m.json``.
+def join_points(words: Sequence[str]) -> list[str]:
+    """Join each flag of points with its numbers: ``--theta-half 0 10 m.json`` is ``"--theta-half=0 10" m.json``.
 
     cyclopts would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
     """
-    split: list[str] = []
+    joined: list[str] = []
     flag = ""
     for word in words:
         if flag and _NUMBERS.fullmatch(word):
-            if split[-1] == flag:
-                split.pop()
-            split.append(f"{flag}={word}")
+            joined[-1] += f"{'=' if joined[-1] == flag else ' '}{word}"
         else:
             flag = word if word in POINT_FLAGS else ""
-            split.append(word)
-    return split
+            joined.append(word)
+    return joined
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -13,7 +13,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import Box
 from rich.console import Console
 
-from dsbrdf.cli.arguments import BAD_INPUT, did_you_mean, print_error, split_points
+from dsbrdf.cli.arguments import BAD_INPUT, did_you_mean, join_points, print_error
 from dsbrdf.cli.service_commands import SERVICE_COMMANDS
 from dsbrdf.cli.usage_errors import usage_sentence
 from dsbrdf.version import __version__
@@ -87,7 +87,7 @@ def run_command(words: Sequence[str]) -> int:
         return BAD_INPUT
     width = min(shutil.get_terminal_size().columns, _WIDTH)
     try:
-        code: int | None = app(split_points(words), console=Console(width=width))
+        code: int | None = app(join_points(words), console=Console(width=width))
     except CycloptsError as error:
         sys.stderr.write(f"{usage_sentence(error)}\n")
         return BAD_INPUT

@@ -2,18 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token, convert
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 
 Array = NDArray[np.float64]
 
-_Angles = Annotated[tuple[float, ...], Parameter(metavar="DEGREES...")]
-_Directions = Annotated[tuple[str, ...], Parameter(metavar="X,Y,Z...")]
+
+def _each(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Convert the numbers of an option, which `dsbrdf.cli.arguments.join_points` has joined."""
+    return convert(kind, [token.evolve(value=number) for token in tokens for number in token.value.split()])
+
+
+_Angles = Annotated[tuple[float, ...], Parameter(metavar="DEGREES...", converter=_each)]
+_Directions = Annotated[tuple[str, ...], Parameter(metavar="X,Y,Z...", converter=_each)]
 
 
 @Parameter(name="*", group=Group("Points", sort_key=2))
