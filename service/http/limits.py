@@ -23,6 +23,7 @@ _CLOSE = {"Connection": "close"}
 _READ_SIZE = 1 << 16  # bytes that are read from a connection at a time: there may be many
 _LONG_READ_SIZE = 1 << 18  # of a long body, which so takes fewer turns of the event loop
 _LONG_BODY = 1 << 20
+_FEW_CONNECTIONS = 16  # with more of them, large pieces are memory that many slow senders would hold
 _MAX_HEAD = 1 << 16  # bytes of a request's head, and of what frames its body
 _MAX_FRAMING = 16  # bytes for each byte of a body that is sent in chunks
 
@@ -86,7 +87,7 @@ class Connection(HttpToolsProtocol):
     def on_body(self, body: bytes) -> None:
         """Take a part of the body."""
         self._n_body += len(body)
-        if self._n_body > _LONG_BODY:
+        if self._n_body > _LONG_BODY and len(self.connections) <= _FEW_CONNECTIONS:
             self._read_at_a_time(_LONG_READ_SIZE)
         super().on_body(body)
 
