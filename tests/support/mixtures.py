@@ -46,15 +46,21 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
 
 
 def scattered_samples(model: DSBRDF, count: int = 5000, seed: int = 1) -> ScatteredSamples:
-    """Return samples of a model without noise: half of them where it reflects, half anywhere."""
+    """Return samples of a model without noise at `scattered_directions`."""
+    omega_in, omega_out = scattered_directions(model, count, seed)
+    return ScatteredSamples.from_arrays(
+        omega_in, omega_out, model.evaluate_directions(omega_in, omega_out), name="known"
+    )
+
+
+def scattered_directions(model: DSBRDF, count: int, seed: int) -> tuple[Array, Array]:
+    """Return pairs of directions, shapes (count, 3): half of them where a model reflects, half anywhere."""
     random = np.random.default_rng(seed)
     omega_in, omega_out = _hemisphere(random, count), _hemisphere(random, count)
     where = model.sample(omega_out[: count // 2], random)[0]
     above = np.flatnonzero(where[:, 2] > 0.05)
     omega_in[above] = where[above]
-    return ScatteredSamples.from_arrays(
-        omega_in, omega_out, model.evaluate_directions(omega_in, omega_out), name="known"
-    )
+    return omega_in, omega_out
 
 
 def _hemisphere(random: np.random.Generator, count: int) -> Array:
