@@ -57,7 +57,8 @@ _DARK = 0.02  # of the mean of a row: residuals of values below are relative to 
 _SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
-_MANY_SAMPLES = 5000
+_MANY_SAMPLES = 20_000
+_FEWEST_IN_COLUMN = 5  # bins with data for each knot: with fewer, a column resolves no narrow lobe
 _FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
 
 
@@ -173,27 +174,29 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
 def _with_data(groups: tuple[Array, ...], weight: Array) -> tuple[Array, ...]:
     """Leave out the knots [rad] that have too few bins with data between them and the next ones."""
     filled = np.count_nonzero((weight > 0).any(axis=0), axis=(1, 2))
-
-    def enough(first: float, last: float) -> bool:
-        return bool(filled[(THETA_DIFF >= first) & (THETA_DIFF < last)].sum() >= _FEWEST_BINS)
-
     chosen = []
     for knots in groups:
-        kept, last = [knots[0]], knots[1:][-1:]  # a constant has one knot
-        for knot in knots[1:-1]:
-            if enough(kept[-1], knot):
-                kept.append(knot)
-        if len(kept) > 1 and not enough(kept[-1], np.inf):
+        kept, last = _apart(knots[: max(knots.size - 1, 1)], THETA_DIFF, filled, _FEWEST_BINS), knots[1:][-1:]
+        if len(kept) > 1 and filled[THETA_DIFF >= kept[-1]].sum() < _FEWEST_BINS:
             kept.pop()
         chosen.append(np.array([*kept, *last]))
     return tuple(chosen)
 
 
+def _apart(angles: Array, axis: Array, filled: NDArray[np.intp], fewest: int) -> list[float]:
+    """Keep the first of some angles [rad], and those that have enough filled bins of an axis before them."""
+    kept = [float(angles[0])]
+    for angle in angles[1:].tolist():
+        if filled[(axis >= kept[-1]) & (axis < angle)].sum() >= fewest:
+            kept.append(angle)
+    return kept
+
+
 def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> Structure:
     """No lobes yet, on knots within the rows that have data."""
-    measured = weight.sum(axis=(0, 3)) > 0
-    first, last = THETA_DIFF[np.flatnonzero(measured.any(axis=1))[[0, -1]]]
-    theta_half = THETA_HALF[measured.any(axis=0)]
+    filled = np.count_nonzero((weight > 0).any(axis=0), axis=2)
+    first, last = THETA_DIFF[np.flatnonzero(filled.any(axis=1))[[0, -1]]]
+    columns = filled.sum(axis=0)
 
     def within(angles: Array) -> Array:
         if angles.size == 1:
@@ -201,7 +204,9 @@ def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> 
         inner = angles[(angles > first) & (angles < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
-    return Structure((), within(knots[0]), within(knots[1]), within(knots[2]), options.lobe, theta_half)
+    amplitude, shape, elongation = (within(group) for group in knots)
+    theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, _FEWEST_IN_COLUMN * amplitude.size)
+    return Structure((), amplitude, shape, elongation, options.lobe, np.array(theta_half))
 
 
 def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:
