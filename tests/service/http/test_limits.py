@@ -75,10 +75,11 @@ def trickle(connection: socket.socket, data: bytes) -> bytes:
 
 
 def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
+    before = impatient.files()
     with connect(impatient, head_of_upload(len(data)) + data[:1_000_000]) as connection:
-        wait_until(lambda: bool(impatient.files()))
+        wait_until(lambda: impatient.files() != before)
         assert problem(rest(connection)) == (408, "request-timeout")
-    wait_until(lambda: not impatient.files())
+    wait_until(lambda: impatient.files() == before)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +90,10 @@ def test_body_below_the_minimum_rate_times_out(
     impatient: Server, data: bytes, path: str, media_type: str, length: int
 ) -> None:
     head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
+    before = impatient.files()
     with connect(impatient, head.encode()) as connection:
         assert problem(trickle(connection, data[:400])) == (408, "request-timeout")
-    wait_until(lambda: not impatient.files())
+    wait_until(lambda: impatient.files() == before)
 
 
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:

@@ -36,8 +36,9 @@ def variant(request: pytest.FixtureRequest) -> ModuleType:
     return prepared(request.param)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def llvm() -> ModuleType:
+    """Return Mitsuba with a variant that another test may have changed meanwhile."""
     return prepared("llvm_ad_rgb")
 
 
