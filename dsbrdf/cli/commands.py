@@ -83,7 +83,8 @@ def run_command(words: Sequence[str]) -> int:
     """Run the command that `words` name, or print its help; return the exit code."""
     app = application()
     if words[0] not in app:
-        print_error(f"there is no command {words[0]!r}{did_you_mean(words[0], app)} (see dsbrdf --help)")
+        what = f"option {words[0]!r} before the command" if words[0].startswith("-") else f"command {words[0]!r}"
+        print_error(f"there is no {what}{did_you_mean(words[0], app)} (see dsbrdf --help)")
         return BAD_INPUT
     width = min(shutil.get_terminal_size().columns, _WIDTH)
     try:

@@ -3,7 +3,14 @@
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from cyclopts import CoercionError, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
+from cyclopts import (
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 
 from dsbrdf.cli.arguments import did_you_mean
 
@@ -21,6 +28,8 @@ def _reason(error: CycloptsError) -> str:
         return f"there is no option {name}{did_you_mean(name, known)}"
     if isinstance(error, UnusedCliTokensError):
         return f"there is no place for {' '.join(error.unused_tokens or ())}"
+    if isinstance(error, RepeatArgumentError):
+        return f"{error.token.keyword} is given more than once"
     if isinstance(error, MissingArgumentError) and error.argument is not None:
         return f"{error.keyword} needs a value" if error.keyword else f"{error.argument.name} is missing"
     if isinstance(error, CoercionError) and error.token is not None and error.msg is None:
@@ -35,4 +44,6 @@ def _allowed(kind: Any) -> str:
         return " or ".join(_allowed(member) for member in get_args(kind))
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
-    return {int: "a whole number", float: "a number", NoneType: "none"}.get(kind, str(kind))
+    if get_origin(kind) is tuple:  # of any length
+        return _allowed(get_args(kind)[0])
+    return {int: "a whole number", float: "a number", bool: "yes or no", NoneType: "none"}.get(kind, "a text")

@@ -43,7 +43,11 @@ MISTAKES = {
     "completion tcsh": "dsbrdf completion: SHELL: must be bash or zsh or fish, not 'tcsh'",
     "show paint.json photo.json": "dsbrdf show: there is no place for photo.json",
     "render paint.json -o": "dsbrdf render: -o needs a value",
-    "--jobs 2 fit nickel.binary": "dsbrdf: there is no command '--jobs'",
+    "--jobs 2 fit nickel.binary": "dsbrdf: there is no option '--jobs' before the command",
+    "--helpp": "dsbrdf: there is no option '--helpp' before the command; did you mean --help?",
+    "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
+    "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
+    "eval paint.json --theta-half=": "dsbrdf eval: --theta-half: must be a number, not ''",
 }
 
 
