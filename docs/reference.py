@@ -37,8 +37,8 @@ def command_line() -> str:
 
 def _service_main(command: str) -> Callable[[Sequence[str]], int]:
     module = "service.__main__" if command == "serve" else f"service.commands.{command}"
-    command: Callable[[Sequence[str]], int] = import_module(module).main
-    return command
+    found: Callable[[Sequence[str]], int] = import_module(module).main
+    return found
 
 
 def _help_of(command: Callable[[Sequence[str]], int], *words: str) -> str:
