@@ -59,7 +59,7 @@ class ScatteredSamples:
     sha256: str
 
     def take(self, chosen: NDArray[np.bool_]) -> "ScatteredSamples":
-        """Return some of the samples."""
+        """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
 

@@ -57,7 +57,7 @@ _DARK = 0.02  # of the mean of a row: residuals of values below are relative to 
 _SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
 _FEW = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
-_MANY_SAMPLES = 20_000
+_MANY_SAMPLES = 20_000  # scattered samples that need no more smoothing than a table
 _FEWEST_IN_COLUMN = 5  # bins with data for each knot: with fewer, a column resolves no narrow lobe
 _FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
 
@@ -104,12 +104,7 @@ def fit_global(
     """
     weight = fit_weights(data, options)
     coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)
-    if split is None:
-        fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
-        held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
-    else:
-        fitted, held_out = (_select(part, fit_weights(part, options), FIT_ROWS, FIT_COLUMNS) for part in split)
-    fitted, held_out = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
+    fitted, held_out = _search_data(data, weight, split)
     if held_out.signal == 0.0:
         held_out = fitted
     counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
@@ -171,16 +166,39 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
     return weight
 
 
+def weight_per_sample(data: Profiles, weight: Array) -> Array:
+    """What a sample of weight 1 counts in each bin, shape (3, 90, 90, 9), where the `weight` of whole bins is known."""
+    return weight / np.where(data.folded.weight > 0.0, data.folded.weight, 1.0)
+
+
+def _search_data(data: Profiles, weight: Array, split: tuple[Profiles, Profiles] | None) -> tuple[FitData, FitData]:
+    """What lobes are fitted to while they are searched for, and what tells whether they pay."""
+    if split is None:
+        fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
+        held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
+    else:
+        each = weight_per_sample(data, weight)
+        parts = [(part, each * part.folded.weight) for part in split]
+        if not all(np.sum(counted * part.folded.mean) > 0.0 for part, counted in parts):  # one part is black
+            parts = [(data, weight)] * 2
+        fitted, held_out = (_select(part, counted, FIT_ROWS, FIT_COLUMNS) for part, counted in parts)
+    thinned = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
+    return thinned if thinned[0].signal > 0.0 else (fitted, held_out)
+
+
 def _with_data(groups: tuple[Array, ...], weight: Array) -> tuple[Array, ...]:
     """Leave out the knots [rad] that have too few bins with data between them and the next ones."""
     filled = np.count_nonzero((weight > 0).any(axis=0), axis=(1, 2))
-    chosen = []
-    for knots in groups:
-        kept, last = _apart(knots[: max(knots.size - 1, 1)], THETA_DIFF, filled, _FEWEST_BINS), knots[1:][-1:]
+
+    def chosen(knots: Array) -> Array:
+        if knots.size == 1:
+            return knots
+        kept = _apart(knots[:-1], THETA_DIFF, filled, _FEWEST_BINS)
         if len(kept) > 1 and filled[THETA_DIFF >= kept[-1]].sum() < _FEWEST_BINS:
             kept.pop()
-        chosen.append(np.array([*kept, *last]))
-    return tuple(chosen)
+        return np.array([*kept, knots[-1]])
+
+    return tuple(chosen(knots) for knots in groups)
 
 
 def _apart(angles: Array, axis: Array, filled: NDArray[np.intp], fewest: int) -> list[float]:

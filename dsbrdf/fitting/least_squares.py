@@ -57,6 +57,7 @@ class FitData:
         N angles theta_half in each row, P values of phi_diff each.
     cos2_phi : ndarray, shape (R, N, P)
     theta_diff : ndarray, shape (R,)
+        [rad].
     theta_half : ndarray, shape (N,) or (R, N)
         The same for all rows, or each row's own [rad].
     """

@@ -182,7 +182,7 @@ def _candidates() -> list[_Candidate]:
 
 
 def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
-    """Values of a candidate, shape (R, N * 9)."""
+    """Values of a candidate, shape (R, N * P)."""
     squared = np.tan(data.theta_half)[:, None] ** 2
     log_cos = log_cosine(data.theta_diff)[:, None, None]
     at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent

@@ -13,7 +13,7 @@ from dsbrdf.data.geometry import above_horizon, half_difference
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import IN_BIN, N_BINS, FoldedProfiles, Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, fit_weights
+from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, fit_weights, weight_per_sample
 from dsbrdf.fitting.least_squares import FitData
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
@@ -76,8 +76,7 @@ def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions
         Shorter rows end with samples of no weight.
     """
     angles = half_difference(samples.omega_in, samples.omega_out)
-    per_weight = fit_weights(binned, options) / np.where(binned.folded.weight > 0.0, binned.folded.weight, 1.0)
-    weight = per_weight[:, *_cells(*angles)] * samples.weight
+    weight = weight_per_sample(binned, fit_weights(binned, options))[:, *_cells(*angles)] * samples.weight
     theta_half, theta_diff, phi_diff = angles
     row = _nearest(THETA_DIFF, theta_diff)
     at_row = model.evaluate_unmasked(theta_half, THETA_DIFF[row], phi_diff)

@@ -58,6 +58,16 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
     np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
 
 
+def test_one_bright_sample_among_black_ones_is_fitted() -> None:
+    """It is among those that lobes are fitted to or among those held out, never in both."""
+    samples = scattered_samples(TRUTH, 300)
+    for bright in (0, 7):
+        values = np.zeros((300, 3))
+        values[bright] = 1.0
+        one = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
+        assert np.isfinite(dsbrdf.fit(one, n_lobes=1, ring_lobes=0).model.amplitude).all()
+
+
 def test_weights_are_those_of_repeated_samples() -> None:
     samples = scattered_samples(TRUTH, 400)
     first, second, values = samples.omega_in, samples.omega_out, samples.values
