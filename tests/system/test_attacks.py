@@ -1,7 +1,8 @@
 """Malformed files, compression bombs and hostile requests against one server: refused at once, at no cost, no leak.
 
 `pytest tests/system/test_attacks.py -s` prints how many there were, the slowest of them and the memory they took.
-How long an answer takes is bounded by the processor time that it costs: a machine that tests run on may be busy.
+How long an answer takes is bounded by the processor time that it costs, compared with that of a measurement that is
+accepted: the machine that tests run on may be slow or busy.
 """
 
 import json
@@ -24,7 +25,7 @@ from tests.support.malformed_measurements import MALFORMED
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
-SECONDS = 1.0
+UPLOADS = 6.0
 PATIENCE = 60.0
 MEGABYTES = 64.0
 MEGABYTES_OF_UPLOADS = 24.0
@@ -38,7 +39,9 @@ class Target:
         self.server = server
         url = server.http.base_url
         self.address = (str(url.host), int(url.port or 0))
+        spent = server.cpu_seconds()
         fit = server.http.post("/v1/fits", params=QUICK, content=data).json()
+        self.limit = UPLOADS * (server.cpu_seconds() - spent)  # seconds of a processor, about one
         self.fit, self.measurement = fit["id"], fit["measurement"]
         # What any work takes once, the largest uploads and batches among it, is no cost of an attack.
         server.http.get(f"/v1/fits/{self.fit}/lobes")
@@ -70,7 +73,7 @@ class Target:
         assert not [leak for leak in (*LEAKS, str(self.server.data_dir)) if leak in text], (name, text)
         assert "root:x:0" not in problem["instance"]
         assert seconds < PATIENCE, name
-        assert cost < SECONDS, name
+        assert cost < self.limit, name
         self.worst = max(self.worst, (name, seconds, cost), key=lambda answer: answer[1])
 
     def close(self, count: int, what: str) -> None:
@@ -86,7 +89,8 @@ class Target:
 
 @pytest.fixture(scope="module")
 def target(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Target]:
-    server = Server(tmp_path_factory.mktemp("attacks") / "data")
+    # The start of HTTP/2 is answered when the time for a head is over.
+    server = Server(tmp_path_factory.mktemp("attacks") / "data", header_timeout="3")
     try:
         yield Target(server.start(), data)
     finally:
@@ -245,6 +249,6 @@ def test_checks_of_this_file_can_fail(target: Target) -> None:
     ]
     for fault in faults:
         if fault is faults[-1]:
-            keep_busy(target.server, SECONDS)
+            keep_busy(target.server, target.limit)
         with pytest.raises(AssertionError):
             fault()
