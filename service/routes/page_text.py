@@ -1,7 +1,7 @@
 """What the pages say of a fit in words."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -19,27 +19,18 @@ _LOOKS = (
 _FIT = "result = dsbrdf.fit(measurement)"
 
 
-@dataclass(frozen=True)
-class Download:
-    """A format of the export, and what it is for."""
-
-    name: str
-    meaning: str
-
-
-DOWNLOADS = (
-    Download("json", "the model and its report, without loss"),
-    Download("npz", "the same for NumPy"),
-    Download("csv", "a table of the parameters"),
-    Download("merl", "a table in the MERL format, 35 MB"),
-    Download("glsl", "a function for shaders, as in the sphere above"),
-    Download("brdf", "for Disney's BRDF Explorer"),
-    Download("bsdf", "for Mitsuba 3"),
-    Download("bsdf-spectral", "for its spectral variants and pbrt-v4"),
-    Download("materialx", "the OpenPBR surface that looks most like it; takes some seconds"),
-)
-
-
+DOWNLOADS = {
+    "json": "the model and its report, without loss",
+    "npz": "the same for NumPy",
+    "csv": "a table of the parameters",
+    "merl": "a table in the MERL format, 35 MB",
+    "glsl": "a function for shaders, as in the sphere above",
+    "brdf": "for Disney's BRDF Explorer",
+    "bsdf": "for Mitsuba 3",
+    "bsdf-spectral": "for its spectral variants and pbrt-v4",
+    "materialx": "the OpenPBR surface that looks most like it; takes some seconds",
+}
+"""Formats of the export, and what each is for."""
 FIGURES = {
     "parameters": "Amplitude, half width and elongation of each lobe over theta_diff",
     "residual": "Difference of fit and measurement over theta_half and theta_diff",
@@ -74,27 +65,12 @@ def facts_of(row: FitRow) -> Facts:
 
 def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
     """Return the metrics that a fit has, the most telling first."""
+    given = {name: value for name, value in metrics.items() if value is not None}
     found = []
-    error, floor, excess, psnr = (metrics.get(name) for name in ("relative_rms", "floor", "excess", "psnr"))
-    least = metrics.get("symmetric_floor")
-    if psnr is not None:
+    if (psnr := given.get("psnr")) is not None:
         words = next((words for level, words in _LOOKS if psnr >= level), "differs strongly from")
         found.append(Metric("psnr", f"{psnr:.1f} dB", f"A lit sphere of the fit {words} one of the measurement."))
-    if error is not None:
-        found.append(Metric("relative_rms", _percent(error), "Error of the values, relative to their size."))
-    if least is not None:
-        found.append(Metric("symmetric_floor", _percent(least), "What that error is for the best reciprocal model."))
-    if floor is not None:
-        found.append(Metric("floor", _percent(floor), "What it is for the best model that ignores φ_diff."))
-    if excess is not None:
-        found.append(Metric("excess", f"{excess:.3f}", "Error / floor; below 1, the fit gains by regarding φ_diff."))
-    albedo, male, ssim = (metrics.get(name) for name in ("albedo_error", "male", "ssim"))
-    if albedo is not None:
-        found.append(Metric("albedo_error", _percent(albedo), "Mean error of how much light is reflected in all."))
-    if male is not None:
-        found.append(Metric("male", f"{male:.4f}", "Mean error of the logarithm, which counts dark parts as well."))
-    if ssim is not None:
-        found.append(Metric("ssim", f"{ssim:.4f}", "Likeness of the two spheres' structure; 1 is equal."))
+    found += [Metric(name, write(given[name]), meaning) for name, write, meaning in _METRICS if name in given]
     return found
 
 
@@ -140,11 +116,23 @@ def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
     return given if options["method"] == DEFAULTS["method"] else {"method": options["method"], **given}
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.3g} %"
-
-
 def _word(value: Any) -> str:
     if isinstance(value, list):
         return ",".join(map(str, value))
     return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %"
+
+
+# Beside psnr: the name of a metric, how its value is written, and what it means.
+_METRICS: tuple[tuple[str, Callable[[float], str], str], ...] = (
+    ("relative_rms", _percent, "Error of the values, relative to their size."),
+    ("symmetric_floor", _percent, "What that error is for the best reciprocal model."),
+    ("floor", _percent, "What it is for the best model that ignores φ_diff."),
+    ("excess", "{:.3f}".format, "Error / floor; below 1, the fit gains by regarding φ_diff."),
+    ("albedo_error", _percent, "Mean error of how much light is reflected in all."),
+    ("male", "{:.4f}".format, "Mean error of the logarithm, which counts dark parts as well."),
+    ("ssim", "{:.4f}".format, "Likeness of the two spheres' structure; 1 is equal."),
+)
