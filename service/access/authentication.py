@@ -25,11 +25,8 @@ from service.http.problems import problem_response
 from service.settings import Settings
 from service.storage.schema import Caller
 
-_PAGE = ("/docs", "/docs/page.js", "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css")
 # They show nothing that belongs to a key.
-OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign-in", "/sign-out", *_PAGE)) | {
-    f"/page/{name}" for name in STATIC_FILES
-}
+OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign-in", "/sign-out", *STATIC_FILES))
 
 COOKIE = "dsbrdf_key"
 _KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")

@@ -1,7 +1,7 @@
 """HTML pages: rendered from the templates of ``service/page``, with what else a browser loads for them.
 
-Nothing is loaded from elsewhere and nothing in a page itself runs.  Addresses in a page begin with ``root``, a relative
-one, so that they hold behind a proxy that adds a prefix.
+Nothing is loaded from elsewhere, so they work without the internet, and nothing in a page itself runs.  Addresses in a
+page are relative, those of a template begin with ``root``, so that they hold behind a proxy that adds a prefix.
 """
 
 import re
@@ -14,25 +14,27 @@ from starlette.responses import HTMLResponse
 
 import dsbrdf
 
+_OURS = files("service") / "page"
+_SWAGGER_UI = files("fastapi_offline") / "static"
+_SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
+_SCRIPTS = ("upload", "progress", "list", "fit", "compare", "sphere", "profiles", "polar")
 STATIC_FILES = {
-    "page.css": "text/css",
-    "upload.js": "text/javascript",
-    "progress.js": "text/javascript",
-    "list.js": "text/javascript",
-    "fit.js": "text/javascript",
-    "compare.js": "text/javascript",
-    "sphere.js": "text/javascript",
-    "profiles.js": "text/javascript",
-    "polar.js": "text/javascript",
-    "icon.svg": "image/svg+xml",
-}
-"""Media types of the files beside the templates that pages load."""
+    "/docs": (_OURS / "docs.html", "text/html; charset=utf-8"),
+    "/docs/page.js": (_OURS / "docs.js", _SCRIPT),
+    "/docs/swagger-ui-bundle.js": (_SWAGGER_UI / "swagger-ui-bundle.js", _SCRIPT),
+    "/docs/swagger-ui.css": (_SWAGGER_UI / "swagger-ui.css", _STYLE_SHEET),
+    "/page/page.css": (_OURS / "page.css", _STYLE_SHEET),
+    "/page/icon.svg": (_OURS / "icon.svg", "image/svg+xml"),
+} | {f"/page/{name}.js": (_OURS / f"{name}.js", _SCRIPT) for name in _SCRIPTS}
+"""Path -> file and media type: the page of the OpenAPI document, and what this one and the other pages load."""
 PAGE_PATHS = re.compile(r"/|/compare|/fits/[0-9a-f]{32}")
 """Paths of the pages."""
-_POLICY = (
+_SOURCES = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
+    "frame-ancestors 'none'; base-uri 'none'"
 )
+_POLICY = f"{_SOURCES}; form-action 'self'"
+POLICY_WITHOUT_FORMS = f"{_SOURCES}; form-action 'none'"
 _templates = Environment(
     loader=PackageLoader("service", "page"),
     autoescape=True,
@@ -54,8 +56,3 @@ def render(
 def sign_in_page(path: str, fault: str, headers: Mapping[str, str] | None = None) -> HTMLResponse:
     """Return the page that asks for a key, and leads to the page at `path` then."""
     return render("sign_in.html", path, 401, headers, fault=fault, wanted=path, signed_in=False)
-
-
-def static_file(name: str) -> bytes:
-    """Return one of `STATIC_FILES`."""
-    return (files("service") / "page" / name).read_bytes()

@@ -1,38 +1,18 @@
-"""What the service says about itself: liveness, readiness, metrics, and the documentation as a page.
+"""What the service says about itself: liveness, readiness and metrics."""
 
-All that the page loads comes from the service, so it works without the internet too.
-"""
-
-from importlib.resources import files
-
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
 from service.errors import ProblemError
 from service.http import openapi
-from service.http.responses import IfNoneMatch, json_reply, tagged_reply
+from service.http.responses import json_reply
 from service.operations.metrics import MEDIA_TYPE
 from service.routes.dependencies import NO_QUERY, TheCaller, TheContext
 from service.wire.schemas import Health
 
 router = APIRouter(tags=["health"])
-page = APIRouter(include_in_schema=False)
-
-_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-)
-_SWAGGER_UI = files("fastapi_offline") / "static"
-# Addresses in the page are relative: they hold behind a proxy that adds a prefix.
-_OURS = files("service") / "page"
-_FILES = {
-    "": (_OURS / "docs.html", "text/html; charset=utf-8"),
-    "page.js": (_OURS / "docs.js", "text/javascript"),
-    "swagger-ui-bundle.js": (_SWAGGER_UI / "swagger-ui-bundle.js", "text/javascript"),
-    "swagger-ui.css": (_SWAGGER_UI / "swagger-ui.css", "text/css"),
-}
 
 _METRICS = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
 # TYPE dsbrdf_fits gauge
@@ -88,16 +68,3 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     if not caller.metrics:
         raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
     return Response(await run_in_threadpool(context.metrics.exposition), media_type=MEDIA_TYPE)
-
-
-@page.get("/docs")
-@page.get("/docs/{name}")
-async def get_docs(request: Request, if_none_match: IfNoneMatch = "") -> Response:
-    """Return the page that shows the OpenAPI document, its script or its style sheet."""
-    name = request.path_params.get("name", "")
-    if name not in _FILES:
-        raise ProblemError("not-found", f"There is nothing at /docs/{name[:60]}; GET /docs lists what there is.")
-    file, media_type = _FILES[name]
-    content = await run_in_threadpool(file.read_bytes)
-    headers = {} if name else {"Content-Security-Policy": _POLICY}
-    return tagged_reply(content, if_none_match, media_type, headers)

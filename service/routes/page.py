@@ -1,4 +1,4 @@
-"""The web page: upload and list, a fit, two fits side by side, and signing in with a key."""
+"""The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 from collections.abc import Callable, Coroutine
 from functools import partial
@@ -7,7 +7,7 @@ from json import loads
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, HTTPException, Path, Query, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
@@ -18,7 +18,7 @@ from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from service.access.authentication import COOKIE, same_origin
 from service.errors import ProblemError
-from service.http.pages import PAGE_PATHS, STATIC_FILES, render, sign_in_page, static_file
+from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import answer_exception
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
@@ -145,12 +145,17 @@ async def get_polar(
     return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
 
 
+@router.get("/docs")
+@router.get("/docs/{name}")
 @router.get("/page/{name}")
-async def get_static(name: str, if_none_match: IfNoneMatch = "") -> Response:
-    """Return a script, style sheet or picture that the pages load."""
-    if name not in STATIC_FILES:
-        raise ProblemError("not-found", f"There is nothing at /page/{name[:60]}.")
-    return tagged_reply(await run_in_threadpool(static_file, name), if_none_match, STATIC_FILES[name])
+async def get_static(request: Request, if_none_match: IfNoneMatch = "") -> Response:
+    """Return the page that shows the OpenAPI document, or a script, style sheet or picture that the pages load."""
+    path = request.scope["path"]
+    if path not in STATIC_FILES:
+        raise HTTPException(404)
+    file, media_type = STATIC_FILES[path]
+    headers = {"Content-Security-Policy": POLICY_WITHOUT_FORMS} if path == "/docs" else {}
+    return tagged_reply(await run_in_threadpool(file.read_bytes), if_none_match, media_type, headers)
 
 
 @router.get("/sign-in")
