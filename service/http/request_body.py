@@ -40,14 +40,10 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 def upload_body(request: Request) -> UploadBody:
-    """Return the body of `request` as `Uploads` takes it.
-
-    Raises ProblemError if its encoding is unknown.
-    """
+    """Return the body of `request` as `Uploads` takes it; its decoder is made there, and raises as `decoder`."""
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    if encoding:
-        return UploadBody(request.stream(), None, partial(decoder, encoding))
-    return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None, None)
+    length = int(declared) if declared.isdecimal() and not encoding else None
+    return UploadBody(request.stream(), length, partial(decoder, encoding))
 
 
 async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mmap.mmap:
