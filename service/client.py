@@ -16,7 +16,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypedDict, TypeVar
+from typing import Any, TypeVar
 
 import httpx
 
@@ -322,16 +322,8 @@ def _finish(coroutine: Coroutine[Any, Any, _Result]) -> _Result:
     raise RuntimeError("a blocking transport has waited for an event loop")
 
 
-class _Settings(TypedDict):
-    """What both of httpx's clients take."""
-
-    base_url: str
-    headers: dict[str, str]
-    timeout: httpx.Timeout
-    limits: httpx.Limits
-
-
-def _settings(base_url: str, key: str | None, timeout: float) -> _Settings:
+def _settings(base_url: str, key: str | None, timeout: float) -> dict[str, Any]:
+    """Return what both of httpx's clients take."""
     key = os.environ.get("DSBRDF_KEY") if key is None else key
     if key and not (key.isascii() and key.isprintable() and " " not in key):
         raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
