@@ -59,10 +59,8 @@ def add_key(database: Database, name: str, limits: KeyLimits, *, metrics: bool =
 
     With `metrics` it may read ``/metrics``, which has the totals of all keys.
     """
-    row, secret = (
-        KeyRow(secrets.token_hex(6), name, time.time(), None, None, limits, metrics),
-        secrets.token_urlsafe(32),
-    )
+    row = KeyRow(secrets.token_hex(6), name, time.time(), None, None, limits, metrics)
+    secret = secrets.token_urlsafe(32)
     values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), metrics, *astuple(limits))
     with database.transaction() as db:
         db.execute(
