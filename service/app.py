@@ -24,9 +24,8 @@ from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
-from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
-from service.jobs.model_cache import ModelCache
+from service.jobs.results import FitViews, ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.routes import about, brdf, figures, fits, measurements, page

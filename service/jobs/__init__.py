@@ -1,4 +1,4 @@
-"""The life of a fit, and the models of finished fits.
+"""The life of a fit, and what is kept of finished fits.
 
-`jobs` runs fits and lets requests wait for them; `model_cache` keeps the models used last in memory.
+`jobs` runs fits and lets requests wait for them; `results` keeps the models and views used last in memory.
 """

@@ -13,9 +13,8 @@ from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
 from service.errors import FitNotFoundError, MeasurementNotFoundError
-from service.jobs.fit_views import FitViews
 from service.jobs.jobs import Jobs
-from service.jobs.model_cache import ModelCache
+from service.jobs.results import FitViews, ModelCache
 from service.operations.metrics import Metrics
 from service.operations.readiness import Readiness
 from service.settings import Settings

@@ -22,7 +22,7 @@ from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, r
 from service.http.problems import answer_exception
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
-from service.jobs.fit_views import LARGEST_LIGHT, LIGHT_STEP
+from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
 from service.storage.schema import FitKey, FitRow
