@@ -6,8 +6,6 @@ A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one 
 import errno
 import logging
 import sqlite3
-from collections.abc import Mapping
-from http import HTTPStatus
 from typing import NamedTuple
 
 from fastapi import FastAPI, Request
@@ -76,7 +74,6 @@ _KIND_OF_ERROR: dict[type[Exception], str] = {
     FitError: "fit-impossible",
     MissingExtraError: "not-installed",
 }
-_KIND_OF_STATUS = {400: "bad-request", 404: "not-found", 405: "method-not-allowed", 413: "too-large"}
 _FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 
 logger = logging.getLogger(__name__)
@@ -90,7 +87,10 @@ def document(kind: str, detail: str, path: str) -> dict[str, object]:
 
 def problem_response(error: ProblemError, path: str) -> Response:
     """Return the problem document of `error` as a response."""
-    return _response(error.kind, error.detail, path, error.headers)
+    status, retry_after = KINDS[error.kind].status, KINDS[error.kind].retry_after
+    headers = {} if retry_after is None else {"Retry-After": str(retry_after)}
+    content = document(error.kind, error.detail, path)
+    return JSONResponse(content, status, headers | error.headers, media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
@@ -98,52 +98,45 @@ def install(app: FastAPI) -> None:
     ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
-        app.add_exception_handler(expected, answer_exception)
+        app.add_exception_handler(expected, _answer_exception)
 
 
-async def answer_exception(request: Request, error: Exception) -> Response:
-    """Return the problem document of any exception as a response."""
+async def _answer_exception(request: Request, error: Exception) -> Response:
+    return problem_response(problem_of(request, error), request.url.path)
+
+
+def problem_of(request: Request, error: Exception) -> ProblemError:
+    """Return the problem that any exception is; what is the service's own fault is logged."""
     path = request.url.path
     if isinstance(error, ProblemError):
-        return problem_response(error, path)
+        return error
     if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
-        return _response("bad-request", "The client went away before the end of the body.", path)
-    if isinstance(error, HTTPException):
-        return _of_status(request, error, path)
+        return ProblemError("bad-request", "The client went away before the end of the body.")
     if isinstance(error, RequestValidationError):
         if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
             return _nothing_at(path)
-        return _response("invalid-argument", validation_sentence(error.errors()), path)
-    for expected, kind in _KIND_OF_ERROR.items():
-        if isinstance(error, expected):
-            return _response(kind, str(error), path)
-    if isinstance(error, (OSError, sqlite3.DatabaseError)):
-        if getattr(error, "errno", 0) in _FULL_DISK or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
-            return _response("disk-full", _FULL, path)
-        logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
-        detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
-        return _response("not-ready", detail, path)
-    logger.error("%s %s failed", request.method, path, exc_info=error)
-    return _response("internal", _BROKEN, path)
-
-
-def _of_status(request: Request, error: HTTPException, path: str) -> Response:
-    if error.status_code == 404:
+        return ProblemError("invalid-argument", validation_sentence(error.errors()))
+    if isinstance(error, HTTPException) and error.status_code == 404:
         return _nothing_at(path)
-    if error.status_code == 405:
+    if isinstance(error, HTTPException) and error.status_code == 405:
         allowed = ", ".join(_methods(request))
         detail = f"{request.method} is not supported at {path}; supported: {allowed}."
-        return _response("method-not-allowed", detail, path, {"Allow": allowed})
-    kind = _KIND_OF_STATUS.get(error.status_code)
-    if kind is not None:
-        return _response(kind, f"{error.detail}.".replace("..", "."), path, error.headers)
-    title, status = HTTPStatus(error.status_code).phrase, error.status_code
-    content = {"type": "about:blank", "title": title, "status": status, "detail": str(error.detail), "instance": path}
-    return JSONResponse(content, status, dict(error.headers or {}), media_type=MEDIA_TYPE)
+        return ProblemError("method-not-allowed", detail, {"Allow": allowed})
+    for expected, kind in _KIND_OF_ERROR.items():
+        if isinstance(error, expected):
+            return ProblemError(kind, str(error))
+    if isinstance(error, (OSError, sqlite3.DatabaseError)):
+        if getattr(error, "errno", 0) in _FULL_DISK or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
+            return ProblemError("disk-full", _FULL)
+        logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
+        detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
+        return ProblemError("not-ready", detail)
+    logger.error("%s %s failed", request.method, path, exc_info=error)
+    return ProblemError("internal", _BROKEN)
 
 
-def _nothing_at(path: str) -> Response:
-    return _response("not-found", f"There is nothing at {path}; GET /docs lists what there is.", path)
+def _nothing_at(path: str) -> ProblemError:
+    return ProblemError("not-found", f"There is nothing at {path}; GET /docs lists what there is.")
 
 
 def _methods(request: Request) -> list[str]:
@@ -155,10 +148,3 @@ def _methods(request: Request) -> list[str]:
             route.matches({**request.scope, "method": method})[0] is Match.FULL for route in request.app.router.routes
         )
     ]
-
-
-def _response(kind: str, detail: str, path: str, headers: Mapping[str, str] | None = None) -> Response:
-    status, retry_after = KINDS[kind].status, KINDS[kind].retry_after
-    complete = {} if retry_after is None else {"Retry-After": str(retry_after)}
-    complete |= headers or {}
-    return JSONResponse(document(kind, detail, path), status, complete, media_type=MEDIA_TYPE)

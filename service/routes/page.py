@@ -1,9 +1,7 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 from collections.abc import Callable, Coroutine
-from functools import partial
 from importlib.util import find_spec
-from json import loads
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
 
@@ -19,7 +17,7 @@ from dsbrdf.model.environment import THREE_LIGHTS
 from service.access.authentication import COOKIE, same_origin
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
-from service.http.problems import answer_exception
+from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP
@@ -43,10 +41,9 @@ class _PageRoute(APIRoute):
             try:
                 return await handler(request)
             except (ProblemError, InvalidArgumentError, RequestValidationError) as error:
-                response = await answer_exception(request, error)
-                problem = loads(bytes(response.body))
-                shown = partial(render, "error.html", request.url.path, signed_in=COOKIE in request.cookies)
-                return shown(status=response.status_code, title=problem["title"], detail=problem["detail"])
+                problem = problem_of(request, error)
+                kind = KINDS[problem.kind]
+                return _render("error.html", request, kind.status, title=kind.title, detail=problem.detail)
 
         return answer
 
@@ -188,8 +185,8 @@ async def sign_out() -> Response:
     return response
 
 
-def _render(template: str, request: Request, **values: Any) -> Response:
-    return render(template, request.url.path, signed_in=COOKIE in request.cookies, **values)
+def _render(template: str, request: Request, status: int = 200, **values: Any) -> Response:
+    return render(template, request.url.path, status, signed_in=COOKIE in request.cookies, **values)
 
 
 async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
