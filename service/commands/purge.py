@@ -17,17 +17,18 @@ from dsbrdf.cli.arguments import Parser, add_json_option, print_json
 from service.commands import add_data_dir, run_in_folder
 from service.storage.blobs import Blobs
 from service.storage.database import Database
+from service.storage.schema import IS_UNFINISHED
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
-_OLD_FITS = "FROM fits WHERE status NOT IN ('accepted', 'running') AND coalesce(finished, created) < :before"
+_OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
 # A fit that remains keeps its measurement; one that is old is about to go.
 _OLD_MEASUREMENTS = (
-    "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f WHERE f.owner = m.owner"
-    " AND f.measurement = m.sha256"
-    " AND (f.status IN ('accepted', 'running') OR coalesce(f.finished, f.created) >= :before))"
+    "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f"  # noqa: S608
+    " WHERE f.owner = m.owner AND f.measurement = m.sha256"
+    f" AND (f.{IS_UNFINISHED} OR coalesce(f.finished, f.created) >= :before))"
 )
 
 

@@ -45,6 +45,7 @@ VERSION = zlib.crc32(_TABLES.encode()) >> 1  # another one whenever the tables a
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
+IS_UNFINISHED = f"status IN {UNFINISHED}"  # for SQL, which writes a tuple as Python does
 _REPEATABLE = ("compute", "system")  # origins of a failure after which the same request runs again
 
 

@@ -16,7 +16,7 @@ import dsbrdf
 from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs
 from service.storage.database import Database
-from service.storage.schema import UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
+from service.storage.schema import IS_UNFINISHED, UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
@@ -25,6 +25,7 @@ _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants onl
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
+_WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 _INSERT_FIT = (
     "INSERT INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
@@ -36,7 +37,7 @@ _INSERT_MEASUREMENT = (
 )
 _RENAME_FIT = f"UPDATE fits SET name = coalesce(?, name) {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
 _RENAME_MEASUREMENT = (
-    "UPDATE measurements SET name = coalesce(?, name) WHERE owner = ? AND sha256 = ?"  # noqa: S608
+    f"UPDATE measurements SET name = coalesce(?, name) {_WHERE_MEASUREMENT}"  # noqa: S608
     f" RETURNING {columns(MeasurementRow)}"
 )
 
@@ -86,7 +87,7 @@ class Store:
         if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
             return found, False
         with self.database.transaction() as db:
-            query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
+            query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is None:
                 check_storage(db, caller, incoming.size)
@@ -100,7 +101,7 @@ class Store:
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
-        query = f"{_SELECT_MEASUREMENT} WHERE owner = ? AND sha256 = ?"
+        query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
         return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
@@ -115,16 +116,14 @@ class Store:
         Raises ProblemError if fits of it are unfinished.
         """
         with self.database.transaction() as db:
-            query = (
-                "SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND status IN ('accepted', 'running')"
-            )
+            query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
                 raise ProblemError(
                     "measurement-in-use",
                     f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended.",
                 )
-            delete = "DELETE FROM measurements WHERE owner = ? AND sha256 = ?"
+            delete = f"DELETE FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
             # If the commit fails, the row stays without its file; if the file went after the commit, the same
             # file could come in between and be lost. The row is the smaller loss: it is dropped at the start,
@@ -163,9 +162,8 @@ class Store:
             if known is not None and not known.repeatable:
                 (values,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
                 return FitRow.from_values(values), False
-            stored = db.execute(
-                "SELECT name FROM measurements WHERE owner = ? AND sha256 = ?", (caller.owner, measurement)
-            ).fetchone()
+            query = f"SELECT name FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
+            stored = db.execute(query, (caller.owner, measurement)).fetchone()
             if stored is None:
                 raise MeasurementNotFoundError(measurement)
             name = name or (known and known.name) or stored[0]
@@ -222,7 +220,7 @@ class Store:
 
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
-        query = f"DELETE FROM fits {_WHERE_FIT} AND status NOT IN ('accepted', 'running')"  # noqa: S608
+        query = f"DELETE FROM fits {_WHERE_FIT} AND NOT {IS_UNFINISHED}"  # noqa: S608
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 

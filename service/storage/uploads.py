@@ -18,7 +18,7 @@ from dsbrdf.errors import MeasurementFormatError
 from service.errors import ProblemError
 from service.storage.blobs import Blobs, Incoming
 from service.storage.database import Database
-from service.storage.schema import Caller
+from service.storage.schema import IS_UNFINISHED, Caller
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -217,7 +217,7 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
     """Raise ProblemError if the caller has as many unfinished fits as it may have."""
     if caller.queued_fits is None:
         return
-    query = "SELECT count(*) FROM fits WHERE owner = ? AND status IN ('accepted', 'running')"
+    query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
         raise ProblemError(
