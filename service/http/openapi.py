@@ -13,8 +13,8 @@ from pydantic import BaseModel
 
 from service.http import problems as table
 from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem, Progress
+from service.wire.values import JSON
 
-JSON = "application/json"
 BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]
 

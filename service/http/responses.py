@@ -20,8 +20,8 @@ from starlette.types import Receive, Scope, Send
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import Page
+from service.wire.values import JSON
 
-JSON = "application/json"
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
 
 _SECURITY_HEADERS = (

@@ -22,7 +22,7 @@ from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
-from service.http.openapi import BINARY, JSON
+from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
 from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
@@ -31,6 +31,7 @@ from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
 from service.wire.names import MAX_LENGTH, content_disposition
+from service.wire.values import JSON
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
