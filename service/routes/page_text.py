@@ -16,7 +16,6 @@ _LOOKS = (
     (32.0, "is close to"),
     (26.0, "differs visibly from"),
 )
-_FIT = "result = dsbrdf.fit(measurement)"
 
 
 DOWNLOADS = {
@@ -87,11 +86,12 @@ def reproduction(row: FitRow, address: str) -> dict[str, str]:
     for option, value in angles.items():
         radians = "None" if value is None else f"numpy.radians({value})"
         arguments += f", {option.removesuffix('_deg')}={radians}"
+    options = f", dsbrdf.FitOptions({arguments[2:]})" if given else ""
     python = [
         "import dsbrdf" + ("\nimport numpy" if angles else ""),
         "",
         f'measurement = dsbrdf.read_merl("{name}.binary")',
-        f"result = dsbrdf.fit(measurement, dsbrdf.FitOptions({arguments[2:]}))" if given else _FIT,
+        f"result = dsbrdf.fit(measurement{options})",
         'print(result.report.metrics["relative_rms"])',
         f'dsbrdf.save(result, "{name}.json")',
     ]
