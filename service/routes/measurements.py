@@ -13,9 +13,8 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
 from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
-from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, name_of, no_query
+from service.routes.dependencies import NO_QUERY, Sha256, TheCaller, TheContext, name_of, no_query
 from service.routes.fits import CONTENT_ENCODING, NAMES
-from service.storage.schema import Caller, MeasurementRow
 from service.storage.uploads import in_write_thread
 from service.wire import examples
 from service.wire.names import content_disposition
@@ -99,7 +98,7 @@ async def download_measurement(
     request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it."""
-    row, headers = await _found(context, caller, sha256)
+    row, headers = await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     check_range(request, row.size)
@@ -123,7 +122,7 @@ async def probe_measurement(
     context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
     """Tell whether the measurement is stored, so that an upload can be spared."""
-    row, headers = await _found(context, caller, sha256)
+    row, headers = await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
@@ -143,8 +142,3 @@ async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha
     if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
         raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)
-
-
-async def _found(context: Context, caller: Caller, sha256: str) -> tuple[MeasurementRow, dict[str, str]]:
-    """Return a measurement's row and headers."""
-    return await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
