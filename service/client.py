@@ -13,8 +13,9 @@ async with AsyncClient("http://127.0.0.1:8000") as client:
 import asyncio
 import os
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Coroutine, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -26,11 +27,11 @@ from service.client_requests import (
     AccessError,
     FitState,
     LimitError,
+    Loaded,
     Progress,
     Requests,
     ServiceError,
     Source,
-    first_page,
     opened,
     parts_of,
     sha256_of,
@@ -39,14 +40,11 @@ from service.client_requests import (
 __all__ = ["AccessError", "AsyncClient", "AsyncFit", "Client", "Fit", "LimitError", "ServiceError", "Source"]
 
 _Result = TypeVar("_Result")
-_Loaded = tuple[DSBRDF, FitReport | None]
 
 
 @dataclass(frozen=True)
 class Fit(FitState):
     """The state of a fit when `Client` asked for it, with its model."""
-
-    _load: Callable[[str], _Loaded] = field(repr=False, compare=False)
 
     @property
     def model(self) -> DSBRDF:
@@ -59,15 +57,13 @@ class Fit(FitState):
         return self._result[1]
 
     @cached_property
-    def _result(self) -> _Loaded:
-        return self._load(self.id)
+    def _result(self) -> Loaded:
+        return _finish(self._load(self.id))
 
 
 @dataclass(frozen=True)
 class AsyncFit(FitState):
     """The state of a fit when `AsyncClient` asked for it; its model is a method, because it has to be awaited."""
-
-    _load: Callable[[str], Awaitable[_Loaded]] = field(repr=False, compare=False)
 
     async def model(self) -> DSBRDF:
         """Return the fitted model, bit for bit as the library fits it."""
@@ -103,7 +99,7 @@ class Client:
         patience: float = 30.0,
     ) -> None:
         self._http = httpx.Client(**_settings(base_url, key, timeout))
-        self._requests = Requests(_Blocking(self._http), self._make_fit, patience)
+        self._requests = Requests(_Blocking(self._http), Fit, patience)
 
     def __enter__(self) -> "Client":
         return self
@@ -143,33 +139,33 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        return _finish(self._requests.fit(measurement, options, name, progress))
+        return _finish(self._requests.fit(measurement, options, name=name, progress=progress))
 
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        return _finish(self._requests.submit(measurement, options, name))
+        return _finish(self._requests.submit(measurement, options, name=name))
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _finish(self._requests.get(fit_id, wait))
+        return _finish(self._requests.get(fit_id, wait=wait))
 
     def fits(self, *, name: str | None = None) -> Iterator[Fit]:
         """Yield the service's fits, or those of one name, newest first."""
-        url: str | None = first_page(name)
-        while url is not None:
-            fits, url = _finish(self._requests.page(url))
-            yield from fits
+        fits = self._requests.fits(name=name)  # takes its steps as a coroutine does
+        with suppress(StopAsyncIteration):
+            while True:
+                yield _finish(anext(fits))
 
     def delete(self, fit_id: str) -> None:
         """Cancel an unfinished fit, or delete one that has ended."""
-        _finish(self._requests.delete("fits", fit_id))
+        _finish(self._requests.delete(fit_id))
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
 
         One that is sent gets the `name`, by default its own.
         """
-        return _finish(self._requests.upload(measurement, name))
+        return _finish(self._requests.upload(measurement, name=name))
 
     def measurement(self, sha256: str) -> Measurement:
         """Return a measurement that the service has."""
@@ -177,7 +173,7 @@ class Client:
 
     def delete_measurement(self, sha256: str) -> None:
         """Delete a measurement; its finished fits stay."""
-        _finish(self._requests.delete("measurements", sha256))
+        _finish(self._requests.delete_measurement(sha256))
 
     def wait_until_ready(self, seconds: float = 30.0) -> None:
         """Return when the service can take work.
@@ -187,13 +183,10 @@ class Client:
         ServiceError
             If it cannot after `seconds`.
         """
-        _finish(self._requests.wait_until_ready(seconds, self._http.base_url))
-
-    def _make_fit(self, **state: Any) -> Fit:
-        return Fit(**state, _load=lambda fit_id: _finish(self._requests.result(fit_id)))
+        _finish(self._requests.wait_until_ready(seconds))
 
 
-class AsyncClient:
+class AsyncClient(Requests[AsyncFit]):
     """Connection to a service for programs with an event loop; parameters, methods and errors as `Client`."""
 
     def __init__(
@@ -205,7 +198,7 @@ class AsyncClient:
         patience: float = 30.0,
     ) -> None:
         self._http = httpx.AsyncClient(**_settings(base_url, key, timeout))
-        self._requests = Requests(_Waiting(self._http), self._make_fit, patience)
+        super().__init__(_Waiting(self._http), AsyncFit, patience)
 
     async def __aenter__(self) -> "AsyncClient":
         return self
@@ -217,64 +210,12 @@ class AsyncClient:
         """Close the connections."""
         await self._http.aclose()
 
-    async def fit(
-        self,
-        measurement: Source,
-        options: FitOptions | None = None,
-        *,
-        name: str | None = None,
-        progress: Progress | None = None,
-    ) -> AsyncFit:
-        """Fit a measurement and return when the fit has succeeded, as `Client.fit`."""
-        return await self._requests.fit(measurement, options, name, progress)
-
-    async def submit(
-        self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None
-    ) -> AsyncFit:
-        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        return await self._requests.submit(measurement, options, name)
-
-    async def get(self, fit_id: str, *, wait: float = 0.0) -> AsyncFit:
-        """Return a fit, after at most `wait` seconds or when it has ended."""
-        return await self._requests.get(fit_id, wait)
-
-    async def fits(self, *, name: str | None = None) -> AsyncIterator[AsyncFit]:
-        """Yield the service's fits, or those of one name, newest first."""
-        url: str | None = first_page(name)
-        while url is not None:
-            fits, url = await self._requests.page(url)
-            for fit in fits:
-                yield fit
-
-    async def delete(self, fit_id: str) -> None:
-        """Cancel an unfinished fit, or delete one that has ended."""
-        await self._requests.delete("fits", fit_id)
-
-    async def upload(self, measurement: Source, *, name: str | None = None) -> str:
-        """Make sure that the service has a measurement, and return its sha256, as `Client.upload`."""
-        return await self._requests.upload(measurement, name)
-
-    async def measurement(self, sha256: str) -> Measurement:
-        """Return a measurement that the service has."""
-        return await self._requests.measurement(sha256)
-
-    async def delete_measurement(self, sha256: str) -> None:
-        """Delete a measurement; its finished fits stay."""
-        await self._requests.delete("measurements", sha256)
-
-    async def wait_until_ready(self, seconds: float = 30.0) -> None:
-        """Return when the service can take work, as `Client.wait_until_ready`."""
-        await self._requests.wait_until_ready(seconds, self._http.base_url)
-
-    def _make_fit(self, **state: Any) -> AsyncFit:
-        return AsyncFit(**state, _load=self._requests.result)
-
 
 class _Blocking:
     """The transport of `Client`: each call has ended when it returns, so there is nothing to wait for."""
 
     def __init__(self, http: httpx.Client) -> None:
-        self._http = http
+        self._http, self.address = http, http.base_url
 
     async def request(self, method: str, url: str, **arguments: Any) -> httpx.Response:
         return self._http.request(method, url, **arguments)
@@ -294,7 +235,7 @@ class _Waiting:
     """The transport of `AsyncClient`; files are read in threads."""
 
     def __init__(self, http: httpx.AsyncClient) -> None:
-        self._http = http
+        self._http, self.address = http, http.base_url
 
     async def request(self, method: str, url: str, **arguments: Any) -> httpx.Response:
         return await self._http.request(method, url, **arguments)

@@ -1,4 +1,4 @@
-"""What both clients of the service send, written once: each method is a coroutine over a `Transport`.
+"""What both clients of the service send, written once: coroutines over a `Transport`.
 
 The transport of the blocking client never waits for an event loop, so that its coroutines end in one step.
 """
@@ -6,9 +6,9 @@ The transport of the blocking client never waits for an event loop, so that its 
 import hashlib
 import json
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BufferedReader, BytesIO
 from os import PathLike
 from pathlib import Path
@@ -24,6 +24,8 @@ from service.wire.names import check_name
 
 Source = str | PathLike[str] | bytes | Measurement
 Progress = Callable[[float], None]
+Loaded = tuple[DSBRDF, FitReport | None]
+"""The model of a fit, and its report."""
 
 POLL = 20.0
 """Time that one request waits for a fit [s]."""
@@ -93,6 +95,7 @@ class FitState:
     options: FitOptions
     metrics: dict[str, float | None] | None
     error: dict[str, str] | None
+    _load: Callable[[str], Coroutine[Any, Any, Loaded]] = field(repr=False, compare=False)
 
     @property
     def ended(self) -> bool:
@@ -105,6 +108,8 @@ _Fit = TypeVar("_Fit", bound=FitState)
 
 class Transport(Protocol):
     """How requests are sent and time passes."""
+
+    address: httpx.URL
 
     def request(self, method: str, url: str, **arguments: Any) -> Awaitable[httpx.Response]:
         """Send a request and return its response."""
@@ -120,29 +125,34 @@ class Transport(Protocol):
 
 
 class Requests(Generic[_Fit]):
-    """The conversation with a service; the clients describe the methods.
+    """The conversation with a service; `Client` describes the methods.
 
     Parameters
     ----------
     transport : Transport
-    make_fit : callable
-        Makes a fit of the fields of `FitState`.
+    kind : type
+        Class of the fits.
     patience : float
         Longest time that a request which is refused for now is repeated [s].
     """
 
-    def __init__(self, transport: Transport, make_fit: Callable[..., _Fit], patience: float) -> None:
-        self._transport, self._make_fit, self._patience = transport, make_fit, patience
+    def __init__(self, transport: Transport, kind: type[_Fit], patience: float) -> None:
+        self._transport, self._kind, self._patience = transport, kind, patience
 
     async def fit(
-        self, measurement: Source, options: FitOptions | None, name: str | None, progress: Progress | None
+        self,
+        measurement: Source,
+        options: FitOptions | None = None,
+        *,
+        name: str | None = None,
+        progress: Progress | None = None,
     ) -> _Fit:
-        """Return a fit when it has succeeded."""
-        fit = await self.submit(measurement, options, name)
+        """Fit a measurement and return when the fit has succeeded, as `Client.fit`."""
+        fit = await self.submit(measurement, options, name=name)
         while not fit.ended:
             if progress is not None:
                 progress(fit.progress)
-            fit = await self.get(fit.id, POLL if progress is None else _PROGRESS_POLL)
+            fit = await self.get(fit.id, wait=POLL if progress is None else _PROGRESS_POLL)
         if fit.status == "succeeded":
             if progress is not None:
                 progress(1.0)
@@ -152,29 +162,33 @@ class Requests(Generic[_Fit]):
             raise FitError(error["message"])
         raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
 
-    async def submit(self, measurement: Source, options: FitOptions | None, name: str | None) -> _Fit:
-        """Ask for a fit."""
-        sha256 = await self.upload(measurement, name)
+    async def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> _Fit:
+        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
+        sha256 = await self.upload(measurement, name=name)
         document = {"measurement": sha256, "options": to_wire(options or FitOptions())}
         asynchronous = {"Prefer": "respond-async"}
         answer = await self._call("POST", "/v1/fits", json=document, headers=asynchronous, params=_query(name))
         return self._fit(answer.json())
 
-    async def get(self, fit_id: str, wait: float) -> _Fit:
-        """Return a fit."""
+    async def get(self, fit_id: str, *, wait: float = 0.0) -> _Fit:
+        """Return a fit, after at most `wait` seconds or when it has ended."""
         return self._fit((await self._call("GET", f"/v1/fits/{fit_id}", params={"wait": wait})).json())
 
-    async def page(self, url: str) -> tuple[list[_Fit], str | None]:
-        """Return the fits on a page of the list, and the address of the next page."""
-        answer = await self._call("GET", url)
-        return [self._fit(document) for document in answer.json()["items"]], answer.links.get("next", {}).get("url")
+    async def fits(self, *, name: str | None = None) -> AsyncGenerator[_Fit, None]:
+        """Yield the service's fits, or those of one name, newest first."""
+        url: str | None = str(httpx.URL("/v1/fits", params=_query(name)))
+        while url is not None:
+            page = await self._call("GET", url)
+            for document in page.json()["items"]:
+                yield self._fit(document)
+            url = page.links.get("next", {}).get("url")
 
-    async def delete(self, kind: str, identity: str) -> None:
-        """Delete a fit or a measurement: `kind` is the plural."""
-        await self._call("DELETE", f"/v1/{kind}/{identity}")
+    async def delete(self, fit_id: str) -> None:
+        """Cancel an unfinished fit, or delete one that has ended."""
+        await self._call("DELETE", f"/v1/fits/{fit_id}")
 
-    async def upload(self, measurement: Source, name: str | None) -> str:
-        """Send a measurement, unless the service has it, and return its sha256."""
+    async def upload(self, measurement: Source, *, name: str | None = None) -> str:
+        """Make sure that the service has a measurement, and return its sha256, as `Client.upload`."""
         name = name or _own_name(measurement)
         source = encode_merl(measurement) if isinstance(measurement, Measurement) else measurement
         sha256 = await self._transport.digest(source)
@@ -183,15 +197,15 @@ class Requests(Generic[_Fit]):
         return sha256
 
     async def measurement(self, sha256: str) -> Measurement:
-        """Return a measurement."""
+        """Return a measurement that the service has."""
         return parse_merl((await self._call("GET", f"/v1/measurements/{sha256}")).content, sha256)
 
-    async def result(self, fit_id: str) -> tuple[DSBRDF, FitReport | None]:
-        """Return the model of a fit that has succeeded, with its report."""
-        return from_json((await self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"})).text)
+    async def delete_measurement(self, sha256: str) -> None:
+        """Delete a measurement; its finished fits stay."""
+        await self._call("DELETE", f"/v1/measurements/{sha256}")
 
-    async def wait_until_ready(self, seconds: float, address: httpx.URL) -> None:
-        """Return when the service is ready; `address` is for the error."""
+    async def wait_until_ready(self, seconds: float = 30.0) -> None:
+        """Return when the service can take work, as `Client.wait_until_ready`."""
         last = "it does not answer"
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -204,7 +218,11 @@ class Requests(Generic[_Fit]):
                     return
                 last = answer.json().get("detail", answer.reason_phrase)
             await self._transport.sleep(_READY_POLL)
-        raise ServiceError({"detail": f"the service at {address} is not ready: {last}"})
+        raise ServiceError({"detail": f"the service at {self._transport.address} is not ready: {last}"})
+
+    async def _result(self, fit_id: str) -> Loaded:
+        """Return the model of a fit that has succeeded, with its report."""
+        return from_json((await self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"})).text)
 
     async def _call(
         self,
@@ -232,12 +250,7 @@ class Requests(Generic[_Fit]):
     def _fit(self, document: Mapping[str, Any]) -> _Fit:
         names = ("id", "name", "status", "progress", "measurement", "metrics", "error")
         plain = {name: document[name] for name in names}
-        return self._make_fit(**plain, options=from_wire(document["options"]))
-
-
-def first_page(name: str | None) -> str:
-    """Return the address of the newest fits, of all or of one name."""
-    return str(httpx.URL("/v1/fits", params=_query(name)))
+        return self._kind(**plain, options=from_wire(document["options"]), _load=self._result)
 
 
 def sha256_of(source: bytes | str | PathLike[str]) -> str:

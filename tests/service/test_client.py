@@ -181,6 +181,8 @@ def test_async_client_gives_what_the_client_gives(server: Server, plastic: dsbrd
 class Answers:
     """A transport that gives prepared responses and notes what is asked, and how long it is told to wait."""
 
+    address = httpx.URL("http://service")
+
     def __init__(self, *answers: httpx.Response) -> None:
         self.answers, self.asked, self.slept = list(answers), list[str](), list[float]()
 
@@ -209,7 +211,7 @@ def refused(status: int, retry_after: str | None = None) -> httpx.Response:
 
 
 def uploaded(transport: Answers, patience: float) -> str:
-    return asyncio.run(Requests(transport, Fit, patience).upload(b"measurement", None))
+    return asyncio.run(Requests(transport, Fit, patience).upload(b"measurement"))
 
 
 def test_measurement_that_the_service_has_is_not_sent() -> None:
