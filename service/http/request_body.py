@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from service.errors import ProblemError
-from service.storage.uploads import Sink, UploadBody
+from service.storage.uploads import Decoder, Sink, UploadBody
 
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
@@ -87,7 +87,7 @@ async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[byt
     encoded.finish()
 
 
-def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
+def decoder(content_encoding: str, sink: Sink) -> Decoder:
     """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
     Raises ProblemError if it is not one that the service decodes.
