@@ -1,6 +1,7 @@
 """What the service says about itself: liveness, readiness and metrics."""
 
 from fastapi import APIRouter
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
@@ -8,7 +9,6 @@ import dsbrdf
 from service.errors import ProblemError
 from service.http import openapi
 from service.http.responses import json_reply
-from service.operations.metrics import MEDIA_TYPE
 from service.routes.dependencies import NO_QUERY, TheCaller, TheContext
 from service.wire.schemas import Health
 
@@ -67,4 +67,4 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""
     if not caller.metrics:
         raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
-    return Response(await run_in_threadpool(context.metrics.exposition), media_type=MEDIA_TYPE)
+    return Response(await run_in_threadpool(context.metrics.exposition), media_type=CONTENT_TYPE_PLAIN_0_0_4)
