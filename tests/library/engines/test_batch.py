@@ -200,7 +200,7 @@ def test_killed_command_leaves_no_process_and_no_file(
 
 def test_interrupted_command_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--n-lobes", "8"]
+    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--n-lobes", "4"]
     command = [sys.executable, "-m", "dsbrdf.cli.main", *words, "--em-iterations", "200"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
