@@ -16,7 +16,7 @@ from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import global_method
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.metrics import METRICS, Metrics, relative_errors, sample_errors
+from dsbrdf.fitting.metrics import METRICS, Metrics, RelativeErrors, relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
@@ -28,7 +28,15 @@ from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
 
+ONE = FitOptions(n_lobes=1, ring_lobes=0)
 TWO = FitOptions(n_lobes=2, ring_lobes=0)
+
+
+def errors(model: DSBRDF, measurement: Measurement) -> RelativeErrors:
+    """The metrics that need the samples, without those that need an albedo or a picture."""
+    found = relative_errors(sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF))
+    assert found is not None
+    return found
 
 
 # Recovery
@@ -49,7 +57,7 @@ def test_a_known_lobe_comes_back_with_its_elongation_and_colour(seed: int) -> No
         np.testing.assert_allclose(model.evaluate_unmasked(*points), truth.evaluate_unmasked(*points), rtol=0.02)
 
 
-@pytest.mark.parametrize(("n_lobes", "seed"), [(1, 2), (2, 0), (3, 1), (2, 4), (3, 6)][: repeats(3, 5)])
+@pytest.mark.parametrize(("n_lobes", "seed"), [(1, 2), (3, 1), (2, 0), (2, 4), (3, 6)][: repeats(2, 5)])
 def test_number_and_parameters_of_known_mixtures_come_back(n_lobes: int, seed: int) -> None:
     model, truth = found_by_fit(n_lobes, seed), mixture(n_lobes, seed)
     assert numbers_of_lobes(model) == (n_lobes, 0)
@@ -99,12 +107,11 @@ def test_student_lobes_come_back_too() -> None:
     np.testing.assert_allclose(found["amplitude"], np.tile(height[:, 0], (3, 1, 1)), rtol=0.02)
 
 
-def test_parametric_variation_has_few_coefficients_a_lobe(plastic_profiles: Profiles, plastic: Measurement) -> None:
+def test_parametric_variation_has_few_coefficients_a_lobe(
+    plastic_profiles: Profiles, plastic: Measurement, two_lobe_fit: FitResult
+) -> None:
     """Five a channel of the amplitude, and kappa, gamma and elongation once."""
-    full, parametric = (
-        fit(plastic_profiles, FitOptions(n_lobes=2, ring_lobes=0, variation=variation)).model
-        for variation in ("full", "parametric")
-    )
+    parametric = fit(plastic_profiles, dataclasses.replace(TWO, variation="parametric")).model
     assert parametric.n_numbers == 2 * (3 * 5 + 3)
     assert parametric.amplitude.shape == (3, 5, 2)
     np.testing.assert_allclose(parametric.theta_diff, np.radians([0.0, 70.0, 89.0]), atol=0.02)
@@ -112,15 +119,17 @@ def test_parametric_variation_has_few_coefficients_a_lobe(plastic_profiles: Prof
     for name in ("kappa", "gamma", "elongation"):
         found = parametric.parameters_at(angles)[name]
         np.testing.assert_allclose(found, np.broadcast_to(found[:1], found.shape), rtol=1e-12)
-    errors = [relative_errors(sample_errors(model, plastic, DEFAULT_HORIZON_CUTOFF)) for model in (full, parametric)]
-    assert errors[1].relative_rms < 3.0 * errors[0].relative_rms  # type: ignore[union-attr]
+    full = two_lobe_fit.report  # whose variation is "full"
+    assert full.options.variation == "full"
+    assert errors(parametric, plastic).relative_rms < 3.0 * full.metrics.relative_rms  # type: ignore[operator]
 
 
 def test_elongation_goes_below_the_bivariate_floor() -> None:
-    result = fit(model_measurement(mixture(2, 1), noise=NOISE), TWO)
-    assert result.report.metrics.excess < 0.9  # type: ignore[operator]
-    symmetric = result.report.metrics.symmetric_floor
-    assert symmetric < result.report.metrics.relative_rms < 1.5 * symmetric  # type: ignore[operator]
+    measurement = model_measurement(mixture(2, 1), noise=NOISE)
+    found = errors(fit(profiles(measurement), TWO).model, measurement)
+    assert found.excess is not None
+    assert found.excess < 0.9
+    assert found.symmetric_floor < found.relative_rms < 1.5 * found.symmetric_floor
 
 
 def test_default_beats_the_paper_and_looks_right(
@@ -146,8 +155,8 @@ def test_ordinary_materials_have_no_warnings(default_fits: tuple[FitResult, ...]
 # The model that it gives
 
 
-def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared() -> None:
-    model = fit(profiles(model_measurement(mixture(3, 1), noise=NOISE)), FitOptions(n_lobes=3, ring_lobes=1)).model
+def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plastic_profiles: Profiles) -> None:
+    model = fit(plastic_profiles, FitOptions(n_lobes=3, ring_lobes=1)).model
     assert model.is_ring.tolist() == [False, False, False, True]
     widths = [half_height(model.select((k,), with_delta=False)) for k in range(3)]
     assert widths == sorted(widths)
@@ -158,7 +167,7 @@ def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared() -> N
 
 def test_knots_are_used(plastic_profiles: Profiles) -> None:
     knots = tuple(np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 79.0, 89.0]).tolist())
-    result = fit(plastic_profiles, dataclasses.replace(TWO, knots=knots))
+    result = fit(plastic_profiles, dataclasses.replace(ONE, knots=knots))
     np.testing.assert_allclose(result.model.theta_diff, knots)
     assert result.report.options.knots == knots
 
@@ -172,12 +181,12 @@ def test_weighting_decides_what_is_met_best(plastic_profiles: Profiles, two_lobe
 
 def test_plain_is_best_where_plain_is_measured_and_log_where_log_is() -> None:
     measurement = model_measurement(mixture(3, 2), noise=NOISE)
-    options = FitOptions(n_lobes=1, ring_lobes=0)  # too few for all: something has to be given up
-    plain, log = (
-        fit(measurement, dataclasses.replace(options, weighting=name)).report.metrics for name in ("plain", "log")
+    data = profiles(measurement)
+    plain, log = (  # one lobe is too few for all: something has to be given up
+        errors(fit(data, dataclasses.replace(ONE, weighting=name)).model, measurement) for name in ("plain", "log")
     )
-    assert plain["relative_rms"] < log["relative_rms"]  # type: ignore[operator]
-    assert log["male"] < plain["male"]  # type: ignore[operator]
+    assert plain.relative_rms < log.relative_rms
+    assert log.male < plain.male
 
 
 def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
@@ -200,7 +209,7 @@ def test_fitted_model_is_positive_and_finite_everywhere(plastic_fit: FitResult) 
 
 def test_progress_grows_from_0_to_1(plastic_profiles: Profiles) -> None:
     shares: list[float] = []
-    fit(plastic_profiles, TWO, progress=shares.append)
+    fit(plastic_profiles, ONE, progress=shares.append)
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert shares == sorted(shares)
@@ -214,7 +223,7 @@ def test_what_progress_raises_ends_the_fit(plastic_profiles: Profiles, at: float
             raise InterruptedError(f"{share}")
 
     with pytest.raises(InterruptedError):
-        fit(plastic_profiles, TWO, progress=stop)
+        fit(plastic_profiles, ONE, progress=stop)
 
 
 def test_warning_only_where_the_bound_on_iterations_was_met(
@@ -223,11 +232,11 @@ def test_warning_only_where_the_bound_on_iterations_was_met(
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 500)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = fit(plastic_profiles, TWO)
+        result = fit(plastic_profiles, ONE)
     assert np.all(result.report.slices.converged)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
     with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 1 iterations"):
-        result = fit(plastic_profiles, TWO)
+        result = fit(plastic_profiles, ONE)
     assert not np.any(result.report.slices.converged)
     assert np.all(np.array(result.report.slices.iterations) == 1)
 
