@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,7 +34,8 @@ ROUND = DSBRDF(np.zeros(1), np.full((3, 1, 1), 1.7), ONE, 20.0 * ONE)
 """One round lobe, the same at every phi_diff."""
 
 
-def with_spikes() -> Measurement:
+@pytest.fixture(scope="module")
+def spiked() -> Measurement:
     """The round lobe with 2 % noise and 2 % samples that are 50 times too large."""
     measurement = model_measurement(ROUND, noise=0.02, seed=3)
     values, random = measurement.values, np.random.default_rng(7)
@@ -42,18 +44,39 @@ def with_spikes() -> Measurement:
     return Measurement.from_values(values, measurement.valid)
 
 
+@pytest.fixture(scope="module")
+def robust_spiked(spiked: Measurement) -> Profiles:
+    return profiles(spiked, robust=True)
+
+
+@pytest.fixture(scope="module")
+def robust_matte(matte: Measurement) -> Profiles:
+    return profiles(matte, robust=True)
+
+
+@pytest.fixture(scope="module")
+def robust_log(plastic: Measurement) -> Profiles:
+    return profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
+
+
+@cache
+def cosines_of(i: int, j: int, k: int) -> tuple[float, float]:
+    """Cosines of omega_in and omega_out at a node."""
+    omega_in, omega_out = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
+    return float(omega_in[2]), float(omega_out[2])
+
+
 def samples_of(
     measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None
 ) -> tuple[list[float], list[float]]:
     """Values, and cosines of omega_in, of the samples that count at a cell, by looking at each."""
     values, cosines = [], []
     for k in range(180):
-        omega_in, omega_out = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
-        lowest = min(float(omega_in[2]), float(omega_out[2]))
+        lowest = min(cosines_of(i, j, k))
         near = cutoff is None or np.arccos(np.clip(lowest, -1.0, 1.0)) <= cutoff + 1e-9
         if measurement.valid[i, j, k] and near:
             values.append(float(measurement.stored[channel, i, j, k] * measurement.scale[channel]))
-            cosines.append(float(omega_in[2]))
+            cosines.append(cosines_of(i, j, k)[0])
     return values, cosines
 
 
@@ -138,34 +161,34 @@ def test_cells_without_data_hold_zeros(plastic: Measurement) -> None:
     assert np.all(found.within[empty] == 0.0)
 
 
-def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement) -> None:
+def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement, robust_log: Profiles) -> None:
     stored = plastic.stored.copy()
     stored[:, ~plastic.valid] = 1e6
     other = Measurement(stored, plastic.scale, plastic.valid, "other", "")
-    for weighting, robust in (("plain", False), ("log", False), ("plain", True)):
-        expected, found = (profiles(m, weighting=weighting, robust=robust) for m in (plastic, other))
+    for expected in (profiles(plastic), profiles(plastic, weighting="log"), robust_log):
+        options = expected.horizon_cutoff, expected.weighting, expected.robust
+        found = profiles(other, horizon_cutoff=options[0], weighting=options[1], robust=options[2])
         for name in ("mean", "weight", "within"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_robust_profiles_reject_spikes() -> None:
+def test_robust_profiles_reject_spikes(spiked: Measurement, robust_spiked: Profiles) -> None:
     # The truth does not depend on phi_diff, so that the mean and the middle of the samples are the same.
     truth = np.moveaxis(ROUND.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
-    broken = with_spikes()
-    many = (profiles(broken).weight >= 90.0) & (truth > 1e-3)
+    fragile = profiles(spiked)
+    many = (fragile.weight >= 90.0) & (truth > 1e-3)
 
     def errors(found: Profiles) -> Array:
         return np.abs(found.mean[many] / truth[many] - 1.0)
 
-    assert np.median(errors(profiles(broken))) > 0.5
-    robust = profiles(broken, robust=True)
-    assert errors(robust).max() < 0.02
+    assert np.median(errors(fragile)) > 0.5
+    assert errors(robust_spiked).max() < 0.02
     # Of the 180 samples of a full cell some 4 are spikes; the others keep their weight.
-    assert 170.0 < np.median(robust.weight[profiles(broken).weight == 180.0]) < 179.0
+    assert 170.0 < np.median(robust_spiked.weight[fragile.weight == 180.0]) < 179.0
 
 
-def test_robust_profiles_of_clean_data_are_nearly_the_plain_ones(matte: Measurement) -> None:
-    clean, robust = profiles(matte), profiles(matte, robust=True)
+def test_robust_profiles_of_clean_data_are_nearly_the_plain_ones(matte: Measurement, robust_matte: Profiles) -> None:
+    clean, robust = profiles(matte), robust_matte
     seen = clean.weight > 0
     assert np.median(np.abs(robust.mean[seen] / clean.mean[seen] - 1.0)) < 1e-3
     # Without any spread nothing is an outlier.
@@ -235,28 +258,29 @@ def test_weighting_and_cutoff_leave_the_folded_bins_alone(plastic: Measurement) 
         np.testing.assert_array_equal(other.folded.weight, usual.weight)
 
 
-def test_robust_bins_reject_spikes_bin_by_bin() -> None:
-    broken = with_spikes()
-    plain, robust = profiles(broken).folded, profiles(broken, robust=True).folded
+def test_robust_bins_reject_spikes_bin_by_bin(spiked: Measurement, robust_spiked: Profiles) -> None:
+    plain, robust = profiles(spiked).folded, robust_spiked.folded
     truth = np.moveaxis(ROUND.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)[..., None]
     many = (plain.weight >= 19.0) & (truth > 1e-3)
     assert np.mean(np.abs(plain.mean / truth - 1.0)[many]) > 0.5
     assert np.quantile(np.abs(robust.mean / truth - 1.0)[many], 0.99) < 0.05
     assert np.all(robust.weight <= plain.weight)
     i, j, fold = 40, 33, 4
-    values = np.array(folded_samples(broken, 1, i, j, fold)[0])
+    values = np.array(folded_samples(spiked, 1, i, j, fold)[0])
     weights = expected_robust_weights(values)
     assert robust.weight[1, j, i, fold] == pytest.approx(float(weights.sum()), rel=1e-9)
     assert robust.mean[1, j, i, fold] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 
 
-def test_a_robust_bin_of_two_samples_is_judged_with_the_bins_beside_it(matte: Measurement) -> None:
+def test_a_robust_bin_of_two_samples_is_judged_with_the_bins_beside_it(
+    matte: Measurement, robust_matte: Profiles
+) -> None:
     count = profiles(matte).folded.weight[1]
     j, i, fold = np.argwhere(count == 2.0)[0]
     members = np.flatnonzero(matte.valid[i, j] & (IN_BIN[:, fold] > 0))
     stored = matte.stored.copy()
     stored[1, i, j, members[0]] *= 100.0
-    clean, robust = (profiles(m, robust=True).folded for m in (matte, replace(matte, stored=stored)))
+    clean, robust = robust_matte.folded, profiles(replace(matte, stored=stored), robust=True).folded
     assert robust.weight[1, j, i, fold] == 1.0
     assert robust.mean[1, j, i, fold] == pytest.approx(clean.mean[1, j, i, fold], rel=0.2)
 
@@ -269,8 +293,8 @@ def test_two_groups_of_samples_in_a_bin_are_no_outliers(matte: Measurement) -> N
     assert profiles(replace(matte, stored=stored), robust=True).folded.weight[1, j, i, fold] == members.size
 
 
-def test_profiles_store_their_options(plastic: Measurement) -> None:
-    found = profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
+def test_profiles_store_their_options(plastic: Measurement, robust_log: Profiles) -> None:
+    found = robust_log
     assert (found.horizon_cutoff, found.weighting, found.robust) == (None, "log", True)
     assert (found.name, found.sha256) == (plastic.name, plastic.sha256)
     assert found.mean.shape == found.weight.shape == found.within.shape == (3, 90, 90)
