@@ -4,12 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.output.figures import encode_figure
 from dsbrdf.output.serialize import save
-from dsbrdf.paper import figure2, figure3, figure4, figure6
+from dsbrdf.paper import figure2, figure3, figure4, figure6, paper_figure
 from dsbrdf.paper.materials import Material, fit_quietly
 
 
@@ -46,3 +48,13 @@ def small_spheres(monkeypatch: pytest.MonkeyPatch) -> int:
     for module in (figure2, figure3, figure4, figure6):
         monkeypatch.setattr(module, "_SIZE", 16)
     return 16
+
+
+@pytest.fixture
+def coarse_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the figures have a tenth of the usual number of pixels."""
+
+    def coarse(figure: Figure, image_format: str = "png", *, dpi: float = 110.0) -> bytes:
+        return encode_figure(figure, image_format, dpi=dpi / 3.0)
+
+    monkeypatch.setattr(paper_figure, "encode_figure", coarse)

@@ -27,7 +27,7 @@ MakeLines = Callable[[PaperFigure], Lines]
 
 
 @pytest.fixture
-def lines_of(material: Material, tmp_path: Path, small_spheres: int) -> MakeLines:
+def lines_of(material: Material, tmp_path: Path, small_spheres: int, coarse_pictures: None) -> MakeLines:
     """Make a figure, check its pictures, and return the lines of its CSV file."""
 
     def run(figure: PaperFigure) -> Lines:
