@@ -2,6 +2,7 @@
 
 import math
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ SPOT_VALUES = {
 }
 
 
-def null_statistic(rng: np.random.Generator, n_doses: int, degrees_of_freedom: float, size: int) -> NDArray[np.float64]:
-    """Draws of Williams' statistic of the largest dose when no dose has an effect."""
+@cache
+def null_statistic(n_doses: int, degrees_of_freedom: float, size: int) -> NDArray[np.float64]:
+    """Draws of Williams' statistic of the largest dose when no dose has an effect; the same for every level."""
+    rng = np.random.default_rng(2012)
     largest = max_min_isotonic_means(rng.standard_normal((size, n_doses)))[:, -1]
     control = rng.standard_normal(size)
     s = np.ones(size)
@@ -78,7 +81,7 @@ def test_symmetric_walk_stays_below_zero_as_often_as_a_coin_walk() -> None:
 @pytest.mark.parametrize("alpha", [0.01, 0.05])
 def test_critical_values_against_simulation(n_doses: int, degrees_of_freedom: float, alpha: float) -> None:
     size = 200_000
-    drawn = null_statistic(np.random.default_rng(2012), n_doses, degrees_of_freedom, size)
+    drawn = null_statistic(n_doses, degrees_of_freedom, size)
     rate = np.mean(drawn > williams_critical_value(n_doses, degrees_of_freedom, alpha))
     assert abs(rate - alpha) < 4.0 * math.sqrt(alpha * (1.0 - alpha) / size)
 

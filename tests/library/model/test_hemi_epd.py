@@ -21,7 +21,7 @@ Number = Any  # mpmath has no types
 mp = mpmath.MPContext()
 mp.dps = 60
 QUICK = mpmath.MPContext()
-QUICK.dps = 20
+QUICK.dps = 12
 
 KAPPAS = [1e-6, 1e-4, 0.01, 0.3, 1.0, 3.0, 8.0, 20.0, 50.0]
 GAMMAS = [0.0, 1e-4, 0.03, 0.5, 1.0, 2.0, 7.0, 50.0, 1e3, 1e4, 1e5, 1e6, 1e7]

@@ -13,6 +13,7 @@ from dsbrdf.model.hemi_epd import cdf
 from dsbrdf.model.sampling import LEAST_COSINE_SHARE
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
+from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ MODELS = {
     "student": random_model(2, family="student"),
     "paper": papers_model(),
 }
-PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 21.0, 45.0, 69.9, 84.0)]
+PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 45.0, 84.0, 21.0, 69.9)[: repeats(3, 5)]]
 
 
 def direction(theta_deg: float, phi_deg: float = 0.0) -> Array:
@@ -42,21 +43,21 @@ def half_angles(omega_in: Array, omega_out: Array) -> tuple[Array, Array]:
 
 
 def expected_shares(model: DSBRDF, omega_out: Array, theta_edges: Array, phi_edges: Array) -> Array:
-    """Integral of the density over bins of the half vector, by the midpoint rule on 20 x 40 cells a bin."""
+    """Integral of the density over bins of the half vector, by the midpoint rule on 16 x 16 cells a bin."""
 
     def middles(edges: Array, count: int) -> tuple[Array, Array]:
         width = np.diff(edges)[:, None] / count
         return edges[:-1, None] + width * (np.arange(count) + 0.5), np.broadcast_to(width, (edges.size - 1, count))
 
-    theta, theta_width = middles(theta_edges, 20)
-    phi, phi_width = middles(phi_edges, 40)
+    theta, theta_width = middles(theta_edges, 16)
+    phi, phi_width = middles(phi_edges, 16)
     theta, phi = (part.ravel() for part in np.broadcast_arrays(theta[:, None, :, None], phi[None, :, None, :]))
     half = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     cosine = half @ omega_out
     omega_in = 2.0 * cosine[:, None] * half - omega_out
     omega_in /= np.linalg.norm(omega_in, axis=1)[:, None]
     density = np.where(cosine > 0.0, model.pdf(omega_in, omega_out) * 4.0 * cosine, 0.0) * np.sin(theta)
-    cells = density.reshape(theta_edges.size - 1, phi_edges.size - 1, 20, 40)
+    cells = density.reshape(theta_edges.size - 1, phi_edges.size - 1, 16, 16)
     return np.einsum("tpij,ti,pj->tp", cells, theta_width, phi_width)
 
 
@@ -117,7 +118,7 @@ def test_round_lobe_about_the_normal_is_drawn_exactly(kappa: float, gamma: float
     shape = np.full((1, 1, 1), 1.0)
     model = DSBRDF(np.zeros(1), amplitude=np.full((3, 1, 1), 2.0), kappa=kappa * shape, gamma=gamma * shape)
     normal = np.array([0.0, 0.0, 1.0])
-    drawn = model.sample(copies(normal, 100_000), np.random.default_rng(1))
+    drawn = model.sample(copies(normal), np.random.default_rng(1))
     above = drawn.omega_in[:, 2] > -1.0 + 1e-12
     theta, _ = half_angles(drawn.omega_in[above], normal)
     share = np.diff(model._sampler.cumulative[0], prepend=0.0)
