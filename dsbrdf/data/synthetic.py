@@ -138,8 +138,12 @@ def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.f
     if noise == 0.0:
         return values
     variance = np.log1p(noise * noise)
-    normal = np.random.default_rng(seed).standard_normal(values.shape)
-    return np.asarray(values * np.exp(np.sqrt(variance) * normal - variance / 2), dtype=np.float64)
+    factor = np.random.default_rng(seed).standard_normal(values.shape)
+    factor *= np.sqrt(variance)
+    factor -= variance / 2
+    np.exp(factor, out=factor)  # in place: new memory for 35 MB takes longer than the arithmetic
+    factor *= values
+    return factor
 
 
 def _checked_colour(name: str, colour: _Triple) -> NDArray[np.float64]:
