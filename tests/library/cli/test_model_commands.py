@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import asdict, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,17 @@ from tests.support.command_line import FEW_LOBES, Capture, document, exit_code, 
 
 
 @pytest.fixture(scope="module")
-def model_file(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fits")
-    assert cli.main(["fit", str(plastic_file), "-o", str(folder), *FEW_LOBES]) == 0
-    return folder / "plastic.json"
+def printed_and_stored(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
+    """The lines that a fit printed, and the file that it wrote."""
+    folder, out = tmp_path_factory.mktemp("fits"), StringIO()
+    with redirect_stdout(out):
+        assert cli.main(["fit", str(plastic_file), "-o", str(folder), *FEW_LOBES]) == 0
+    return out.getvalue().splitlines(), folder / "plastic.json"
+
+
+@pytest.fixture(scope="module")
+def model_file(printed_and_stored: tuple[list[str], Path]) -> Path:
+    return printed_and_stored[1]
 
 
 def test_fit_writes_what_the_library_would_save(model_file: Path, two_lobe_fit: FitResult) -> None:
@@ -139,10 +148,10 @@ def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> N
 
 
 def test_show_prints_the_report_of_the_fit(
-    model_file: Path, plastic_file: Path, tmp_path: Path, capsys: Capture
+    printed_and_stored: tuple[list[str], Path], tmp_path: Path, capsys: Capture
 ) -> None:
-    assert cli.main(["fit", str(plastic_file), *FEW_LOBES]) == 0
-    printed = capsys.readouterr().out.splitlines()
+    (*printed, last), model_file = printed_and_stored
+    assert last == f"saved: {model_file}"
     assert cli.main(["show", str(model_file)]) == 0
     shown = capsys.readouterr().out.splitlines()
     assert shown[0].rpartition(";")[0] == printed[0].rpartition(";")[0]  # the time is another

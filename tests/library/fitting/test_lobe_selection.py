@@ -25,7 +25,7 @@ ANGLES = THETA_HALF[OUTSIDE_CENTER]
 LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])
 
 
-def slices_of(n_lobes: int, noise: float = 0.02, count: int = 24) -> Array:
+def slices_of(n_lobes: int, noise: float = 0.02, count: int = 12) -> Array:
     """Slices (count, N) of so many well separated lobes with noise."""
     random = np.random.default_rng(n_lobes)
     factor = random.uniform(0.8, 1.2, (count, n_lobes, 2))
@@ -97,7 +97,7 @@ def test_true_density_has_the_least() -> None:
 
 
 def test_papers_method_chooses_and_says_so(plastic_profiles: Profiles) -> None:
-    options = FitOptions(method="paper", em_iterations=10)
+    options = FitOptions(method="paper", em_iterations=3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         chosen = fit(plastic_profiles, options)

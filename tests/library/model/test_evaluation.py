@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
+from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
 
@@ -186,7 +187,7 @@ def test_what_is_too_faint_for_a_number_is_zero_or_nearly(count: int) -> None:
 def test_threads_may_share_a_model() -> None:
     angles = points(20_000)
     expected = random_model().evaluate_unmasked(*angles)
-    for _ in range(5):
+    for _ in range(repeats(2, 5)):
         fresh = random_model()  # whose coefficients the threads find at the same time
         with ThreadPoolExecutor(8) as threads:
             every = list(threads.map(lambda _, model=fresh: model.evaluate_unmasked(*angles), range(8)))

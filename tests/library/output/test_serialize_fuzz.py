@@ -75,7 +75,7 @@ DOCUMENT = json.loads(to_json(MODEL))
 PLACES = list(places(DOCUMENT))
 
 
-@examples(3)
+@examples(2)
 @given(
     changes=st.lists(st.tuples(st.sampled_from(PLACES), st.one_of(numbers, json_values)), max_size=3),
     dropped=st.lists(st.sampled_from(PLACES), max_size=2),
@@ -98,7 +98,7 @@ def test_changed_json_document_is_refused_or_valid(
     check_text(json.dumps(document))
 
 
-@examples(3)
+@examples(2)
 @given(
     start=st.integers(0, 400),
     removed=st.integers(0, 40),
@@ -121,7 +121,7 @@ def test_arbitrary_text_is_refused(text: str) -> None:
 ARCHIVE = to_npz(MODEL)
 
 
-@examples(5)
+@examples(3)
 @given(
     changes=st.lists(st.tuples(st.integers(0, len(ARCHIVE)), st.binary(max_size=8)), max_size=4),
     length=st.one_of(st.just(len(ARCHIVE)), st.integers(0, len(ARCHIVE))),
@@ -133,7 +133,7 @@ def test_damaged_npz_is_refused_or_valid(changes: list[tuple[int, bytes]], lengt
     check_archive(bytes(data[:length]))
 
 
-@examples(5)
+@examples(3)
 @given(
     changed=st.dictionaries(
         st.sampled_from(["kappa", "delta", "theta_diff", "report", "version", "format", "interpolation", "x"]),
