@@ -13,7 +13,6 @@ from dsbrdf.model.hemi_epd import cdf
 from dsbrdf.model.sampling import LEAST_COSINE_SHARE
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
-from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
 
@@ -24,7 +23,7 @@ MODELS = {
     "student": random_model(2, family="student"),
     "paper": papers_model(),
 }
-PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 45.0, 84.0, 21.0, 69.9)[: repeats(3, 5)]]
+PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 21.0, 45.0, 69.9, 84.0)]
 
 
 def direction(theta_deg: float, phi_deg: float = 0.0) -> Array:
