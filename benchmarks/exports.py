@@ -125,7 +125,7 @@ def round_trips(measurement: Measurement, model: DSBRDF, files: Files) -> list[f
 
 
 def variant(name: str) -> Any:
-    """Mitsuba with a variant set, which knows the BSDF."""
+    """Return Mitsuba with this variant set and the BSDF of dsbrdf registered."""
     mitsuba = import_module("mitsuba")
     mitsuba.set_variant(name)
     register()

@@ -120,7 +120,7 @@ def _median(rows: Sequence[dict[str, Likeness]], way: str) -> Likeness | None:
 
 
 def strip(measurement: Measurement, model: DSBRDF) -> dict[str, Array]:
-    """Pictures of one material for the sheet, by title, as a screen shows them."""
+    """Return the pictures in one material's row of the contact sheet by title, as a screen shows them."""
     pictures: dict[str, Array] = {}
     for lighting in LIGHTINGS:
         panels = compare_spheres(measurement, model, lighting=lighting, size=SHEET_SIZE).panels

@@ -158,7 +158,7 @@ def isotonic_means(means: ArrayLike) -> NDArray[np.float64]:
     if values.ndim != 1 or values.size == 0:
         raise InvalidArgumentError(f"means has the shape {values.shape}, it must be (n,) with n at least 1")
     if not np.isfinite(values).all():
-        raise InvalidArgumentError("means holds NaN or infinity, every mean must be finite")
+        raise InvalidArgumentError("means holds NaN or infinity; every mean must be finite")
     return np.asarray(isotonic_regression(values).x, dtype=np.float64)
 
 
@@ -265,7 +265,7 @@ def _check_statistic(statistic: ArrayLike) -> NDArray[np.float64]:
         raise InvalidArgumentError(f"statistic has {len(values)} rows, it may have {MAX_DOSES + 1} at most")
     if not np.isfinite(values).all():
         raise InvalidArgumentError(
-            "statistic holds NaN or infinity, every block must have a finite value for every number of lobes"
+            "statistic holds NaN or infinity; every block must have a finite value for every number of lobes"
         )
     return values
 

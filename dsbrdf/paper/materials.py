@@ -184,7 +184,7 @@ def _peer(file: Path, peers: Path | None) -> Path | None:
 
 
 def choose(materials: Sequence[Material], preferred: Sequence[str], count: int) -> list[Material]:
-    """Take materials by name in the given order, those that are there, and evenly spaced others up to a count."""
+    """Return `count` materials: the preferred ones that are there, in their order, then evenly spaced others."""
     by_name = {material.name.partition("_")[2] or material.name: material for material in materials}
     by_name |= {material.name: material for material in materials}
     chosen = list(dict.fromkeys(by_name[name] for name in preferred if name in by_name))[:count]

@@ -122,6 +122,6 @@ def _age(text: str) -> int:
     parts = _AGE.fullmatch(text)
     if parts is None:
         raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is no age; 30d, 12h or 45m is, and s, m, h, d, w are the units"
+            f"{text[:40]!r} is not an age; write a number and a unit (s, m, h, d or w), such as 30d"
         )
     return int(parts[1]) * _SECONDS[parts[2]]

@@ -79,7 +79,7 @@ class _Part:
 def _check_space(store: Store, least_mb: int) -> None:
     free = shutil.disk_usage(store.folder).free >> 20
     if free < least_mb:
-        raise RuntimeError(f"{free} MB are free; the service wants {least_mb} MB")
+        raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
 
 
 async def _in_thread(check: Callable[[], None]) -> None:

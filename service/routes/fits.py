@@ -225,7 +225,7 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
 
 
 def _stored(model: DSBRDF, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
-    """Return an exported file and its size; it is stored, as a client that does not read it should cost no memory."""
+    """Return an exported file and its size; it is on the disk, so that a slow client takes no memory."""
     content = export_model(model, file_format)
     file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
     file.write(content)

@@ -54,7 +54,7 @@ _POLISHED = 2  # starts, the best ones, that least squares improves
 
 @dataclass(frozen=True)
 class FittedSurface:
-    """A surface and how much it looks like the material.
+    """An OpenPBR surface, and how closely its lit spheres match those of the material.
 
     Attributes
     ----------

@@ -201,8 +201,8 @@ def test_rows_are_plain_json() -> None:
         (np.zeros((0, 3)), r"statistic has the shape \(0, 3\), it must be"),
         (np.zeros((3, 0)), r"statistic has the shape \(3, 0\), it must be"),
         (np.zeros((22, 2)), "statistic has 22 rows, it may have 21 at most"),
-        ([[1.0, math.nan], [1.0, 2.0]], "statistic holds NaN or infinity, every block must have a finite value"),
-        ([[1.0, math.inf], [1.0, 2.0]], "statistic holds NaN or infinity, every block must have a finite value"),
+        ([[1.0, math.nan], [1.0, 2.0]], "statistic holds NaN or infinity; every block must have a finite value"),
+        ([[1.0, math.inf], [1.0, 2.0]], "statistic holds NaN or infinity; every block must have a finite value"),
     ],
 )
 def test_williams_test_refuses(statistic: NDArray[np.float64], message: str) -> None:

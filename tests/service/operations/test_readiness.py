@@ -119,7 +119,7 @@ def test_nearly_full_disk_is_not_ready(tmp_path: Path) -> None:
         wait_until(lambda: b"Uvicorn running on " in server.log.read_bytes()[begin:], seconds=60)
         address = server.log.read_text().partition("Uvicorn running on ")[2].split()[0]
         answer = httpx.get(f"{address}/health/ready", timeout=20)
-        assert "the service wants 1000000000 MB" in assert_problem(answer, 503, "not-ready")
+        assert "the service needs 1000000000 MB" in assert_problem(answer, 503, "not-ready")
         assert answer.headers["retry-after"]
     finally:
         server.close()
