@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from service.errors import ProblemError
-from service.storage.uploads import Decoder, Sink, UploadBody
+from service.storage.uploads import Sink, UploadBody
 
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
@@ -40,10 +40,14 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 def upload_body(request: Request) -> UploadBody:
-    """Return the body of `request` as `Uploads` takes it; its decoder is made there, and raises as `decoder`."""
+    """Return the body of `request` as `Uploads` takes it.
+
+    Raises ProblemError if its encoding is unknown.
+    """
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() and not encoding else None
-    return UploadBody(request.stream(), length, partial(decoder, encoding))
+    if encoding:
+        return UploadBody(request.stream(), None, partial(decoder, encoding))
+    return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None, None)
 
 
 async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mmap.mmap:
@@ -87,7 +91,7 @@ async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[byt
     encoded.finish()
 
 
-def decoder(content_encoding: str, sink: Sink) -> Decoder:
+def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
     """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
     Raises ProblemError if it is not one that the service decodes.

@@ -53,11 +53,11 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class UploadBody:
-    """What a client sends: `parts` as they arrive, their `length` if it is known, and what makes their decoder."""
+    """What a client sends: `parts` as they arrive, the `length` it has declared, and the decoder it needs, if any."""
 
     parts: AsyncIterator[bytes]
     length: int | None
-    decoder: Callable[[Sink], Decoder]
+    decoder: Callable[[Sink], Decoder] | None
 
 
 class Received(NamedTuple):
@@ -151,13 +151,13 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
 
     def finish() -> int:
         """Check the whole, read back unless it has been checked already; return the number of valid nodes."""
-        decoder.finish()
         complete = checker or MerlChecker()
         while block := incoming.read(complete.n_bytes, _BLOCK):
             complete.update(block)
         return int(complete.finish().sum())
 
-    decoder = body.decoder(write)
+    decoder = None if body.decoder is None else body.decoder(write)
+    feed = write if decoder is None else decoder.feed
     writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     writing.set_result(None)
     try:
@@ -167,10 +167,12 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
             if n_received > _MAX_ENCODED:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
                 raise ProblemError("too-large", most)
-            writing = asyncio.ensure_future(in_thread(decoder.feed, piece))
+            writing = asyncio.ensure_future(in_thread(feed, piece))
             if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
                 await writing
         await writing
+        if decoder is not None:
+            await in_thread(decoder.finish)
         return await in_thread(finish)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
