@@ -29,10 +29,10 @@ if TYPE_CHECKING:
         MeasurementFormatError,
         ModelFormatError,
     )
+    from dsbrdf.fitting.decomposition import Component, Decomposition, decompose
     from dsbrdf.fitting.options import FitOptions
     from dsbrdf.fitting.pipeline import fit
     from dsbrdf.fitting.report import FitReport, FitResult
-    from dsbrdf.model.decomposition import Component, Decomposition, decompose
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.environment import EnvironmentMap, read_environment
     from dsbrdf.model.furnace import FurnaceReport, white_furnace
@@ -96,7 +96,7 @@ _DEFINED_IN = {
     "dsbrdf.fitting.options": ("FitOptions",),
     "dsbrdf.fitting.pipeline": ("fit",),
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
-    "dsbrdf.model.decomposition": ("Component", "Decomposition", "decompose"),
+    "dsbrdf.fitting.decomposition": ("Component", "Decomposition", "decompose"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
     "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
     "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),

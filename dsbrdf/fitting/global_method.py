@@ -18,10 +18,10 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import IN_BIN, OUTLIER, Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
-from dsbrdf.fitting.matching_pursuit import GrowthStep, Mixture, grow
+from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import Slices
-from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure, change_knots
+from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
@@ -295,25 +295,10 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
 
 def _model(structure: Structure, unknowns: Array) -> DSBRDF:
     """Model of the unknowns, its lobes from narrow to wide, rings last."""
-    amplitude, _, elongation = structure.split(unknowns)
     shape, k = structure.lobe_shapes(unknowns), structure.n_lobes
-    kappa, gamma = np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k])
-    center = np.zeros_like(kappa)
-    center[:, list(structure.rings)] = shape[:, 2 * k :]
-    order = np.lexsort((np.median(half_width(kappa, gamma, structure.family), axis=0), np.array(structure.rings)))
-    heights = np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
-    return DSBRDF(
-        theta_diff=structure.amplitude_knots,
-        amplitude=heights[:, :, order],
-        kappa=kappa[None, :, order],
-        gamma=gamma[None, :, order],
-        center=center[None, :, order],
-        elongation=elongation[:, order],
-        shape_theta_diff=structure.shape_knots,
-        elongation_theta_diff=structure.elongation_knots,
-        interpolation="spline",
-        lobe=structure.family,
-    )
+    widths = half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]), structure.family)
+    order = np.lexsort((np.median(widths, axis=0), np.array(structure.rings)))
+    return mixture_model(Mixture(structure, unknowns)).select(tuple(order.tolist()), with_delta=False)
 
 
 def _bounds_hit(model: DSBRDF) -> bool:

@@ -14,6 +14,7 @@ combination of values within bounds is within them too, so that nothing has to b
 
 A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
 control values.  Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
+What is known of the lobes beforehand can be added as a `Prior`.
 """
 
 import itertools
@@ -22,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.linalg.lapack import dposv as posv
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
@@ -90,6 +92,22 @@ class FitData:
         return float(np.sum(self.weight * self.mean**2))
 
 
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What the unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (U, U)
+        Symmetric, not negative.
+    target : ndarray, shape (U,)
+        The same for all control values of a parameter, so that the smoothing does not pull against it.
+    """
+
+    matrix: Array
+    target: Array
+
+
 class MixtureProblem:
     """The cost of a mixture on data, and its derivatives.
 
@@ -99,21 +117,43 @@ class MixtureProblem:
     structure : Structure
     smoothing : tuple of float, optional
         See `SMOOTHING`.
+    prior : Prior, optional
     """
 
-    def __init__(self, data: FitData, structure: Structure, smoothing: tuple[float, float, float] = SMOOTHING) -> None:
+    def __init__(
+        self,
+        data: FitData,
+        structure: Structure,
+        smoothing: tuple[float, float, float] = SMOOTHING,
+        prior: Prior | None = None,
+    ) -> None:
         self.data, self.structure = data, structure
         knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
         self.bases = tuple(spline_basis(k, data.theta_diff) for k in knots)
         self._squared = np.tan(data.theta_half)[..., None] ** 2
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._signal = data.signal
-        self._rough = tuple(pull * roughness(b.shape[1]) for b, pull in zip(self.bases, smoothing, strict=True))
+        blocks = [
+            pull * np.kron(roughness(basis.shape[1]), np.eye(columns))
+            for basis, pull, columns in zip(self.bases, smoothing, structure.columns, strict=True)
+        ]
+        self._pull = self._signal * (block_diag(*blocks) + (0.0 if prior is None else prior.matrix))
+        self._target = np.zeros(structure.n_unknowns) if prior is None else prior.target
 
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, P) [1/sr]."""
-        amplitude, shape, elongation = self.row_parameters(unknowns)
-        return np.einsum("crk,krnp->crnp", amplitude, self._values(shape, elongation), optimize=True)
+        amplitude, _, _ = self.row_parameters(unknowns)
+        return np.einsum("crk,krnp->crnp", amplitude, self.curves(unknowns), optimize=True)
+
+    def curves(self, unknowns: Array) -> Array:
+        """Values of the lobes at height 1, shape (K, R, N, P)."""
+        _, shape, elongation = self.row_parameters(unknowns)
+        family = self.structure.family
+        parts = [
+            lobe_values(at.squared_tangent, kappa, gamma, center, family)
+            for at, kappa, gamma, center in self._kinds(shape, elongation)
+        ]
+        return np.concatenate(parts)
 
     def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
@@ -131,7 +171,8 @@ class MixtureProblem:
         values = amplitude.transpose(1, 0, 2) @ curves[:, : self.structure.n_lobes]
         residual = values.transpose(1, 0, 2) - self.data.mean.reshape(3, len(values), -1)
         cost = np.einsum("crn,crn,crn->", self.data.weight.reshape(residual.shape), residual, residual)
-        return Evaluation(unknowns, float(cost) + self._pull(unknowns), amplitude, curves, residual)
+        off = unknowns - self._target
+        return Evaluation(unknowns, float(cost + off @ self._pull @ off), amplitude, curves, residual)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
         """Gauss-Newton matrix (U, U) and half the gradient (U,) of the cost."""
@@ -154,8 +195,7 @@ class MixtureProblem:
         gradient_rows = np.concatenate([by_amplitude.reshape(n_rows, -1), by_shared], axis=1)
         matrix, gradient = self._assemble(rows, gradient_rows)
         self.structure.chain(at.unknowns, matrix, gradient)
-        self._add_pull(at.unknowns, matrix, gradient)
-        return matrix, gradient
+        return matrix + self._pull, gradient + self._pull @ (at.unknowns - self._target)
 
     def _assemble(self, rows: Array, gradient_rows: Array) -> tuple[Array, Array]:
         """Normal equations of the unknowns from those of each row's parameters."""
@@ -170,19 +210,6 @@ class MixtureProblem:
         gradient = [(basis.T @ gradient_rows[:, part]).ravel() for basis, part in zip(self.bases, parts, strict=True)]
         return np.block(blocks), np.concatenate(gradient)
 
-    def _pull(self, unknowns: Array) -> float:
-        parts = self.structure.split(unknowns)
-        terms = (np.einsum("dp,de,ep->", part, rough, part) for part, rough in zip(parts, self._rough, strict=True))
-        return self._signal * float(sum(terms))
-
-    def _add_pull(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
-        start = 0
-        for part, rough in zip(self.structure.split(unknowns), self._rough, strict=True):
-            block = slice(start, start + part.size)
-            matrix[block, block] += self._signal * np.kron(rough, np.eye(part.shape[1]))
-            gradient[block] += self._signal * (rough @ part).ravel()
-            start += part.size
-
     def _kinds(self, shape: Array, elongation: Array) -> Iterator[tuple[Stretch, Array, Array, Array | None]]:
         """Stretch, kappa, gamma and center of the lobes about the normal, then of the ring lobes, (lobes, R, 1, 1)."""
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
@@ -192,14 +219,6 @@ class MixtureProblem:
             if part.stop > part.start:
                 stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, stretches[part])
                 yield stretched, np.exp(by_lobe[:k][part]), np.exp(by_lobe[k : 2 * k][part]), center
-
-    def _values(self, shape: Array, elongation: Array) -> Array:
-        family = self.structure.family
-        parts = [
-            lobe_values(at.squared_tangent, kappa, gamma, center, family)
-            for at, kappa, gamma, center in self._kinds(shape, elongation)
-        ]
-        return np.concatenate(parts)
 
     def _derivatives(self, shape: Array, elongation: Array) -> Array:
         """Values, then derivatives in log kappa, log gamma, center and elongation, each of all lobes that have it."""

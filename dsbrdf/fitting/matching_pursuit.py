@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
-from dsbrdf.fitting.structure import Structure
+from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
 from dsbrdf.model.splines import roughness
 
@@ -52,14 +52,6 @@ _MOST_PLAIN_LOBES = 4  # lobes about the normal that are tried in the place of r
 _NEARLY_NOISE = 0.9  # correlation below which a mixture is fitted on before it is judged
 _LAST_ITERATIONS, _LAST_TOLERANCE = 20, 2e-2
 _PATIENCE = 2  # lobes that do not pay before the next one may: two can need each other
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """A structure and its unknowns."""
-
-    structure: Structure
-    unknowns: Array
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,15 @@ import numpy as np
 
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, Slices
-from dsbrdf.model.decomposition import decompose, lobe_reaches
 from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
 _LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
-_SMALL_MARGIN = 0.25  # octaves: a lobe a fifth wider or narrower; the materials have 0.30 or more
+_UNCLEAR = 0.4  # share of a component in the light where it shines
 _SHARE_THAT_MATTERS = 0.05  # of the light; hardly anybody sees where a fainter component belongs
-_NO_SHARE = 1e-4  # of the light; the faintest lobes of the materials have 2e-4
 _LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
 _LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
 _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
@@ -91,26 +90,17 @@ def _energy(albedo: DirectionalAlbedo) -> list[str]:
 
 
 def _components(model: DSBRDF) -> list[str]:
-    _, power = lobe_reaches(model)
-    total = power.sum(axis=1, keepdims=True)
-    shares = power / np.where(total > 0.0, total, 1.0)
-    sentences, uncertain = [], []
-    for component in decompose(model):
-        if component.margin is None:
-            continue
-        share, name = shares[:, list(component.lobes)].sum(axis=1), component.label.replace("_", " ")
-        if share.max() < _NO_SHARE:
-            sentences.append(
-                f"The {name} has lobes but less than {_NO_SHARE:.2%} of the light at every angle: its half width and "
-                "its colour mean nothing."
-            )
-        elif component.margin < _SMALL_MARGIN and share.mean() > _SHARE_THAT_MATTERS:
-            uncertain.append((component.margin, share.mean(), name))
-    if uncertain:  # components at the two sides of one border say the same
-        margin, light, name = min(uncertain)
-        sentences.append(
-            f"The split into components is uncertain: the {name}, with {light:.0%} of the light, has a lobe whose "
-            f"width differs by only {2.0**margin - 1.0:.0%} from the border to another component, and a small change "
-            "of the measurement can move that lobe across it."
-        )
-    return sentences
+    parts = decompose(model)
+    total = sum(component.albedo.sum() for component in parts) or 1.0
+    uncertain = [
+        (component.clarity, component.label.replace("_", " "), component.albedo.sum() / total)
+        for component in parts
+        if component.clarity < _UNCLEAR and component.albedo.sum() > _SHARE_THAT_MATTERS * total
+    ]
+    if not uncertain:
+        return []
+    clarity, name, share = min(uncertain)
+    return [
+        f"The split into components is uncertain: where the {name} shines, which has {share:.0%} of the light, only "
+        f"{clarity:.0%} of all light is its own, so that another model of the same quality may split it otherwise."
+    ]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import LARGEST_CENTER, fall_to_half, reach_of_width, slope_of_fall, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
@@ -37,6 +38,14 @@ WIDEST_CUSP = 0.25
 _SATURATED = 2.5  # limits of a cusp beyond which an offset changes the center by less than a twelfth of the limit
 
 
+@dataclass(frozen=True)
+class ShapeBounds:
+    """Between what kappa and the reach of one lobe may lie."""
+
+    kappa: tuple[float, float] = KAPPA_BOUNDS
+    reach: tuple[float, float] = REACH_BOUNDS
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Which lobes there are and where their parameters have knots; fixes the layout of the unknowns.
@@ -51,6 +60,8 @@ class Structure:
         One of `dsbrdf.model.lobes.FAMILIES`.
     theta_half : ndarray
         Angles with data [rad]: what is narrower than their spacing would only fit the gaps between them.
+    bounds_of : tuple of ShapeBounds
+        Of each lobe; the widest possible ones for all if empty.
     """
 
     rings: tuple[bool, ...]
@@ -59,6 +70,7 @@ class Structure:
     elongation_knots: Array
     family: str
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
+    bounds_of: tuple[ShapeBounds, ...] = ()
 
     @property
     def n_lobes(self) -> int:
@@ -74,6 +86,11 @@ class Structure:
     def n_unknowns(self) -> int:
         """How many numbers describe the mixture."""
         return sum(rows * columns for rows, columns in self._blocks)
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """How many parameters of amplitudes, shapes and elongations there are at each control value."""
+        return tuple(columns for _, columns in self._blocks)
 
     @cached_property
     def _blocks(self) -> tuple[tuple[int, int], ...]:
@@ -113,7 +130,9 @@ class Structure:
             amplitude, shape, elongation = self.split(bound)
             k = self.n_lobes
             amplitude[...] = LOG_AMPLITUDE_BOUNDS[side]
-            shape[:, :k], shape[:, k : 2 * k] = np.log(KAPPA_BOUNDS[side]), np.log(REACH_BOUNDS[side])
+            bounds_of = self.bounds_of or (ShapeBounds(),) * k
+            shape[:, :k] = [np.log(bounds.kappa[side]) for bounds in bounds_of]
+            shape[:, k : 2 * k] = [np.log(bounds.reach[side]) for bounds in bounds_of]
             shape[:, 2 * k :], elongation[...] = OFFSET_BOUNDS[side], ELONGATION_BOUNDS[side]
             sides.append(bound)
         return sides[0], sides[1]
@@ -182,6 +201,35 @@ class Structure:
         slope = reach / tangent if self.family == "hemi_epd" else 0.5 * tangent / (1.0 + tangent**2)
         narrow = width < WIDEST_CUSP
         return np.where(narrow, width, WIDEST_CUSP), np.where(narrow, slope, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A structure and its unknowns."""
+
+    structure: Structure
+    unknowns: Array
+
+
+def mixture_model(mixture: Mixture) -> DSBRDF:
+    """Model of a mixture, its lobes in the same order."""
+    structure = mixture.structure
+    amplitude, _, elongation = structure.split(mixture.unknowns)
+    shape, k = structure.lobe_shapes(mixture.unknowns), structure.n_lobes
+    center = np.zeros((len(shape), k))
+    center[:, list(structure.rings)] = shape[:, 2 * k :]
+    return DSBRDF(
+        theta_diff=structure.amplitude_knots,
+        amplitude=np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2),
+        kappa=np.exp(shape[np.newaxis, :, :k]),
+        gamma=np.exp(shape[np.newaxis, :, k : 2 * k]),
+        center=center[np.newaxis],
+        elongation=elongation,
+        shape_theta_diff=structure.shape_knots,
+        elongation_theta_diff=structure.elongation_knots,
+        interpolation="spline",
+        lobe=structure.family,
+    )
 
 
 def change_knots(old: Structure, unknowns: Array, new: Structure) -> Array:

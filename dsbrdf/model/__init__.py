@@ -1,6 +1,6 @@
-"""The model: the lobe, its parameters over theta_diff, values, albedo and decomposition."""
+"""The model: the lobe, its parameters over theta_diff, values, albedo and lit spheres."""
 
-from dsbrdf.model.decomposition import Component, Decomposition, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import ReflectanceModel
 
-__all__ = ["DSBRDF", "Component", "Decomposition", "decompose"]
+__all__ = ["DSBRDF", "ReflectanceModel"]

@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.geometry import check_directions, half_difference, incident_cosines
-from dsbrdf.data.grid import CENTER_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import check_directions
+from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
 from dsbrdf.model.parameter_checks import check_parameters
+from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.model.sampling import ANGLES, DirectionSampler, LobesAtAngles, Samples, direction_sampler
 
 if TYPE_CHECKING:
@@ -43,11 +44,10 @@ _ARRAYS = (
     "elongation_theta_diff",
     "delta",
 )
-_HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DSBRDF:
+class DSBRDF(ReflectanceModel):
     """A fitted model of an isotropic BRDF.
 
     Attributes
@@ -155,45 +155,6 @@ class DSBRDF:
     def _state(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """BRDF values for half and difference angles.
-
-        Parameters
-        ----------
-        theta_half, theta_diff : array_like
-            Angles, 0 to pi/2 [rad].
-        phi_diff : array_like, optional
-            Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
-            the normal.  The three broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            RGB values [1/sr]; 0 where one of the directions is below the horizon.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If an angle is not a number or out of range, or the shapes do not broadcast.
-        """
-        theta_half, theta_diff = _check_angle("theta_half", theta_half), _check_angle("theta_diff", theta_diff)
-        phi_diff = np.asarray(phi_diff, dtype=float)
-        if not np.isfinite(phi_diff).all():
-            raise InvalidArgumentError("phi_diff must be finite")
-        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # a check that costs as much as a point
-            try:
-                theta_half, theta_diff, phi_diff = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
-            except ValueError:
-                shapes = f"{theta_half.shape}, {theta_diff.shape} and {phi_diff.shape}"
-                raise InvalidArgumentError(
-                    f"theta_half, theta_diff and phi_diff must broadcast together, not have {shapes}"
-                ) from None
-        flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
-        values = self.evaluate_unmasked(*flat)
-        if (flat[0] + flat[1] > np.pi / 2).any():  # else both directions are above the horizon for every phi_diff
-            values[np.minimum(*incident_cosines(*flat)) < _HORIZON] = 0.0
-        return values.reshape(*theta_half.shape, 3)
-
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
         values = self._evaluator.values(theta_half, theta_diff, phi_diff)
@@ -210,47 +171,6 @@ class DSBRDF:
         for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
             yield values + delta if angle < CENTER_CUTOFF else values
 
-    def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """BRDF values for pairs of directions.
-
-        Parameters
-        ----------
-        omega_in, omega_out : array_like, shape (..., 3)
-            Unit vectors, the normal being (0, 0, 1); they broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            RGB values [1/sr]; 0 where one of the directions is below the horizon (z < 0).
-
-        Raises
-        ------
-        InvalidArgumentError
-            If a direction is not a unit vector.
-        """
-        first = check_directions("omega_in", omega_in, below_horizon=True)
-        second = check_directions("omega_out", omega_out, below_horizon=True)
-        below = np.minimum(first[..., 2], second[..., 2]) < 0.0
-        theta_half, theta_diff, phi_diff = half_difference(first, second)
-        flat = (np.minimum(theta_half, np.pi / 2).ravel(), theta_diff.ravel(), phi_diff.ravel())
-        values = self.evaluate_unmasked(*flat).reshape(*below.shape, 3)
-        values[below] = 0.0
-        return values
-
-    def tabulate(self) -> Array:
-        """Values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
-
-        Nodes below the horizon get the model's value too, so that programs that interpolate in the table meet
-        no marker there.
-        """
-        grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
-        # The model is the same at phi_diff and pi - phi_diff: a quarter turn is enough.
-        quarter = PHI_DIFF.size // 2 + 1
-        for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:quarter])):
-            grid[:, row, :, :quarter] = values
-            grid[:, row, :, quarter:] = values[:, :, -2:0:-1]
-        return grid
-
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
         """Interpolated parameters.
 
@@ -265,7 +185,7 @@ class DSBRDF:
             ``amplitude`` (..., 3, K), ``kappa``, ``gamma`` and ``center`` (..., C, K), ``elongation`` (..., K),
             ``delta`` (..., 3).
         """
-        theta_diff = _check_angle("theta_diff", theta_diff)
+        theta_diff = check_angle("theta_diff", theta_diff)
         flat = theta_diff.ravel()
         delta = np.stack([np.interp(flat, self.theta_diff, row) for row in self.delta], axis=-1)
         parts = (*self._evaluator.parameters(flat), delta)
@@ -301,7 +221,7 @@ class DSBRDF:
             ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
         kinks = self.theta_diff if self.interpolation == "linear" else np.zeros(0)
-        return directional_albedo(self.evaluate_unmasked, _check_angle("theta_out", theta_out), kinks)
+        return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out), kinks)
 
     def sample(self, omega_out: ArrayLike, rng: np.random.Generator) -> Samples:
         """Draw a direction omega_in for each omega_out, roughly in proportion to ``f cos(theta_in)``.
@@ -388,11 +308,3 @@ class DSBRDF:
             family=self.lobe,
             spline=spline,
         )
-
-
-def _check_angle(name: str, angle: ArrayLike) -> Array:
-    angle = np.asarray(angle, dtype=float)
-    slack = 1e-6  # degrees converted to radians, and single precision, may round to just above pi/2
-    if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
-        raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
-    return np.minimum(angle, np.pi / 2)

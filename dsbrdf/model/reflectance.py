@@ -1,0 +1,116 @@
+"""What every isotropic, reciprocal model of reflectance offers, once it has values at half and difference angles."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsbrdf.data.geometry import check_directions, half_difference, incident_cosines
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.errors import InvalidArgumentError
+
+Array = NDArray[np.float64]
+
+_HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
+
+
+class ReflectanceModel(ABC):
+    """RGB values of angles and of directions, made of the two methods that a model defines itself."""
+
+    @abstractmethod
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+
+    @abstractmethod
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
+        """BRDF values for half and difference angles.
+
+        Parameters
+        ----------
+        theta_half, theta_diff : array_like
+            Angles, 0 to pi/2 [rad].
+        phi_diff : array_like, optional
+            Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
+            the normal.  The three broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            RGB values [1/sr]; 0 where one of the directions is below the horizon.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If an angle is not a number or out of range, or the shapes do not broadcast.
+        """
+        theta_half, theta_diff = check_angle("theta_half", theta_half), check_angle("theta_diff", theta_diff)
+        phi_diff = np.asarray(phi_diff, dtype=float)
+        if not np.isfinite(phi_diff).all():
+            raise InvalidArgumentError("phi_diff must be finite")
+        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # a check that costs as much as a point
+            try:
+                theta_half, theta_diff, phi_diff = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
+            except ValueError:
+                shapes = f"{theta_half.shape}, {theta_diff.shape} and {phi_diff.shape}"
+                raise InvalidArgumentError(
+                    f"theta_half, theta_diff and phi_diff must broadcast together, not have {shapes}"
+                ) from None
+        flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
+        values = self.evaluate_unmasked(*flat)
+        if (flat[0] + flat[1] > np.pi / 2).any():  # else both directions are above the horizon for every phi_diff
+            values[np.minimum(*incident_cosines(*flat)) < _HORIZON] = 0.0
+        return values.reshape(*theta_half.shape, 3)
+
+    def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
+        """BRDF values for pairs of directions.
+
+        Parameters
+        ----------
+        omega_in, omega_out : array_like, shape (..., 3)
+            Unit vectors, the normal being (0, 0, 1); they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            RGB values [1/sr]; 0 where one of the directions is below the horizon (z < 0).
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector.
+        """
+        first = check_directions("omega_in", omega_in, below_horizon=True)
+        second = check_directions("omega_out", omega_out, below_horizon=True)
+        below = np.minimum(first[..., 2], second[..., 2]) < 0.0
+        theta_half, theta_diff, phi_diff = half_difference(first, second)
+        flat = (np.minimum(theta_half, np.pi / 2).ravel(), theta_diff.ravel(), phi_diff.ravel())
+        values = self.evaluate_unmasked(*flat).reshape(*below.shape, 3)
+        values[below] = 0.0
+        return values
+
+    def tabulate(self) -> Array:
+        """Values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
+
+        Nodes below the horizon get the model's value too, so that programs that interpolate in the table meet
+        no marker there.
+        """
+        grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
+        # The model is the same at phi_diff and pi - phi_diff: a quarter turn is enough.
+        quarter = PHI_DIFF.size // 2 + 1
+        for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:quarter])):
+            grid[:, row, :, :quarter] = values
+            grid[:, row, :, quarter:] = values[:, :, -2:0:-1]
+        return grid
+
+
+def check_angle(name: str, angle: ArrayLike) -> Array:
+    """Return angles as an array, or raise `InvalidArgumentError` where one does not lie between 0 and pi/2."""
+    angle = np.asarray(angle, dtype=float)
+    slack = 1e-6  # degrees converted to radians, and single precision, may round to just above pi/2
+    if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
+        raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
+    return np.minimum(angle, np.pi / 2)
