@@ -4,7 +4,7 @@ The axes are the grid's own: ``sqrt(theta_half)``, in which the rows are evenly 
 which is periodic with period pi because reciprocity makes column 180 the column 0.  The logarithm follows highlights,
 which fall by orders of magnitude from node to node, far better than the value does.
 
-A node without a value takes that of the nearest valid node along theta_diff, along which reflectance changes slowest.
+A node without a value takes that of the nearest one along theta_diff, along which reflectance changes slowest.
 Every node then has one value, so the interpolation has no steps, not even beside invalid nodes.
 """
 
@@ -32,8 +32,9 @@ class InterpolatedMeasurement:
     ----------
     measurement : Measurement
         The nodes' values.
-    source : ndarray of int32, shape (90, 90, 180)
-        For each node, the flat index of the node whose value it takes: its own where it is valid.
+    source : ndarray of int32, shape (C, 90, 90, 180)
+        For each node, the flat index of the node whose value it takes: its own where it has one.  C = 3 if some node
+        has values in some channels only, else 1.
     """
 
     measurement: Measurement
@@ -89,8 +90,9 @@ class InterpolatedMeasurement:
                 * (diff_share if b else 1.0 - diff_share)
                 * (column_share if c else 1.0 - column_share)
             )
-            node = self.source[row + a, diff + b, (column + c) % GRID_SHAPE[2]]
-            logarithm += weight * np.log(stored[:, node] * scale + _FLOOR)
+            nodes = self.source[:, row + a, diff + b, (column + c) % GRID_SHAPE[2]]
+            found = stored[:, nodes[0]] if len(nodes) == 1 else np.take_along_axis(stored, nodes, axis=1)
+            logarithm += weight * np.log(found * scale + _FLOOR)
         return np.maximum(np.exp(logarithm) - _FLOOR, 0.0)
 
 
@@ -100,16 +102,19 @@ def interpolate(measurement: Measurement) -> InterpolatedMeasurement:
     Parameters
     ----------
     measurement : Measurement
-        At least one node must be valid.
+        Every channel has a value at some node.
 
     Returns
     -------
     InterpolatedMeasurement
-        Equal to the measurement at its valid nodes, continuous everywhere.
+        Equal to the measurement where it has values, continuous everywhere.
     """
     if not measurement.valid.any():
         raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
-    return InterpolatedMeasurement(measurement, _nearest_valid(measurement.valid))
+    known = measurement.valid & (measurement.stored >= 0.0)
+    everywhere_alike = bool((known.sum(axis=(1, 2, 3)) == np.count_nonzero(measurement.valid)).all())
+    sources = [_nearest_valid(channel) for channel in (known[:1] if everywhere_alike else known)]
+    return InterpolatedMeasurement(measurement, np.stack(sources))
 
 
 def _cells(position: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:

@@ -21,7 +21,9 @@ class Measurement:
     scale : ndarray, shape (3,)
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
-        Nodes with all three channels >= 0 and both directions strictly above the horizon, read-only.
+        Nodes with a value, one >= 0, in some channel, and both directions strictly above the horizon, read-only.  A
+        negative number means no value in its channel: a saturated yellow is darker in blue than noise, and has red and
+        green all the same.
     name : str
         The material's name, by default that of its file.
     sha256 : str
@@ -50,11 +52,15 @@ class Measurement:
     def __hash__(self) -> int:
         return hash((self.sha256, self.name))
 
+    def known(self, row: int) -> NDArray[np.bool_]:
+        """Where each channel has a value in the theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
+        return self.valid[row] & (self.stored[:, row] >= 0.0)
+
     @property
     def values(self) -> NDArray[np.float64]:
         """The BRDF in 1/sr, shape (3, 90, 90, 180); a new array (35 MB) at every call.
 
-        Only the nodes in ``valid`` have a measured value.
+        Only the nodes in ``valid`` have a measured value, in the channels where it is not negative.
         """
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 

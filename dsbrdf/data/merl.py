@@ -130,7 +130,7 @@ def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
     with source.open("rb") as file:
         data = mmap.mmap(file.fileno(), FILE_SIZE, access=mmap.ACCESS_READ)
     stored = np.frombuffer(data, dtype="<f8", offset=HEADER_SIZE).reshape(len(SCALE), *GRID_SHAPE)
-    valid = nodes_above_horizon() & (stored >= 0.0).all(axis=0)
+    valid = nodes_above_horizon() & (stored >= 0.0).any(axis=0)
     valid.flags.writeable = False
     return Measurement(stored=stored, scale=SCALE, valid=valid, name=source.stem, sha256=sha256)
 

@@ -123,8 +123,9 @@ class MerlChecker:
         self._header = b""
         self._incomplete_value = b""  # the first bytes of a value that continues in the next piece
         self._n_values = 0
-        self._measured = np.full(NODES // 8, 0xFF, dtype=np.uint8)  # bits: no channel is negative
+        self._measured = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is not negative
         self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
+        self._n_measured = [0] * len(CHANNELS)  # nodes above the horizon that are not negative
         self._above = nodes_above_horizon().reshape(-1)
         self._not_finite = _FaultCount()
         self._too_large = _FaultCount()
@@ -173,13 +174,13 @@ class MerlChecker:
         Returns
         -------
         ndarray of bool, shape (90, 90, 180)
-            Nodes where no channel is negative and both directions are strictly above the horizon.
+            Nodes where some channel is not negative and both directions are strictly above the horizon.
 
         Raises
         ------
         MeasurementFormatError
-            If the length is wrong, a value is NaN or infinite or above 1e8/sr, fewer than 1 % of the nodes
-            above the horizon are valid, or all valid nodes are zero.
+            If the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is negative at more than 99 %
+            of the nodes above the horizon, or all valid nodes are zero.
         """
         check_header(self._header)  # which `update` has done unless there are fewer bytes than a header has
         check_length(self.n_bytes)
@@ -194,11 +195,13 @@ class MerlChecker:
             )
         valid = np.unpackbits(self._measured).view(np.bool_)
         valid &= self._above
-        n_valid, n_above = int(valid.sum()), int(self._above.sum())
-        if n_valid < SMALLEST_VALID_SHARE * n_above:
+        n_above = int(self._above.sum())
+        fewest = int(np.argmin(self._n_measured))
+        if self._n_measured[fewest] < SMALLEST_VALID_SHARE * n_above:
             raise MeasurementFormatError(
-                f"Of the {n_above} nodes above the horizon the number of valid ones (no channel negative) "
-                f"is {n_valid}; a measurement needs at least {SMALLEST_VALID_SHARE:.0%} of them."
+                f"Of the {n_above} nodes above the horizon the number of valid ones (not negative) in the "
+                f"{CHANNELS[fewest]} channel is {self._n_measured[fewest]}; a measurement needs at least "
+                f"{SMALLEST_VALID_SHARE:.0%} of them in every channel."
             )
         if not (np.packbits(valid) & self._positive).any():
             raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
@@ -222,13 +225,15 @@ class MerlChecker:
             if largest > limit:  # false if the maximum is NaN, which is reported first
                 self._too_large.record((values > limit) & self._above[nodes], channel, nodes.start)
             octets = slice(nodes.start // 8, -(-nodes.stop // 8))
-            self._measured[octets] &= _packed(values >= 0.0, nodes.start % 8, fill=True)
-            self._positive[octets] |= _packed(values > 0.0, nodes.start % 8, fill=False)
+            measured = values >= 0.0
+            self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
+            self._measured[octets] |= _packed(measured, nodes.start % 8)
+            self._positive[octets] |= _packed(values > 0.0, nodes.start % 8)
 
 
-def _packed(flags: NDArray[np.bool_], lead: int, *, fill: bool) -> NDArray[np.uint8]:
-    """Pack flags into bytes, with ``lead`` bits equal to ``fill`` before them and as many as needed after them."""
-    padded = np.full(-(-(lead + flags.size) // 8) * 8, fill, dtype=np.bool_)
+def _packed(flags: NDArray[np.bool_], lead: int) -> NDArray[np.uint8]:
+    """Pack flags into bytes, with ``lead`` zero bits before them and as many as needed after them."""
+    padded = np.zeros(-(-(lead + flags.size) // 8) * 8, dtype=np.bool_)
     padded[lead : lead + flags.size] = flags
     return np.packbits(padded)
 

@@ -143,10 +143,10 @@ def profiles(
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
     for i, theta_half in enumerate(THETA_HALF):
-        used = used_nodes(measurement, i, horizon_cutoff)
+        used, known = used_samples(measurement, i, horizon_cutoff), measurement.known(i)
         samples = measurement.stored[:, i] * measurement.scale[:, None, None]
-        _fold(folded, i, samples, measurement.valid[i], robust=robust)
-        weights = np.broadcast_to(used.astype(float), samples.shape)
+        _fold(folded, i, samples, known, robust=robust)
+        weights = used.astype(float)
         if robust:
             weights = weights * _outlier_weights(samples, used)
         if weighting != "plain":
@@ -158,10 +158,15 @@ def profiles(
     return Profiles(mean, weight, within, folded, *options, *of)
 
 
-def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
-    """Samples of the theta_half row ``i`` that count, shape (90 theta_diff, 180 phi_diff)."""
+def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+    """Samples of the theta_half row ``i`` that count, shape (3, 90 theta_diff, 180 phi_diff)."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    return measurement.valid[i] & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+    return measurement.known(i) & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+
+
+def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+    """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
+    return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
 
 
 def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
@@ -172,11 +177,11 @@ def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
         )
 
 
-def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: NDArray[np.bool_], *, robust: bool) -> None:
+def _fold(folded: FoldedProfiles, i: int, samples: Array, known: NDArray[np.bool_], *, robust: bool) -> None:
     """Enter the samples (3, 90, 180) of the theta_half row ``i``."""
-    weights = np.broadcast_to(valid.astype(float), samples.shape)
+    weights, valid = known.astype(float), known.any(axis=0)
     if robust:
-        weights = _trusted_in_bins(samples, valid)
+        weights = _trusted_in_bins(samples, known)
     total = weights @ IN_BIN
     folded.weight[:, :, i] = total
     folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
@@ -184,21 +189,21 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: NDArray[np.bool
     folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
-def _trusted_in_bins(samples: Array, valid: NDArray[np.bool_]) -> Array:
-    """Weights of samples (3, 90, 180), those low that lie far from the others of their bin.
+def _trusted_in_bins(samples: Array, known: NDArray[np.bool_]) -> Array:
+    """Weights of samples (3, 90, 180): low where a sample lies far from the others of its bin.
 
     A bin of a few samples cannot tell which of them are outliers: there the samples of the bins beside it help.
     """
     weights = np.zeros(samples.shape)
     for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
-        weights[..., members] = _outlier_weights(samples[..., members], valid[:, members])
-        count = valid[:, members].sum(axis=1)
-        few = np.flatnonzero((count > 0) & (count < _FEW_IN_BIN))
+        weights[..., members] = _outlier_weights(samples[..., members], known[..., members])
+        count = known[..., members].sum(axis=2)
+        few = np.flatnonzero(((count > 0) & (count < _FEW_IN_BIN)).any(axis=0))
         if few.size:
             around = np.concatenate([members, beside])
-            judged = _outlier_weights(samples[:, few[:, None], around], valid[few[:, None], around])
+            judged = _outlier_weights(samples[:, few[:, None], around], known[:, few[:, None], around])
             weights[:, few[:, None], members] = judged[..., : members.size]
-    return weights * valid
+    return weights * known
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:

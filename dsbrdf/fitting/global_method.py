@@ -39,16 +39,16 @@ KNOTS = {
 }
 """Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
 _SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
-TOLERANCE = 1e-3
+TOLERANCE = 5e-4
 MAX_ITERATIONS = 300
 _ROUNDS, _ROBUST_ROUNDS = 2, 3
 _EXPECTED_TRIES = 16
 _SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [84, 86, 88, 89]]))
-_SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
+_SEARCH_COLUMNS = np.unique(np.concatenate([[1], np.arange(3, 8), np.arange(9, 32), np.arange(32, 90, 5)]))
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
-_HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
-FIT_COLUMNS = np.unique(np.concatenate([[0, 4, 7], np.arange(9, 30), np.arange(30, 90, 3), [89]]))
+_HELD_OUT_COLUMNS = np.concatenate([np.arange(2, 32, 2), np.arange(34, 90, 5)])
+FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
 _QUARTER = PHI_DIFF.size // 2 + 1
 _SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them

@@ -115,12 +115,17 @@ def fit_guide(data: FitData) -> Guide:
     -------
     Guide
     """
-    one = min((_fit(data, (_ANY,), start) for start in _STARTS), key=lambda guide: guide.error)
+    one = fit_single_highlight(data)
     two = _fit(data, (_SPIKE, _LOBE), _START_OF_TWO)
     narrow, wide, _ = two.half_widths
     light = two.light[:2]
     differ = wide > _APART * narrow and light.min() > _LEAST_LIGHT * light.sum()
     return two if differ and two.error < _PAYS * one.error else one
+
+
+def fit_single_highlight(data: FitData) -> Guide:
+    """Fit a guide with one specular lobe to data as for `fit_guide`."""
+    return min((_fit(data, (_ANY,), start) for start in _STARTS), key=lambda guide: guide.error)
 
 
 def guide_data(model: ReflectanceModel) -> FitData:

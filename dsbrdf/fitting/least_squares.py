@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
-_LARGEST_DAMPING = 1e8
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e8
 _LIMIT_PASSES = 5
 _SMALLEST_CHANGE = 1e-9
 _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the tolerance
@@ -307,7 +307,7 @@ def minimize(
     """
     at = problem.evaluate(problem.structure.limit(start))
     matrix, gradient = problem.linearize(at)
-    damping, growth, stalled = 1e-3, 2.0, 0
+    damping, growth, stalled = _FIRST_DAMPING, 2.0, 0
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)

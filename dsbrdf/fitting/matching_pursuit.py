@@ -1,11 +1,9 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
-A new lobe is looked for where the current mixture leaves the largest residual: lobes of many widths, centers and
-elongations are projected on it, and the one that explains most is fitted together with all the others.  Lobes about the
-normal and ring lobes compete on the same terms.  All channels get the same new lobe.
-
-The old lobes have adapted to the lack of the new one, above all in kappa, which trades against gamma: each fit starts
-again from kappa = 1 at the same half widths, and holds it there for the first iterations.
+After a single lobe come those of the `guide`: one highlight and one diffuse lobe.  A new lobe is looked for where the
+current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, and the
+one that explains most is fitted together with all the others.  Lobes about the normal and ring lobes compete, but a
+ring has to explain clearly more: what lies about the normal is easier to read.  All channels get the same new lobe.
 
 Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
 lower the error there.  Growth ends at once where the residual looks like noise, that is where neighbouring samples of
@@ -19,8 +17,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.fitting.guide import fit_single_highlight
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
-from dsbrdf.fitting.structure import Mixture, Structure
+from dsbrdf.fitting.structure import Mixture, Structure, change_knots
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
 from dsbrdf.model.splines import roughness
 
@@ -28,7 +27,7 @@ Array = NDArray[np.float64]
 
 MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
-PAYS = 0.04
+PAYS = 0.06
 """Share of the error on the rows held out by which a lobe has to lower it."""
 NEGLIGIBLE = 1e-5
 """... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
@@ -44,11 +43,13 @@ _CUSP_CENTER = -1.5  # half widths
 _ELONGATIONS = (0.0, 1.0)
 _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
-_FAINTEST_START = 0.02  # of the lobe's typical amplitude: one that starts too faint has no derivative to grow by
+_FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
+_BETTER = 0.9  # of the squared error with the lobes of the guide
+_RING_GAIN = 1.2  # times what the best lobe about the normal explains
+_FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _START_SMOOTHING = 3e-2
-_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 9, 1e-3
+_ITERATIONS, _FEW_LOBES, _TOLERANCE = 12, 3, 1e-3
 _LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
-_MOST_PLAIN_LOBES = 4  # lobes about the normal that are tried in the place of rings
 _NEARLY_NOISE = 0.9  # correlation below which a mixture is fitted on before it is judged
 _LAST_ITERATIONS, _LAST_TOLERANCE = 20, 2e-2
 _PATIENCE = 2  # lobes that do not pay before the next one may: two can need each other
@@ -61,7 +62,7 @@ class GrowthStep:
     Attributes
     ----------
     n_lobes, ring_lobes : int
-        Lobes about the normal, and ring lobes, with it.
+        All lobes, and those of them that have a center of their own, with it.
     error : float
         Weighted squared error on the rows held out, as a share of the squared signal there.
     pays : bool
@@ -111,58 +112,71 @@ def grow(
     mixture : Mixture
     steps : list of GrowthStep
     """
-    curves = {}
-    for candidate in _candidates():
-        curves[candidate] = _curve(fitted, candidate, empty.family)
-    mixture, steps = Mixture(empty, np.zeros(0)), list[GrowthStep]()
+    curves = {candidate: _curve(fitted, candidate, empty.family) for candidate in _candidates()}
+    mixture, steps, only_noise = Mixture(empty, np.zeros(0)), list[GrowthStep](), False
     best, error, signal, failures = mixture, held_out.signal, held_out.signal, 0
-    while wanted := _kinds_wanted(mixture.structure, n_lobes, ring_lobes):
-        allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in wanted}
-        must = _is_short(mixture.structure, n_lobes, ring_lobes)
+    while not only_noise and failures <= _PATIENCE and (kinds := _kinds_wanted(mixture.structure, n_lobes, ring_lobes)):
         on_try()
-        start = _add_best(fitted, mixture, allowed)
-        least = 0.0 if must else PAYS * error + NEGLIGIBLE * signal
-        mixture, new_error = _fit_start(fitted, held_out, start, error - least)
-        only_noise = False
+        allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in kinds}
+        must = n_lobes != "auto" or (ring_lobes != "auto" and mixture.structure.n_rings < ring_lobes)
+        mixture = _with_next_lobe(fitted, mixture, allowed)
         if n_lobes == ring_lobes == "auto":
             mixture, only_noise = _prefer_plain(fitted, mixture)
-            new_error = _error(held_out, mixture)
-        pays = must or error - new_error > least
-        count = mixture.structure
-        steps.append(GrowthStep(count.n_lobes - count.n_rings, count.n_rings, new_error / signal, pays))
+        new_error, structure = _error(held_out, mixture), mixture.structure
+        pays = must or error - new_error > PAYS * error + NEGLIGIBLE * signal
+        steps.append(GrowthStep(structure.n_lobes, structure.n_rings, new_error / signal, pays))
+        only_noise = only_noise and pays
         if pays:
             best, error, failures = mixture, min(error, new_error), 0
         else:
             failures += 1
-        if failures > _PATIENCE or (pays and only_noise):
-            break
     return best, steps
+
+
+def _with_next_lobe(data: FitData, mixture: Mixture, curves: dict["_Candidate", Array]) -> Mixture:
+    """Add a lobe and fit all; in the place of a single lobe, those of the guide unless two others are better."""
+    found = _fit(data, _add_best(data, mixture, curves))
+    few_columns = data.theta_half.shape[-1] < _FEWEST_COLUMNS
+    if mixture.structure.rings != (False,) or few_columns or all(candidate.is_ring for candidate in curves):
+        return found
+    readable = _fit(data, _guide_lobes(data, mixture.structure))
+    return found if _error(data, found) < _BETTER * _error(data, readable) else readable
+
+
+def _fit(data: FitData, start: Mixture) -> Mixture:
+    """Fit a mixture; few lobes from a new kappa, held at first: it trades against gamma and would run to its bounds."""
+    structure = start.structure
+    if structure.n_lobes <= _FEW_LOBES:
+        unknowns = np.where(structure.is_kappa(), np.log(_START_KAPPA), start.unknowns)
+        start = _minimize(data, Mixture(structure, unknowns), _ITERATIONS, fixed=structure.is_kappa())
+    return _minimize(data, start, _ITERATIONS)
+
+
+def _guide_lobes(data: FitData, like: Structure) -> Mixture:
+    """The lobes of a guide with one highlight, on the knots and of the family of a structure."""
+    guide = fit_single_highlight(data).mixture
+    old, unknowns = replace(guide.structure, bounds_of=(), theta_half=like.theta_half), guide.unknowns
+    if like.family != old.family:
+        amplitude, shape, elongation = old.split(unknowns)
+        k = old.n_lobes
+        width, kappa = width_of_reach(np.exp(shape[:, k:]), old.family), np.full((len(shape), k), _START_KAPPA)
+        old = replace(old, family=like.family)
+        gamma = gamma_of_half_width(width, kappa, old.family)
+        unknowns = old.join(amplitude, np.log(np.concatenate([kappa, gamma], axis=1)), elongation)
+    structure = replace(like, rings=old.rings)
+    return Mixture(structure, change_knots(old, unknowns, structure))
 
 
 def _kinds_wanted(
     structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
 ) -> set[bool]:
-    """Which kinds the next lobe may be: False about the normal, True a ring.  The first is about the normal.
-
-    Where one number is fixed and the other is found, the last places are kept for the lobes that have to be there.
-    """
-    centered = structure.n_lobes - structure.n_rings
-    missing = 0 if wanted == "auto" else wanted - centered
-    missing_rings = 0 if wanted_rings == "auto" else wanted_rings - structure.n_rings
-    room = structure.n_lobes + missing + missing_rings < MAX_LOBES
-    kinds = set()
-    if missing > 0 or (wanted == "auto" and room):
+    """Which kinds the next lobe may be: False about the normal, True a ring; none where the mixture is complete."""
+    room = (MAX_LOBES if wanted == "auto" else wanted) - structure.n_lobes
+    missing_rings = room if wanted_rings == "auto" else wanted_rings - structure.n_rings
+    kinds = {True} if missing_rings > 0 and structure.n_lobes else set[bool]()
+    if room > (0 if wanted_rings == "auto" else missing_rings):
         kinds.add(False)
-    if (centered or wanted == 0) and (missing_rings > 0 or (wanted_rings == "auto" and room)):
-        kinds.add(True)
     return kinds
-
-
-def _is_short(structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]) -> bool:
-    """Whether lobes that were asked for are still missing, or there is none at all."""
-    centered = structure.n_lobes - structure.n_rings
-    missing = (wanted != "auto" and centered < wanted) or (wanted_rings != "auto" and structure.n_rings < wanted_rings)
-    return missing or structure.n_lobes == 0
 
 
 def _candidates() -> list[_Candidate]:
@@ -191,45 +205,22 @@ def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) 
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
     gain, amplitude = _project(data, residual, np.stack(list(curves.values())))
     candidates = list(curves)
+    gain *= [1.0 if candidate.is_ring else _RING_GAIN for candidate in candidates]
     # Where several do equally well, as on a single column, the widest assumes least.
     best = max(np.flatnonzero(gain >= (1.0 - 1e-9) * gain.max()).tolist(), key=lambda i: candidates[i].width)
     return _append(data, mixture, candidates[best], amplitude[:, :, best])
-
-
-def _fit_start(fitted: FitData, held_out: FitData, start: Mixture, goal: float) -> tuple[Mixture, float]:
-    """Fit from kappa = 1; where the error on the rows held out is not below the goal, also from kappa as it is."""
-    mixture = _fit(fitted, _restart_kappa(start))
-    error = _error(held_out, mixture)
-    if error < goal:
-        return mixture, error
-    again = _minimize(fitted, start, _ITERATIONS)
-    new_error = _error(held_out, again)
-    return (again, new_error) if new_error < error else (mixture, error)
-
-
-def _fit(data: FitData, start: Mixture) -> Mixture:
-    """Fit with kappa held at first."""
-    start = _minimize(data, start, _FIXED_ITERATIONS, start.structure.is_kappa())
-    return _minimize(data, start, _ITERATIONS)
 
 
 def _minimize(
     data: FitData,
     start: Mixture,
     iterations: int,
-    fixed: NDArray[np.bool_] | None = None,
     tolerance: float = _TOLERANCE,
+    fixed: NDArray[np.bool_] | None = None,
 ) -> Mixture:
     problem = MixtureProblem(data, start.structure)
     found = minimize(problem, start.unknowns, tolerance=tolerance, iterations=iterations, fixed=fixed)
     return Mixture(start.structure, found.unknowns)
-
-
-def _restart_kappa(mixture: Mixture) -> Mixture:
-    """Set every kappa to that of a new lobe, at the same half widths."""
-    unknowns = mixture.unknowns.copy()
-    unknowns[mixture.structure.is_kappa()] = np.log(_START_KAPPA)
-    return Mixture(mixture.structure, unknowns)
 
 
 def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
@@ -241,9 +232,8 @@ def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
     only_noise : bool
         Whether the residual of the mixture is noise.
     """
-    structure = mixture.structure
-    if 0 < structure.n_rings and structure.n_lobes <= _MOST_PLAIN_LOBES:
-        plain, only_noise = _settle(data, _fit(data, _restart_kappa(_about_normal(mixture))))
+    if mixture.structure.n_rings and mixture.structure.n_lobes <= _FEW_LOBES:
+        plain, only_noise = _settle(data, _fit(data, _about_normal(mixture)))
         if only_noise:
             return plain, True
     return _settle(data, mixture)
@@ -258,7 +248,7 @@ def _settle(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
 
 
 def _about_normal(mixture: Mixture) -> Mixture:
-    """Replace each ring lobe by one about the normal that reaches as far."""
+    """Replace each ring lobe by one about the normal that reaches as far; every kappa is that of a new lobe."""
     old = mixture.structure
     amplitude, shape, elongation = old.split(mixture.unknowns)
     k, plain = old.n_lobes, old.n_lobes - old.n_rings
@@ -266,6 +256,7 @@ def _about_normal(mixture: Mixture) -> Mixture:
     width = width_of_reach(np.exp(shape[:, k + plain : 2 * k]), old.family)
     width = np.clip(width + center, 0.3 * width, 1.5)
     shape = shape[:, : 2 * k].copy()
+    shape[:, :k] = np.log(_START_KAPPA)
     shape[:, k + plain :] = np.log(reach_of_width(width, old.family))
     unknowns = np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
     return Mixture(replace(old, rings=(False,) * k), unknowns)

@@ -25,7 +25,7 @@ from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
+from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -155,13 +155,13 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     columns = np.flatnonzero(OUTSIDE_CENTER)
     grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:_QUARTER])
     for i, values in zip(columns.tolist(), grid, strict=True):
-        used = used_nodes(measurement, i, horizon_cutoff)
-        rows = np.flatnonzero(used.any(axis=1))
+        used = used_samples(measurement, i, horizon_cutoff)
+        rows = np.flatnonzero(used.any(axis=(0, 2)))
         if not rows.size:
             continue
         cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
         samples = measurement.stored[:, i, rows] * measurement.scale[:, None, None]
-        _add_row(sums, samples, values[:, rows][:, :, _FOLD], used[rows], cosine, rows)
+        _add_row(sums, samples, values[:, rows][:, :, _FOLD], used[:, rows], cosine, rows)
     if not sums.power.any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
@@ -170,12 +170,12 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 def _add_row(
     sums: SampleErrors, samples: Array, fit: Array, used: NDArray[np.bool_], cosine: Array, rows: NDArray[np.intp]
 ) -> None:
-    count = used.sum(axis=1)
+    count = used.sum(axis=2)
     samples = samples * used
     mean = np.sum(samples, axis=2) / np.maximum(count, 1)
     # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material.
     partner = (PHI_DIFF.size - np.arange(PHI_DIFF.size)) % PHI_DIFF.size
-    half_step = np.where(used & used[:, partner], 0.5 * (samples - samples[:, :, partner]), 0.0)
+    half_step = np.where(used & used[:, :, partner], 0.5 * (samples - samples[:, :, partner]), 0.0)
     fit = fit * used
     for total, part in (
         (sums.power, samples),

@@ -12,7 +12,7 @@ from dsbrdf.model.lobes import FAMILIES
 
 MAX_LOBES = 8
 METHODS = ("global", "paper")
-MAX_RING_LOBES = 8
+MAX_RING_LOBES = MAX_LOBES - 1
 VARIATIONS = ("full", "parametric")
 WEIGHTINGS = ("balanced", "plain", "cosine", "log")
 MAX_MASK = 10.0
@@ -26,12 +26,12 @@ class FitOptions:
     Attributes
     ----------
     n_lobes : int or "auto"
-        Number of lobes about the normal, 1 to 8; "auto" adds them while they lower the error on samples held out; with
-        the method "paper" it is the smallest of 1 to 5 that Williams' test does not find worse than 5.
+        Number of all lobes, 1 to 8; "auto" adds them while they lower the error on samples held out; with the method
+        "paper" it is the smallest of 1 to 5 that Williams' test does not find worse than 5.
     method : {"global", "paper"}
         "global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.
     ring_lobes : int or "auto"
-        Number of lobes with a center of their own, 0 to 8, beside the others; "auto" adds them while they pay.  The
+        How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains most.  The
         method "paper" has none.
     lobe : {"hemi_epd", "student"}
         Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
@@ -85,6 +85,11 @@ class FitOptions:
         if self.ring_lobes != "auto" and not _is_integer(self.ring_lobes, 0, MAX_RING_LOBES):
             raise InvalidArgumentError(
                 f'ring_lobes must be an integer from 0 to {MAX_RING_LOBES} or "auto", not {self.ring_lobes!r}'
+            )
+        if self.n_lobes != "auto" and self.ring_lobes != "auto" and self.ring_lobes >= self.n_lobes:
+            raise InvalidArgumentError(
+                f"ring_lobes must be below n_lobes, at most {self.n_lobes - 1} here, not {self.ring_lobes}: "
+                "a ring lobe is one of the lobes"
             )
         if self.method not in METHODS:
             raise InvalidArgumentError(f"method must be one of {', '.join(METHODS)}, not {self.method!r}")

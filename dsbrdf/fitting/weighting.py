@@ -3,7 +3,8 @@
 ``plain``
     Every sample within the horizon cutoff counts alike: the paper's squared error of f.  Beyond the cutoff, where
     measurements cannot be trusted, samples count with the eighth power of the cosine to the horizon, and where
-    theta_half < 1 degree, where nodes crowd, by their solid angle.
+    theta_half < 1 degree, where nodes crowd, by their solid angle, and all together no more than the others: the peak
+    of a mirror-like coat would leave nothing to them.
 ``cosine``
     As ``plain``, times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
 ``log``
@@ -30,6 +31,7 @@ SEEN_POWER = 1.2
 _DARK = 0.02  # of the mean that a lit material shows: errors of values below count alike
 _SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
 _TRUST_POWER = 8
+_TINY = 1e-300
 _SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none
 
 
@@ -44,6 +46,9 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
         Angle to the normal beyond which samples count less [rad]; None trusts all of them.
     """
     plain = folded.weight * _trust(folded, horizon_cutoff) * _center_share()[:, None]
+    center = THETA_HALF < CENTER_CUTOFF
+    signal = np.sum(plain * folded.mean**2, axis=(0, 1, 3))
+    plain[:, :, center] *= min(float(signal[~center].sum() / max(signal[center].sum(), _TINY)), 1.0)
     if weighting == "plain":
         return plain
     cosines = np.maximum(_cosine_product(folded), 0.0)

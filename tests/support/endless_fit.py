@@ -8,7 +8,7 @@ from dsbrdf import FitOptions
 _LOBES = 8  # as many as there may be, of either kind
 _KNOTS = range(81)  # one every degree
 
-OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_LOBES, knots=tuple(map(math.radians, _KNOTS)))
+OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_LOBES - 1, knots=tuple(map(math.radians, _KNOTS)))
 ON_THE_WIRE: dict[str, Any] = {
     "method": "global",
     "n_lobes": _LOBES,

@@ -118,3 +118,16 @@ def test_angles_that_are_none_are_refused(plastic: Measurement) -> None:
         interpolate(plastic).evaluate(0.1, np.nan, 0.0)
     with pytest.raises(InvalidArgumentError, match="broadcast together"):
         interpolate(plastic).evaluate(np.zeros(2), np.zeros(3), 0.0)
+
+
+def test_a_channel_without_a_value_leaves_the_others_theirs(plastic: Measurement) -> None:
+    values = plastic.values.copy()
+    values[2, :, 20:40] = -1e-3
+    partly = Measurement.from_values(values, plastic.valid)
+    row, diff, column = np.nonzero(plastic.valid)
+    chosen = diff == 30
+    angles = THETA_HALF[row[chosen]], THETA_DIFF[diff[chosen]], PHI_DIFF[column[chosen]]
+    whole, found = interpolate(plastic).evaluate(*angles), interpolate(partly).evaluate(*angles)
+    np.testing.assert_array_equal(found[:, :2], whole[:, :2])
+    beside = interpolate(plastic).evaluate(angles[0], np.full(chosen.sum(), THETA_DIFF[19]), angles[2])
+    np.testing.assert_allclose(found[:, 2], beside[:, 2], rtol=1e-9)

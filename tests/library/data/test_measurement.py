@@ -50,7 +50,7 @@ def test_a_measurement_cannot_be_changed(plastic: Measurement) -> None:
 
 def test_from_values_equals_reading_the_encoded_bytes() -> None:
     values = np.random.default_rng(3).uniform(0.1, 5.0, (3, *GRID_SHAPE))
-    values[1, 4, 5, 6] = -2.0
+    values[:, 4, 5, 6] = -2.0
     valid = np.ones(GRID_SHAPE, dtype=bool)
     valid[7, 8, 9] = False
     values[:, 7, 8, 9] = np.nan  # what an invalid node holds does not matter

@@ -245,16 +245,18 @@ def test_file_with_hardly_any_valid_nodes_is_refused() -> None:
             assert parse_merl(data).valid.sum() == int(share * index.size)
         else:
             sentence = refusal(data)
-            assert f"the number of valid ones (no channel negative) is {int(share * index.size)};" in sentence
-            assert "at least 1% of them" in sentence
+            assert f"of valid ones (not negative) in the red channel is {int(share * index.size)};" in sentence
+            assert "at least 1% of them in every channel" in sentence
+    values = np.ones((3, *GRID_SHAPE))
+    values[2].flat[index[int(0.0099 * index.size) :]] = -1.0
+    assert "in the blue channel" in refusal(HEADER + values.astype("<f8").tobytes())
 
 
 def test_file_of_zeros_is_refused() -> None:
     assert refusal(table(0.0, np.ones(GRID_SHAPE, dtype=bool))).startswith("Every valid node is zero")
-    # Positive values at invalid nodes do not help, one at a valid node does.
+    # Positive values below the horizon do not help, one above it does.
     values = np.zeros((3, *GRID_SHAPE))
-    values[0][BELOW] = values[0, 0, 0, 0] = 1.0
-    values[1, 0, 0, 0] = -1.0
+    values[0][BELOW] = 1.0
     refusal(HEADER + values.astype("<f8").tobytes())
     values[2][ABOVE] = 1e-9
     assert parse_merl(HEADER + values.astype("<f8").tobytes()).valid[ABOVE]

@@ -313,3 +313,14 @@ def test_cutoffs_out_of_range_are_refused(plastic: Measurement, cutoff: float, s
 def test_unknown_weightings_are_refused(plastic: Measurement) -> None:
     with pytest.raises(InvalidArgumentError, match="weighting must be one of plain, cosine, log, not 'square'"):
         profiles(plastic, weighting="square")
+
+
+def test_a_channel_counts_where_it_has_a_value(plastic: Measurement) -> None:
+    values = plastic.values.copy()
+    values[2, 5:] = -1e-3
+    whole, partly = profiles(plastic), profiles(Measurement.from_values(values, plastic.valid))
+    np.testing.assert_array_equal(partly.mean[:2], whole.mean[:2])
+    np.testing.assert_array_equal(partly.folded.weight[:2], whole.folded.weight[:2])
+    np.testing.assert_array_equal(partly.folded.cos2_phi, whole.folded.cos2_phi)
+    assert partly.weight[2, :, 5:].max() == partly.folded.weight[2, :, 5:].max() == partly.within[2, :, 5:].max() == 0.0
+    np.testing.assert_array_equal(partly.mean[2, :, :5], whole.mean[2, :, :5])

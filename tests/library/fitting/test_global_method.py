@@ -157,7 +157,7 @@ def test_ordinary_materials_have_no_warnings(default_fits: tuple[FitResult, ...]
 
 def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plastic_profiles: Profiles) -> None:
     model = fit(plastic_profiles, FitOptions(n_lobes=3, ring_lobes=1)).model
-    assert model.is_ring.tolist() == [False, False, False, True]
+    assert model.is_ring.tolist() == [False, False, True]
     widths = [half_height(model.select((k,), with_delta=False)) for k in range(3)]
     assert widths == sorted(widths)
     assert model.kappa.shape[0] == 1
@@ -252,7 +252,7 @@ def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
     assert all(isinstance(report.metrics[name], float) for name in METRICS)
     rings = int(np.count_nonzero(model.is_ring))
     last = [step for step in report.growth if step.pays][-1]
-    assert (last.n_lobes, last.ring_lobes) == (model.n_lobes - rings, rings)
+    assert (last.n_lobes, last.ring_lobes) == (model.n_lobes, rings)
     assert [row.channel for row in report.by_channel] == list(CHANNELS)
     edges = [row.theta_diff for row in report.by_theta_diff]
     assert edges[0][0] == 0.0
