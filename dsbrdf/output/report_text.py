@@ -51,7 +51,7 @@ def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table of the own lobe of each component: its values at `SHOWN_THETA_DIFF`."""
     if not components:
         return []
-    lines = [_angles_head("own lobes, theta_diff")]
+    lines = [_angles_head("own lobes [1/sr], theta_diff")]
     for component in components:
         lobe, lead = component["lobe"], component["label"]
         shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
@@ -76,7 +76,7 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
         parameters[name][:, column if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
     )
     widths = np.degrees(half_width(kappa, gamma, model.lobe))
-    lines = [_angles_head(f"{channel} channel, theta_diff")]
+    lines = [_angles_head(f"{channel} channel [1/sr], theta_diff")]
     for lobe, is_ring in enumerate(model.is_ring):
         rows = [("height", parameters["amplitude"][:, column, lobe], ""), ("half width", widths[:, lobe], "°")]
         if is_ring:
