@@ -19,7 +19,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.decomposition import LABELS, decompose
+from dsbrdf.fitting.decomposition import LABELS, decompose
 
 Array = NDArray[np.float64]
 
