@@ -1,11 +1,13 @@
 """What is kept in memory of finished fits: their models, and what a page shows of them beside their measurements.
 
-The models used last stay, so that a request for values reads nothing. A view, pictures of lit spheres and slices of
-fit and measurement, takes up to a second and reads the whole measurement; those used last stay too, some 300 kB each.
+The models used last stay with their components, so that a request for values reads and fits nothing. A view, pictures
+of lit spheres and slices of fit and measurement, takes up to a second and reads the whole measurement; those used last
+stay too, some 300 kB each.
 """
 
+import asyncio
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,15 +16,17 @@ from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf import DSBRDF, Decomposition, FitReport, Measurement, decompose, profiles, read_merl
+from dsbrdf import DSBRDF, Decomposition, FitReport, InvalidArgumentError, Measurement, decompose, profiles, read_merl
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
-from dsbrdf.model.decomposition import LABELS, lobe_widths
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.png import encode_png
+from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
 from service.errors import FitNotFoundError, ProblemError
@@ -47,11 +51,18 @@ class LoadedFit:
 
     model: DSBRDF
     report: FitReport | None
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock, repr=False, compare=False)
+    """Of those who want the components, so that they are computed once."""
 
     @cached_property
     def decomposition(self) -> Decomposition:
-        """The model's components, computed at the first use."""
+        """The model's components; the first use takes some 0.2 s."""
         return decompose(self.model)
+
+    @cached_property
+    def components(self) -> list[dict[str, Any]]:
+        """What documents say of the components; the first use computes their albedos."""
+        return [component_document(component) for component in self.decomposition]
 
 
 class ModelCache:
@@ -81,22 +92,34 @@ class ModelCache:
             self._models.popitem(last=False)
         return loaded
 
-    async def component(self, key: FitKey, label: str | None) -> DSBRDF:
-        """Return the model of a fit, or of one of its components.
+    async def component(self, key: FitKey, label: str | None) -> ReflectanceModel:
+        """Return the model of a fit, or one of its components.
 
-        Raises ProblemError: as `get`, or if there is no such label.
+        Raises ProblemError as `get`, and if the component has no light; InvalidArgumentError if there is no such label.
         """
         if label is None:
             return (await self.get(key)).model
         decomposition = await self.decomposition(key)
         if label not in LABELS:
-            raise ProblemError("not-found", f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
-        return decomposition[label].model
+            raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {label[:40]!r}.")
+        if label not in decomposition.labels:
+            there = f"it has {' and '.join(decomposition.labels)}" if decomposition.labels else "it reflects no light"
+            raise ProblemError("not-found", f"The fit has no component {label}: {there}.")
+        return decomposition[label]
 
     async def decomposition(self, key: FitKey) -> Decomposition:
-        """Return the components of a fit; raises as `get`."""
+        """Return the components of a fit, whose albedos are known; raises as `get`."""
+        return (await self._decomposed(key)).decomposition
+
+    async def components(self, key: FitKey) -> list[dict[str, Any]]:
+        """Return what documents say of the components of a fit; raises as `get`."""
+        return (await self._decomposed(key)).components
+
+    async def _decomposed(self, key: FitKey) -> LoadedFit:
         loaded = await self.get(key)
-        return await run_in_threadpool(lambda: loaded.decomposition)
+        async with loaded.turn:
+            await run_in_threadpool(lambda: loaded.components)
+        return loaded
 
     def forget(self, *keys: FitKey) -> None:
         """Drop models whose fits are deleted; without keys all, as any may have been deleted by another process."""

@@ -11,8 +11,7 @@ from fastapi.routing import APIRoute
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from dsbrdf.model.decomposition import LABELS
-from dsbrdf.output.report_text import component_document
+from dsbrdf.fitting.decomposition import LABELS
 from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import IN_MEMORY, media_type_of, receive_body
@@ -28,7 +27,7 @@ class _DirectRoute(APIRoute):
     """A route whose function gets its dependencies and path parameters without FastAPI's validation.
 
     FastAPI describes it like any other. Without solving, validating and stacks of exits, a GET takes a third less time;
-    an id or a label that nothing can have is not found.
+    an id that nothing can have is not found.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -45,7 +44,7 @@ class _DirectRoute(APIRoute):
 
 
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
-components = APIRouter(prefix="/v1/fits/{fit_id}/lobes", tags=["lobes"])
+components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"])
 Label = Annotated[
     str,
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
@@ -105,9 +104,9 @@ async def get_values(request: Request, context: TheContext, fit: TheFit) -> Resp
     return await _values_of_query(request, context, fit, None)
 
 
-@_get("/lobes/{label}/brdf", summary="A component's values at some points")
+@_get("/components/{label}/brdf", summary="A component's values at some points")
 async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
-    """Return one component's values; the three components' values add up to the fit's."""
+    """Return one component's values; those of all components add up to the fit's. One without light is not found."""
     return await _values_of_query(request, context, fit, label)
 
 
@@ -122,7 +121,7 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
     return await _values_of_batch(request, context, fit, None)
 
 
-@_post("/lobes/{label}/brdf", summary="A component's values at many points")
+@_post("/components/{label}/brdf", summary="A component's values at many points")
 async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
     return await _values_of_batch(request, context, fit, label)
@@ -138,9 +137,11 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
     | openapi.problems("not-found", "fit-not-finished"),
 )
 async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
-    """Return the three components with their lobes, albedo, half width and how clear the label is."""
-    items = [component_document(component) for component in await context.models.decomposition(fit)]
-    document = ComponentList.model_validate({"items": items})
+    """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
+
+    Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
+    """
+    document = ComponentList.model_validate({"items": await context.models.components(fit)})
     return tagged_reply(document.model_dump_json().encode(), if_none_match)
 
 

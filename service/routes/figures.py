@@ -15,6 +15,7 @@ from dsbrdf.data.merl import map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
@@ -138,7 +139,7 @@ async def _drawn(
     return Response(content, 200, headers, media_type)
 
 
-def _sphere(whole: DSBRDF | Measurement, part: DSBRDF | Measurement, wanted: Sphere) -> bytes:
+def _sphere(whole: ReflectanceModel | Measurement, part: ReflectanceModel | Measurement, wanted: Sphere) -> bytes:
     image = render_sphere(whole, lighting=wanted.lighting, size=wanted.size)
     factor = exposure(image, sphere_normals(wanted.size)[1])
     if part is not whole:

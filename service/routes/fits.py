@@ -13,12 +13,11 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.export.merl import merl_parts
-from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
@@ -30,6 +29,7 @@ from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
+from service.wire.model_document import model_document
 from service.wire.names import MAX_LENGTH, content_disposition
 from service.wire.values import JSON
 
@@ -200,14 +200,17 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
-    """Return the model, or one component, for another program.
+    """Return the model, one component, or the components' own lobes together, for another program.
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
     `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
     for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
     some seconds; `csv` the parameters.
     """
-    model = await context.models.component(fit, wanted.component)
+    if wanted.component == schemas.GUIDE:
+        model: ReflectanceModel = (await context.models.decomposition(fit)).guide
+    else:
+        model = await context.models.component(fit, wanted.component)
     row = await context.fit_row(fit)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
@@ -224,7 +227,7 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     return StreamingResponse(_pieces(file), 200, headers, media_type)
 
 
-def _stored(model: DSBRDF, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
+def _stored(model: ReflectanceModel, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
     """Return an exported file and its size; it is on the disk, so that a slow client takes no memory."""
     content = export_model(model, file_format)
     file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
@@ -316,5 +319,9 @@ async def _departure(request: Request) -> None:
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
     fit = await context.models.get(row.key) if row.status == "succeeded" else None
-    more = {"lobes": fit and lobes_document(fit.model), "warnings": fit.report.warnings if fit and fit.report else []}
+    more = {
+        "warnings": fit.report.warnings if fit and fit.report else [],
+        "components": fit and await context.models.components(row.key),
+        "model": fit and model_document(fit.model),
+    }
     return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

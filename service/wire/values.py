@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
+from dsbrdf.model.reflectance import ReflectanceModel
 from service.operations.metrics import Metrics
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class Points:
     def __len__(self) -> int:
         return len(self.theta_half)
 
-    def values(self, model: DSBRDF) -> Array:
+    def values(self, model: ReflectanceModel) -> Array:
         """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
         return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
 
@@ -253,7 +254,7 @@ class _Form:
     between: bytes = b""
     tail: bytes = b""
 
-    def write(self, model: DSBRDF, points: Points) -> bytes:
+    def write(self, model: ReflectanceModel, points: Points) -> bytes:
         return self.encode(points.values(model))
 
 
@@ -267,7 +268,9 @@ def _npy_form(n_points: int) -> _Form:
 _JSON_FORM = _Form(JSON, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}")
 
 
-async def values_reply(model: DSBRDF, points: Points | StoredPoints, media_type: str, metrics: Metrics) -> Response:
+async def values_reply(
+    model: ReflectanceModel, points: Points | StoredPoints, media_type: str, metrics: Metrics
+) -> Response:
     """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
     form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
     if isinstance(points, StoredPoints):
@@ -284,7 +287,7 @@ async def values_reply(model: DSBRDF, points: Points | StoredPoints, media_type:
     return await run_in_threadpool(whole)
 
 
-async def _parts(form: _Form, model: DSBRDF, points: StoredPoints, metrics: Metrics) -> AsyncIterator[bytes]:
+async def _parts(form: _Form, model: ReflectanceModel, points: StoredPoints, metrics: Metrics) -> AsyncIterator[bytes]:
     """Yield the parts of a long answer, each computed when the one before has been sent; note how long that took."""
     seconds = 0.0
 
