@@ -128,7 +128,7 @@ TARGETS = [
     ("DELETE", "/v1/fits/{id}"),
     ("DELETE", "/v1/measurements/{id}"),
     ("GET", "/v1/fits/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
-    ("GET", "/v1/fits/@/lobes/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
+    ("GET", "/v1/fits/@/components/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
 ]
 
 PATHS = [
@@ -158,7 +158,7 @@ PATHS = [
     "/v1/fits/@/nothing",
     "/v1/fits/@/export/",
     "/v1/fits/@/events/..",
-    "/v1/fits/@/lobes/",
+    "/v1/fits/@/components/",
     "/.env",
     "/.git/config",
     "/dsbrdf.sqlite",

@@ -46,7 +46,7 @@ def test_accepted_fits_finish_after_a_restart(
     for fit_id in fits:
         fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
         assert fit["status"] == "succeeded"
-        assert fit["lobes"] is not None
+        assert fit["components"] is not None
     assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, in_the_way, *fits}
 
 

@@ -1,4 +1,4 @@
-"""Values and components over HTTP are the library's."""
+"""Values over HTTP are the library's."""
 
 import io
 from typing import Any
@@ -10,8 +10,6 @@ import pytest
 import dsbrdf
 from dsbrdf.output.serialize import from_json
 from tests.support.server import Server, assert_problem
-
-LABELS = ("specular_spike", "specular_lobe", "diffuse")
 
 
 @pytest.fixture(scope="session")
@@ -220,29 +218,3 @@ def test_empty_batch_has_no_values(server: Server, fitted: str) -> None:
 def test_unsupported_media_types_are_refused(server: Server, fitted: str) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=b"1 2", headers={"Content-Type": "text/csv"})
     assert "application/x-npy" in assert_problem(answer, 415, "unsupported-media-type")
-
-
-def test_components_equal_the_library_and_sum_to_the_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    items = server.http.get(f"/v1/fits/{fitted}/lobes").json()["items"]
-    assert [item["label"] for item in items] == list(LABELS)
-    for item, component in zip(items, dsbrdf.decompose(model), strict=True):
-        assert item["lobes"] == list(component.lobes)
-        np.testing.assert_allclose(item["albedo"], component.albedo, rtol=1e-12)
-        assert item["margin"] == component.margin
-        if component.half_width is None:
-            assert item["half_width_deg"] is None
-        else:
-            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
-        for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
-            assert item["parameters"][name] == getattr(component.model, name).tolist()
-
-    document = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
-    whole = np.array(server.http.post(f"/v1/fits/{fitted}/brdf", json=document).json()["values"])
-    parts = [
-        server.http.post(f"/v1/fits/{fitted}/lobes/{label}/brdf", json=document).json()["values"] for label in LABELS
-    ]
-    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
-    one = server.http.get(f"/v1/fits/{fitted}/lobes/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20")
-    np.testing.assert_allclose(one.json()["values"][0], parts[2][2], rtol=1e-12)
-    for url in (f"/v1/fits/{fitted}/lobes/spike/brdf", f"/v1/fits/{fitted}/lobes/4/brdf"):
-        assert_problem(server.http.get(url), 404, "not-found")

@@ -71,7 +71,7 @@ def test_unknown_resources_are_not_found(server: Server) -> None:
         f"/v1/fits/{'0' * 32}",
         "/v1/fits/nonsense",
         f"/v1/fits/{'0' * 32}/brdf?theta_half_deg=1&theta_diff_deg=1",
-        f"/v1/fits/{'0' * 32}/lobes",
+        f"/v1/fits/{'0' * 32}/components",
         f"/v1/fits/{'0' * 32}/export?format=json",
         f"/v1/fits/{'A' * 32}",
         "/v1/fits/..%2f..%2fetc%2fpasswd",

@@ -42,11 +42,10 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert fit["metrics"] == asdict(expected.report.metrics)
     assert fit["warnings"] == list(expected.report.warnings)
     assert any("before they converged" in sentence for sentence in fit["warnings"])
-    lobes = fit["lobes"]
-    for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
-        np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
-    np.testing.assert_allclose(np.radians(lobes["theta_diff_deg"]), expected.model.theta_diff, atol=1e-11)
-    np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
+    own = fit["model"]
+    np.testing.assert_array_equal(own["amplitude"]["control_values"], expected.model.amplitude)
+    np.testing.assert_allclose(np.radians(own["amplitude"]["knots_deg"]), expected.model.theta_diff, atol=1e-11)
+    assert [component["label"] for component in fit["components"]] == list(dsbrdf.decompose(expected).labels)
 
 
 def test_default_options_are_those_of_the_library(server: Server, stored: str) -> None:
@@ -105,7 +104,7 @@ def test_request_without_wait_gets_202_and_a_location(server: Server, stored: st
     assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
     assert int(answer.headers["retry-after"]) >= 1
     assert fit["status"] in ("accepted", "running")
-    assert fit["lobes"] is None
+    assert fit["components"] is None
     assert fit["metrics"] is None
     assert fit["warnings"] == []
 
@@ -144,7 +143,7 @@ def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> Non
     assert fit["error"]["origin"] == "input"
     assert fit["error"]["type"] == "FitError"
     assert fit["error"]["message"]
-    assert fit["lobes"] is None
+    assert fit["components"] is None
     again = server.submit(stored, **options)
     assert again.status_code == 200
     assert again.json() == fit

@@ -48,7 +48,7 @@ def npy(array: Any) -> bytes:
     ],
 )
 def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
-    for path in ("brdf", "lobes/diffuse/brdf"):
+    for path in ("brdf", "components/diffuse/brdf"):
         answer = server.http.get(f"/v1/fits/{fitted}/{path}?{query}")
         detail = assert_problem(answer, 422, "invalid-argument")
         for word in words:

@@ -19,8 +19,8 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
         "/v1/measurements",
         fit,
         f"{fit}/brdf?{point}",
-        f"{fit}/lobes",
-        f"{fit}/lobes/diffuse/brdf?{point}",
+        f"{fit}/components",
+        f"{fit}/components/diffuse/brdf?{point}",
     ]
     paths += [f"{fit}/export?format=json", f"{fit}/export?format=merl", f"{fit}/events", f"/v1/measurements/{stored}"]
     paths += ["/health/live", "/health/ready", "/metrics", "/docs", "/openapi.json"]
@@ -36,7 +36,7 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
     paths = [f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"]
     requests = [(method, path) for path in paths for method in ("GET", "DELETE")]
-    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "lobes", "export", "brdf")]
+    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "components", "export", "brdf")]
     requests += [("POST", f"/v1/fits/{fitted}/brdf"), ("POST", "/v1/measurements")]
     requests += [
         ("GET", path) for path in ("/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics")
