@@ -64,7 +64,8 @@ class ModelDocument(BaseModel):
         Field(
             description="What control values are. `spline`: those of a clamped cubic B-spline in theta_diff, two more "
             "than knots (one, a constant, if there is one knot); for amplitude, kappa and gamma it is a spline of the "
-            "logarithms. `linear`: values at the knots, between which log(1 + amplitude) and the others are linear."
+            "logarithms. `linear`: values at the knots, between which log(1 + amplitude) and the others are linear. "
+            "Before the first and after the last knot, the value there is kept."
         ),
     ]
     amplitude: AmplitudeCurves

@@ -173,7 +173,8 @@ def keep_busy(server: Server, seconds: float) -> None:
 
 
 def test_aborted_requests_are_logged_as_client_errors(target: Target) -> None:
-    paths = ("/v1/fits", f"/v1/fits/{target.fit}/brdf", f"/v1/fits/{target.fit}/components/diffuse/brdf", "/v1/measurements")
+    fit = f"/v1/fits/{target.fit}"
+    paths = ("/v1/fits", f"{fit}/brdf", f"{fit}/components/diffuse/brdf", "/v1/measurements")
     types = (JSON, JSON, NPY, MEASUREMENT)
     for path, media_type in zip(paths, types, strict=True):
         head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Request-ID: gone\r\nContent-Type: {media_type}\r\n"

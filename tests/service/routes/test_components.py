@@ -1,4 +1,4 @@
-"""Components over HTTP: those that have light, readable, adding up to the fit, computed once and not on the event loop."""
+"""Components over HTTP: readable, adding up to the fit, absent without light, computed once and in a thread."""
 
 import asyncio
 import threading
@@ -18,7 +18,7 @@ from service.storage.schema import FitKey
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
-POINTS = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
+POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
 
 @pytest.fixture(scope="session")
