@@ -16,7 +16,17 @@ from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf import DSBRDF, Decomposition, FitReport, InvalidArgumentError, Measurement, decompose, profiles, read_merl
+from dsbrdf import (
+    DSBRDF,
+    Component,
+    Decomposition,
+    FitReport,
+    InvalidArgumentError,
+    Measurement,
+    decompose,
+    profiles,
+    read_merl,
+)
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
@@ -92,7 +102,7 @@ class ModelCache:
             self._models.popitem(last=False)
         return loaded
 
-    async def component(self, key: FitKey, label: str | None) -> ReflectanceModel:
+    async def component(self, key: FitKey, label: str | None) -> DSBRDF | Component:
         """Return the model of a fit, or one of its components.
 
         Raises ProblemError as `get`, and if the component has no light; InvalidArgumentError if there is no such label.
@@ -260,7 +270,7 @@ def _in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     return half_difference(omega_in, omega_out)
 
 
-def _pictures(model: DSBRDF, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
+def _pictures(model: ReflectanceModel, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
     """Return the exposure and the pictures, which all have it."""
     fit = render_sphere(model, size=_SIZE)
     reference = fit if measurement is None else render_sphere(measurement, size=_SIZE)

@@ -13,10 +13,10 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
+from dsbrdf import DSBRDF, Component
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.reflectance import ReflectanceModel
-from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export import FORMATS, GUIDE, export_model
 from dsbrdf.output.export.merl import merl_parts
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
@@ -207,8 +207,8 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
     some seconds; `csv` the parameters.
     """
-    if wanted.component == schemas.GUIDE:
-        model: ReflectanceModel = (await context.models.decomposition(fit)).guide
+    if wanted.component == GUIDE:
+        model: DSBRDF | Component = (await context.models.decomposition(fit)).guide
     else:
         model = await context.models.component(fit, wanted.component)
     row = await context.fit_row(fit)
@@ -227,7 +227,7 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     return StreamingResponse(_pieces(file), 200, headers, media_type)
 
 
-def _stored(model: ReflectanceModel, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
+def _stored(model: DSBRDF | Component, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
     """Return an exported file and its size; it is on the disk, so that a slow client takes no memory."""
     content = export_model(model, file_format)
     file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)

@@ -13,13 +13,12 @@ from pydantic_core import PydanticCustomError
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.render import LIGHTINGS
-from dsbrdf.output.export import FORMATS
+from dsbrdf.output.export import FORMATS, GUIDE, PARTS
 from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
 from service.wire.model_document import ModelDocument
 
-GUIDE = "guide"
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
 
@@ -253,7 +252,7 @@ class Export(_Input):
         Field(description="Format of the file; `materialx` takes some seconds."),
     ]
     component: Annotated[
-        Literal[*LABELS, GUIDE] | None,  # type: ignore[valid-type]
+        Literal[*PARTS] | None,  # type: ignore[valid-type]
         Field(
             description="One component instead of the whole fit, in a format that holds values or a shader; or "
             f"`{GUIDE}`, the components' own lobes together as a small model, in any format."

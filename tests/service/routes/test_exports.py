@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import FORMATS, export_model, merl_table
+from dsbrdf.output.export import FORMATS, export_model, merl_table, part_of
 from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json, from_npz
 from tests.support.models import assert_same_bits
@@ -58,8 +58,8 @@ def test_formats_of_other_programs_are_those_of_the_library(
 ) -> None:
     query = {"format": file_format} | ({} if component is None else {"component": component})
     answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
-    kind, parts = FORMATS[file_format], dsbrdf.decompose(model)
-    expected = {None: model, "guide": parts.guide, "diffuse": parts["diffuse"]}[component]
+    kind = FORMATS[file_format]
+    expected = part_of(model, component)
     assert answer.content == export_model(expected, file_format)
     assert answer.headers["content-type"] == kind.media_type
     assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
