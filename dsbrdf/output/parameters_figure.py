@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from dsbrdf.model.dsbrdf import DSBRDF
 
-_ANGLES = np.radians(np.linspace(0.0, 89.0, 200))
+_ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
 _WIDTH_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
 _STYLES = ("-", "--", "-.", ":")
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.decomposition import Component, decompose
@@ -166,12 +165,11 @@ def headline(file: Path, result: FitResult) -> str:
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return the stored form of a model and its report, after metrics, warnings, components and lobes."""
+    """Return the stored form of a model and its report, after metrics, warnings and components."""
     about = {
         "metrics": None if report is None else asdict(report.metrics),
         "warnings": [] if report is None else list(report.warnings),
         "components": component_documents(model),
-        "lobes": lobes_document(model),
     }
     stored: dict[str, Any] = json.loads(to_json(model, report))
     return about | stored
@@ -180,22 +178,6 @@ def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
     """Return the components of a model, from narrow to wide, as they are written to JSON."""
     return [component_document(component) for component in decompose(model)]
-
-
-def lobes_document(model: DSBRDF) -> dict[str, Any]:
-    """Return the parameters as they are written to JSON: those of `DSBRDF`, with angles in degrees."""
-    arrays: dict[str, Any] = {
-        "theta_diff_deg": _degrees(model.theta_diff),
-        "amplitude": model.amplitude.tolist(),
-        "shape_theta_diff_deg": _degrees(model.shape_theta_diff),
-        "kappa": model.kappa.tolist(),
-        "gamma": model.gamma.tolist(),
-        "center_deg": _degrees(model.center),
-        "elongation_theta_diff_deg": _degrees(model.elongation_theta_diff),
-        "elongation": model.elongation.tolist(),
-        "delta": model.delta.tolist(),
-    }
-    return arrays | {"interpolation": model.interpolation, "lobe": model.lobe}
 
 
 def component_document(component: Component) -> dict[str, Any]:
@@ -216,8 +198,3 @@ def component_document(component: Component) -> dict[str, Any]:
         "half_width_deg": float(np.degrees(component.half_width)),
         "clarity": component.clarity,
     }
-
-
-def _degrees(angles: NDArray[np.float64]) -> Any:
-    """Return angles in degrees, rounded so that 5 degrees are written as 5."""
-    return np.round(np.degrees(angles), 10).tolist()

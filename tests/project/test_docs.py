@@ -24,7 +24,7 @@ from dsbrdf.cli import main as cli
 from dsbrdf.cli.demo import running_service, stop
 from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
-from dsbrdf.model.decomposition import LABELS
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
 from service.settings import Settings
