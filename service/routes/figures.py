@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Path, Query
@@ -37,7 +38,8 @@ router = APIRouter(prefix="/v1", tags=["figures"])
 
 _FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "profiles": profiles_figure,
-    "lobes": lobes_figure,
+    "components": lobes_figure,
+    "lobes": partial(lobes_figure, model_lobes=True),
     "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
     "residual": residual_figure,
 }
@@ -48,7 +50,8 @@ _FIGURE = openapi.response(
     "The figure.", content={kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()}, headers=["ETag"]
 )
 _Figure = Annotated[
-    str, Path(pattern=f"^({'|'.join(_FIGURES)})$", description=f"One of {', '.join(_FIGURES)}.", examples=["lobes"])
+    str,
+    Path(pattern=f"^({'|'.join(_FIGURES)})$", description=f"One of {', '.join(_FIGURES)}.", examples=["components"]),
 ]
 _ImageFormat = Annotated[
     str, Path(pattern=f"^({'|'.join(_MEDIA_TYPES)})$", description="`png` or `svg`.", examples=["svg"])
@@ -88,9 +91,9 @@ async def draw_figure(
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
-    `profiles` measured and fitted values over theta_half; `lobes` the red channel's lobes and their sum; `parameters`
-    amplitude, half width and elongation of each lobe over theta_diff; `residual` the relative difference over
-    theta_half and theta_diff.
+    `profiles` measured and fitted values over theta_half; `components` the red channel's components with
+    their own lobes; `lobes` its lobes in the model; `parameters` height, half width, tail and elongation of the
+    components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
     """
     model = (await context.models.get(fit)).model
     row = await context.fit_row(fit)

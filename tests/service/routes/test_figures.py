@@ -55,6 +55,7 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     ("figure", "media_type", "start"),
     [
         ("profiles.png", "image/png", b"\x89PNG"),
+        ("components.svg", "image/svg+xml", b"<?xml"),
         ("lobes.svg", "image/svg+xml", b"<?xml"),
         ("parameters.svg", "image/svg+xml", b"<?xml"),
         ("residual.png", "image/png", b"\x89PNG"),
@@ -67,6 +68,14 @@ def test_figures_are_drawn(server: Server, fitted: str, figure: str, media_type:
     assert answer.content.startswith(start)
     assert server.http.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
     assert "'hue'" in assert_problem(server.http.get(url, params={"hue": "1"}), 422, "invalid-argument")
+
+
+def test_the_figure_of_components_names_them_and_that_of_lobes_does_not(server: Server, fitted: str) -> None:
+    def texts(figure: str) -> str:
+        return server.http.get(f"/v1/fits/{fitted}/figures/{figure}.svg").text
+
+    assert "components of the fit" in texts("components")
+    assert "components of the fit" not in texts("lobes")
 
 
 def test_a_figure_with_one_tag_has_the_same_bytes(server: Server, fitted: str) -> None:
