@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 START_TIMEOUT = 60.0  # seconds
 STOP_TIMEOUT = 10.0  # seconds
-SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 30, 60)  # of theta_half and theta_diff, for the table of values
+SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 60)  # of theta_half and theta_diff, for the table of values
 
 
 def demo(*, output: OutputFolder = Path("out")) -> int:
