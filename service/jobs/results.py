@@ -7,6 +7,7 @@ stay too, some 300 kB each.
 
 import asyncio
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -150,15 +151,6 @@ class ModelCache:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One lobe of a fit, or its delta term."""
-
-    label: str
-    component: str
-    model: DSBRDF
-
-
-@dataclass(frozen=True, eq=False)
 class FitView:
     """A fit beside its measurement.
 
@@ -174,9 +166,8 @@ class FitView:
         Measured values in the plane of incidence [1/sr].
     horizon_cutoff : float or None
         Largest angle to the normal of the samples in those means [rad].
-    model : DSBRDF
-    parts : tuple of Part
-        They add up to the model.
+    decomposition : Decomposition
+        The model and its components, whose values add up to the model's.
     """
 
     exposure: float
@@ -184,8 +175,7 @@ class FitView:
     measured: Array | None
     polar: Array | None
     horizon_cutoff: float | None
-    model: DSBRDF
-    parts: tuple[Part, ...]
+    decomposition: Decomposition
 
     def profile(self, row: int) -> dict[str, Any]:
         """Return curves over theta_half at one row of theta_diff, in JSON's types; values in 1/sr, by channel."""
@@ -195,27 +185,28 @@ class FitView:
             "node_theta_half_deg": _rounded(np.degrees(THETA_HALF)),
             "measured": None if measured is None else [_rounded(channel) for channel in measured],
             "theta_half_deg": _rounded(np.degrees(_CURVE_ANGLES)),
-            "fit": self._curves(self.model, row),
-            "lobes": [
-                {"label": part.label, "component": part.component, "values": self._curves(part.model, row)}
-                for part in self.parts
-            ],
+            **self._of_components(lambda model: slice_means(model, row, self.horizon_cutoff, _CURVE_ANGLES)),
         }
 
     def plane_of_incidence(self, light: int) -> dict[str, Any]:
         """Return curves over the viewer's angle for one angle of the light [degrees], as `profile` does."""
         measured = None if self.polar is None else self.polar[light // LIGHT_STEP]
-        fit = self.model.evaluate(*_in_plane(np.array([light])))[0]
+        angles = _in_plane(np.array([light]))
         return {
             "theta_in_deg": light,
             "theta_out_deg": _POLAR_ANGLES.tolist(),
             "measured": None if measured is None else [_rounded(channel) for channel in measured.T],
-            "fit": [_rounded(channel) for channel in fit.T],
+            **self._of_components(lambda model: model.evaluate(*angles)[0]),
         }
 
-    def _curves(self, model: DSBRDF, row: int) -> list[list[float | None]]:
-        values = slice_means(model, row, self.horizon_cutoff, _CURVE_ANGLES)
-        return [_rounded(channel) for channel in values.T]
+    def _of_components(self, values: Callable[[ReflectanceModel], Array]) -> dict[str, Any]:
+        """Return curves of the fit and of its components, from what gives the values (n, 3) of a model."""
+
+        def curves(model: ReflectanceModel) -> list[list[float | None]]:
+            return [_rounded(channel) for channel in values(model).T]
+
+        components = [{"label": component.label, "values": curves(component)} for component in self.decomposition]
+        return {"fit": curves(self.decomposition.model), "components": components}
 
 
 class FitViews:
@@ -231,15 +222,16 @@ class FitViews:
         """Return the view of a fit; raises as `ModelCache.get`."""
         loaded = await self._models.get(row.key)
         view = self._views.get(row.key)
-        if view is None or view.model is not loaded.model:
-            view = await to_thread.run_sync(self._make, row, loaded, limiter=self._computing)
+        if view is None or view.decomposition.model is not loaded.model:
+            decomposition = await self._models.decomposition(row.key)
+            view = await to_thread.run_sync(self._make, row, decomposition, limiter=self._computing)
             self._views[row.key] = view
             while len(self._views) > _KEPT:
                 self._views.popitem(last=False)
         self._views.move_to_end(row.key)
         return view
 
-    def _make(self, row: FitRow, loaded: LoadedFit) -> FitView:
+    def _make(self, row: FitRow, decomposition: Decomposition) -> FitView:
         cutoff = row.options["horizon_cutoff_deg"]
         horizon_cutoff = None if cutoff is None else float(np.radians(cutoff))
         measurement = self._measurement(row)
@@ -248,8 +240,8 @@ class FitViews:
             reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
             means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
             polar = interpolate(measurement).evaluate(*_in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
-        factor, pictures = _pictures(loaded.model, measurement)
-        return FitView(factor, pictures, means, polar, horizon_cutoff, loaded.model, _parts(loaded))
+        factor, pictures = _pictures(decomposition.model, measurement)
+        return FitView(factor, pictures, means, polar, horizon_cutoff, decomposition)
 
     def _measurement(self, row: FitRow) -> Measurement | None:
         """Return the fit's measurement, unless it has been deleted."""
@@ -281,19 +273,6 @@ def _pictures(model: ReflectanceModel, measurement: Measurement | None) -> tuple
         pictures["measured"] = displayed(reference, factor)
         pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - seen), 0.0, 1.0)
     return factor, {name: encode_png(picture) for name, picture in pictures.items()}
-
-
-def _parts(loaded: LoadedFit) -> tuple[Part, ...]:
-    model, parts = loaded.model, []
-    widths = np.degrees(lobe_widths(model))
-    if np.any(model.delta):
-        parts.append(Part("delta term", "specular_spike", model.select((), with_delta=True)))
-    for component in loaded.decomposition:
-        for lobe in component.lobes:
-            ring = ", a ring" if model.is_ring[lobe] else ""
-            label = f"lobe {lobe}: {component.label.replace('_', ' ')}, half width {widths[lobe]:.2g}°{ring}"
-            parts.append(Part(label, component.label, model.select((lobe,), with_delta=False)))
-    return tuple(parts)
 
 
 def _rounded(values: Array) -> list[float | None]:

@@ -14,6 +14,7 @@ from starlette.responses import Response
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.output.report_text import lobes_phrase
 from service.access.authentication import COOKIE, same_origin
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
@@ -22,7 +23,17 @@ from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
-from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
+from service.routes.page_text import (
+    COMPONENT_MEANINGS,
+    DOWNLOADS,
+    FIGURES,
+    component_facts,
+    facts_of,
+    metrics_in_words,
+    model_lobes,
+    options_in_words,
+    reproduction,
+)
 from service.storage.schema import FitKey, FitRow
 from service.wire.schemas import Page
 
@@ -81,6 +92,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
     measured = await run_in_threadpool(context.store.measurement, row.owner, row.measurement) is not None
+    model = (await context.models.get(row.key)).model
     return _render(
         "fit.html",
         request,
@@ -89,6 +101,9 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
+        model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",
+        lobes=model_lobes(model),
+        meanings=COMPONENT_MEANINGS,
         **await _shown(context, row),
     )
 
@@ -125,7 +140,7 @@ async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match:
 async def get_profile(
     context: TheContext, fit: TheFit, theta_diff_deg: Annotated[int, Path(ge=0, le=89)], if_none_match: IfNoneMatch = ""
 ) -> Response:
-    """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
+    """Return the measured values, the fit and its components over theta_half, at one theta_diff."""
     view = await context.views.get(await context.fit_row(fit))
     return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
 
@@ -137,7 +152,7 @@ async def get_polar(
     theta_in_deg: Annotated[int, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
-    """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
+    """Return the measured values, the fit and its components in the plane of incidence, for one direction of light."""
     view = await context.views.get(await context.fit_row(fit))
     return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
 
@@ -193,14 +208,11 @@ async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
     decomposition = await context.models.decomposition(row.key)
-    components = [component for component in decomposition if component.lobes or component.model.delta.any()]
-    await run_in_threadpool(lambda: [component.albedo for component in components])  # not while rendering
     return {
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
-        "model": loaded.model,
-        "components": components,
+        "components": [component_facts(component) for component in decomposition],
     }
