@@ -41,9 +41,15 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     for component in components:
         albedo = "  ".join(f"{value:.4f}" for value in component["albedo"])
         color = "  ".join(f"{value:.2f}" for value in component["color"])
-        cells = f"{component['half_width_deg']:>9.2f}°{component['lobe']['tail'][0]:>7.2f}   {albedo:<26}{color:<19}"
+        cells = f"{component['half_width_deg']:>9.2f}°{_usual_tail(component['lobe']):>7.2f}   {albedo:<26}{color:<19}"
         lines.append(f"{component['label']:<16}{cells}{component['clarity']:>7.2f}")
     return lines
+
+
+def _usual_tail(lobe: Mapping[str, Any]) -> float:
+    """Return the median over theta_diff from 0 to 60 degrees, as the half width of a component is."""
+    angles = zip(lobe["theta_diff_deg"], lobe["tail"], strict=True)
+    return float(np.median([tail for angle, tail in angles if angle <= 60.0]))
 
 
 def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -94,7 +94,8 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     for number, (row, one) in enumerate(zip(axes, computed, strict=True)):
         for ax, name, picture in zip(row, names, one["spheres"], strict=True):
             draw_sphere(ax, picture, "" if number else name)
-            ax.set_visible(bool(picture.any()))  # an absent component has no panel
+            for image in ax.images:
+                image.set_visible(bool(picture.any()))  # an absent component has no panel, but its column a title
         row[0].set_ylabel(one.label, fontsize=7)
     return figure
 
