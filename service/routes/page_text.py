@@ -37,10 +37,10 @@ DOWNLOADS = {
 }
 """Formats of the export, and what each is for."""
 FIGURES = {
-    "parameters": "Height, half width, tail and elongation of each component's own lobe over theta_diff",
-    "residual": "Difference of fit and measurement over theta_half and theta_diff",
+    "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),
+    "residual": ("Difference of fit and measurement over theta_half and theta_diff", 326),
 }
-"""Figures that the page of a fit shows, and what is in them."""
+"""Figures that the page of a fit shows: what is in them, and for 1056 pixels of width the height to keep free."""
 COMPONENT_MEANINGS = {
     "colour": "Red, green and blue of the albedo, over the largest.",
     "half width": "θ_half at which its lobe has half the height; the median for θ_diff from 0° to 60°.",
