@@ -219,6 +219,8 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
     expect(curves).to_have_count(1 + components)
     expect(page.locator("#polar-plot-legend")).to_contain_text("diffuse")
     assert page.locator(".components img").count() == components
+    page.locator("#model-lobes summary").click()
+    assert page.locator("#model-lobes img").count() == 1
     for picture in page.locator(".drawn img, .components img").all():
         picture.scroll_into_view_if_needed()
         expect(picture).to_have_js_property("complete", value=True)
