@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import socket
+import sqlite3
 import sys
 import tempfile
 import threading
@@ -61,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return refuse(str(error))
     except OSError as error:
         return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+    except sqlite3.Error as error:
+        return refuse(f"the database in {settings.data_dir} cannot be used: {error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:

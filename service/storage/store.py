@@ -51,18 +51,21 @@ def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
 class Store:
     """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
 
+    `warnings` has a sentence for each thing that was not as it ought to be.
+
     Raises DataFolderError if one has, the folder holds anything else, another release has written it, or the database
     is damaged.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.warnings: list[str] = []
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
         try:
             self.blobs.make_folders()
-            self._remove_orphans()
+            self._match_files_to_rows()
         except sqlite3.DatabaseError as error:
             self.close()
             raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
@@ -115,7 +118,7 @@ class Store:
 
         Raises ProblemError if fits of it are unfinished.
         """
-        with self.database.transaction() as db:
+        with self.blobs.removal() as remove_file, self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
@@ -125,11 +128,8 @@ class Store:
                 )
             delete = f"DELETE FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
-            # If the commit fails, the row stays without its file; if the file went after the commit, the same
-            # file could come in between and be lost. The row is the smaller loss: it is dropped at the start,
-            # or the same file comes again.
             if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
-                self.blobs.remove(sha256)
+                remove_file(sha256)
         return removed
 
     def add_fit(
@@ -278,13 +278,19 @@ class Store:
         )
         return [make(row) for row in rows]
 
-    def _remove_orphans(self) -> None:
-        """Remove what an earlier process was writing when it ended: parts of files, files without row, and so on."""
-        self.blobs.clear_temporary()
-        files = set(self.blobs.all())
-        with self.database.transaction() as db:
-            rows = {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
-            for sha256 in rows - files:
-                db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,))
-        for sha256 in files - rows:
-            self.blobs.remove(sha256)
+    def _match_files_to_rows(self) -> None:
+        """Set files aside that have no row, and look there for those of rows without a file.
+
+        The database may be an older copy, and files may not be there yet: so neither files nor rows are deleted.
+        """
+        with self.database.transaction() as db:  # `dsbrdf purge` may run too
+            rows = {sha256 for (sha256,) in db.execute("SELECT sha256 FROM measurements NOT INDEXED")}
+            self.blobs.clear_temporary(rows)
+            files = set(self.blobs.all())
+            for sha256 in files - rows:
+                self.blobs.set_aside(sha256)
+            missing = sum(not self.blobs.take_back(sha256) for sha256 in rows - files)
+        if files - rows:
+            self.warnings.append(f"{len(files - rows)} files of measurements have no row; they are in the folder lost")
+        if missing:
+            self.warnings.append(f"the files of {missing} measurements are missing; dsbrdf doctor names the first")

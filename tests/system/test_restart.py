@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.commands import start_in_vain
 from tests.support.processes import alive, wait_until
-from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, SLOW, Server
 
 
 def submit_some(server: Server, data: bytes, count: int) -> list[str]:
@@ -150,20 +150,6 @@ def test_open_event_streams_do_not_delay_shutdown(own_server: Callable[..., Serv
     server.start()
     assert server.http.delete(f"/v1/fits/{endless}").json()["status"] == "cancelled"
     assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
-
-
-def test_files_without_rows_and_rows_without_files_are_removed(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fits=False)
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    server.stop()
-    stray = server.data_dir / "blobs" / "00" / f"{'0' * 64}.binary"
-    stray.parent.mkdir()
-    stray.write_bytes(b"")
-    (server.data_dir / "blobs" / sha256[:2] / f"{sha256}.binary").unlink()
-    server.start()
-    assert not server.files()
-    assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
-    assert server.http.post("/v1/measurements", content=data).status_code == 201
 
 
 def test_second_server_on_the_same_folder_is_refused(server: Server, tmp_path: Path) -> None:
