@@ -40,6 +40,7 @@ KINDS: dict[str, Kind] = {
     "unauthorized": Kind(401, "A valid API key is needed", "An API key is needed here; send it as Bearer."),
     "storage-quota": Kind(403, "The key's storage is full", "this key has stored 90.0 of 99.0 MB; delete some."),
     "not-found": Kind(404, "There is no such resource", "There is no fit '0'; GET /v1/fits lists those there are."),
+    "measurement-damaged": Kind(404, "The measurement has to be uploaded again", "The stored measurement is damaged."),
     "method-not-allowed": Kind(405, "The resource does not support this method", "PUT is not supported here."),
     "not-acceptable": Kind(406, "No acceptable representation", "Accept application/json or application/x-npy."),
     "request-timeout": Kind(408, "The request did not arrive in time", "The body stopped for 30 s."),

@@ -91,7 +91,7 @@ async def list_measurements(
         headers=["ETag", "Content-Range", "Content-Disposition"],
     )
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "range-not-satisfiable"),
+    | openapi.problems("not-found", "measurement-damaged", "range-not-satisfiable"),
     openapi_extra={"parameters": [_RANGE]},
 )
 async def download_measurement(
@@ -103,8 +103,10 @@ async def download_measurement(
         return Response(None, 304, headers)
     check_range(request, row.size)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}.binary")
+    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
+    distrust = partial(context.store.blobs.distrust, sha256)
     try:
-        return await run_in_threadpool(OpenFileResponse, context.store.blobs.path(sha256), headers, BINARY)
+        return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256, distrust)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
@@ -116,15 +118,16 @@ async def download_measurement(
     summary="Ask for a measurement",
     responses=openapi.response("The measurement is stored.", headers=["ETag", "Content-Length"])
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found"),
+    | openapi.problems("not-found", "measurement-damaged"),
 )
 async def probe_measurement(
     context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
-    """Tell whether the measurement is stored, so that an upload can be spared."""
+    """Tell whether the measurement is stored and sound, so that an upload can be spared."""
     row, headers = await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
+    await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
 
 

@@ -6,6 +6,7 @@ by, is moved to the folder ``lost``, and comes back when it is wanted.
 
 import errno
 import hashlib
+import logging
 import os
 import re
 import secrets
@@ -23,6 +24,8 @@ _SUFFIX = ".binary"
 _UPLOAD = "upload-"
 _REMOVED = "removed-"
 _NAME = re.compile("[0-9a-f]{64}")
+
+logger = logging.getLogger(__name__)
 
 
 class Incoming:
@@ -117,6 +120,11 @@ class Blobs:
             return "its sha256 is another one"
         self._verified[sha256] = fingerprint
         return None
+
+    def distrust(self, sha256: str) -> None:
+        """Check a measurement's file at the next occasion, although it looks as it did: wrong bytes came out of it."""
+        logger.error("the file of the measurement %s has changed while it was sent; the connection is closed", sha256)
+        self._verified.pop(sha256, None)
 
     @contextmanager
     def removal(self) -> Iterator[Callable[[str], None]]:

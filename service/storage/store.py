@@ -6,6 +6,7 @@ state are written in one transaction. One server at a time may open a data folde
 
 import hashlib
 import json
+import logging
 import sqlite3
 import time
 from collections.abc import Callable, Mapping
@@ -13,13 +14,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import dsbrdf
-from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
+from service.errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs
 from service.storage.database import Database
 from service.storage.schema import IS_UNFINISHED, UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
+
+logger = logging.getLogger(__name__)
 
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
@@ -106,6 +109,19 @@ class Store:
         """Return a measurement's row."""
         query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
         return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
+
+    def measurement_file(self, owner: str, sha256: str) -> Path:
+        """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
+
+        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged.
+        """
+        damage = None if self.measurement(owner, sha256) is None else self.blobs.damage(sha256)
+        if self.measurement(owner, sha256) is None:  # or it has been deleted meanwhile, file and row
+            raise MeasurementNotFoundError(sha256)
+        if damage is not None:
+            logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
+            raise MeasurementDamagedError(damage)
+        return self.blobs.path(sha256)
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
