@@ -1,6 +1,7 @@
 """Ends and beginnings of the server: nothing accepted is lost, nothing stays behind."""
 
 import os
+import resource
 import signal
 import sqlite3
 from collections.abc import Callable
@@ -186,3 +187,18 @@ def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
     assert code == 2
     assert "made by another release" in said
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("limit_mb", [200, 1024])
+def test_limit_of_the_whole_service_is_the_limit_of_each_fit(
+    own_server: Callable[..., Server], data: bytes, limit_mb: int
+) -> None:
+    server = own_server()
+    for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
+        resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
+    fit = server.http.post("/v1/fits", params={"n_lobes": 2}, content=data).json()
+    if limit_mb > 1000:  # but less than the service allows
+        assert fit["status"] == "succeeded"
+    else:
+        assert (fit["error"]["origin"], fit["error"]["type"]) == ("compute", "MemoryLimit")
+    assert "Traceback" not in server.log.read_text()
