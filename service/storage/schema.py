@@ -12,8 +12,10 @@ from typing import Any, Literal, NamedTuple
 from service.errors import DataFolderError
 
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
-# does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
-_TABLES = """
+# does not tell how many rows others have. `size` of a fit is what it takes on the disk, with or without a
+# result: it counts as stored bytes.
+ROW_SIZE = 2_000  # bytes that a fit takes with its places in the indexes, without its result
+_TABLES = f"""
     CREATE TABLE measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
         valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
@@ -27,7 +29,7 @@ _TABLES = """
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
         attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
-        result TEXT, size INTEGER NOT NULL DEFAULT 0,
+        result TEXT, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;

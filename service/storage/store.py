@@ -17,7 +17,17 @@ import dsbrdf
 from service.errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs
 from service.storage.database import Database
-from service.storage.schema import IS_UNFINISHED, UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
+from service.storage.schema import (
+    IS_UNFINISHED,
+    ROW_SIZE,
+    UNFINISHED,
+    Caller,
+    FitKey,
+    FitRow,
+    MeasurementRow,
+    Status,
+    columns,
+)
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
@@ -222,7 +232,7 @@ class Store:
     def complete_fit(self, key: FitKey, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
         """Write a running fit's result and its state; None if it does not run any more."""
         change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?"
-        size = len(document.encode())
+        size = ROW_SIZE + len(document.encode())
         return self._advance(change, (time.time(), json.dumps(metrics), document, size), key, ("running",))
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
