@@ -344,3 +344,35 @@ def test_fit_that_always_crashes_the_service_fails_at_last(tmp_path: Path, monke
         assert place.engine.runs == 4
 
     race(tmp_path, story)
+
+
+@pytest.mark.parametrize(
+    ("interruptions", "delay"),
+    [(1, None), (8, None), (9, 2.0), (10, 4.0), (12, 16.0), (13, 30.0), (99, 30.0), (100, "fails"), (101, "fails")],
+)
+def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interruptions: int, delay: float | str | None
+) -> None:
+    delays: list[float] = []
+    sleep = asyncio.sleep
+
+    async def record(seconds: float) -> None:
+        if seconds >= 1.0:
+            delays.append(seconds)
+            seconds = 0.0
+        await sleep(seconds)
+
+    async def story(place: Race) -> None:
+        key = await place.submit()
+        await place.until_run(1)
+        with place.store.database.transaction() as db:
+            db.execute("UPDATE fits SET interruptions = ?", (interruptions - 1,))
+        await place.break_off()
+        monkeypatch.setattr(asyncio, "sleep", record)
+        await place.jobs.start()  # which counts one more
+        row = await place.end(key)
+        assert row.interruptions == interruptions
+        assert row.status == ("failed" if delay == "fails" else "succeeded")
+        assert delays == ([delay] if isinstance(delay, float) else [])
+
+    race(tmp_path, story)
