@@ -26,6 +26,7 @@ from service.storage.schema import (
     FitRow,
     MeasurementRow,
     Status,
+    checksum,
     columns,
 )
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
@@ -216,9 +217,16 @@ class Store:
         return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
 
     def result(self, key: FitKey) -> str | None:
-        """Return the document of a fit that succeeded."""
-        query = f"SELECT result FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
-        return self._one(lambda row: str(row[0]), query, *key)
+        """Return the document of a fit that succeeded; raise ProblemError if it is not what was written."""
+        query = f"SELECT CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
+        rows = self.database.rows(query, *key)
+        if not rows:
+            return None
+        document, metrics, written = rows[0]
+        if checksum(metrics, document) != written:
+            remedy = "delete the fit and ask for it once more"
+            raise ProblemError("fit-without-result", f"The stored result of the fit is damaged; {remedy}.")
+        return str(document, "utf-8")
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""
@@ -231,9 +239,10 @@ class Store:
 
     def complete_fit(self, key: FitKey, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
         """Write a running fit's result and its state; None if it does not run any more."""
-        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?"
-        size = ROW_SIZE + len(document.encode())
-        return self._advance(change, (time.time(), json.dumps(metrics), document, size), key, ("running",))
+        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?, checksum = ?"
+        content, written = document.encode(), json.dumps(metrics)
+        values = (time.time(), written, document, ROW_SIZE + len(content), checksum(written, content))
+        return self._advance(change, values, key, ("running",))
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
         """Write a fit's error and its state; None if it has ended already."""
