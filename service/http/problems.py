@@ -47,6 +47,7 @@ KINDS: dict[str, Kind] = {
     "measurement-in-use": Kind(409, "Unfinished fits use the measurement", "1 unfinished fits use it; cancel them."),
     "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet.", 1),
     "fit-without-result": Kind(409, "The fit has no result", "The fit failed and has no model."),
+    "fit-ended": Kind(409, "The fit has ended", "The fit has ended as succeeded."),
     "too-large": Kind(413, "The body is too large", "2000000 points are more than the 1000000 allowed."),
     "measurement-too-large": Kind(413, "The file is too long", "The data is longer than 34992012 bytes."),
     "unsupported-media-type": Kind(415, "The body's type or encoding is not supported", "Send a MERL file or JSON."),

@@ -216,6 +216,11 @@ class Store:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
         return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
 
+    def fits_of(self, owner: str, measurement: str, limit: int) -> list[str]:
+        """Return the ids of a measurement's fits, newest first."""
+        query = "SELECT id FROM fits WHERE measurement = ? AND owner = ? ORDER BY seq DESC LIMIT ?"
+        return [fit_id for (fit_id,) in self.database.rows(query, measurement, owner, limit)]
+
     def result(self, key: FitKey) -> str | None:
         """Return the document of a fit that succeeded; raise ProblemError if it is not what was written."""
         query = f"SELECT CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
