@@ -10,6 +10,7 @@ import logging
 import os
 import re
 import secrets
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Container, Iterator
@@ -23,6 +24,7 @@ from service.storage.database import own_folder
 _SUFFIX = ".binary"
 _UPLOAD = "upload-"
 _REMOVED = "removed-"
+_ROOM = 1 << 24  # bytes of free disk space that writing to the database does not use up
 _NAME = re.compile("[0-9a-f]{64}")
 
 logger = logging.getLogger(__name__)
@@ -139,8 +141,11 @@ class Blobs:
             self._verified.pop(sha256, None)
             path, name = self.path(sha256), self.temporary / f"{_REMOVED}{sha256}-{secrets.token_hex(4)}"
             with suppress(FileNotFoundError):
-                path.rename(name)
-                removed.append((path, name))
+                if shutil.disk_usage(self.temporary).free < _ROOM:  # the row's removal takes room: that of the file
+                    path.unlink()
+                else:
+                    path.rename(name)
+                    removed.append((path, name))
 
         try:
             yield remove
