@@ -71,6 +71,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
+        for warning in store.warnings:  # not before: the log has its form only when the folder is open
+            logger.warning("%s", warning)
         engine = make_engine(settings)
         jobs = Jobs(store, engine, settings, metrics)
         models = ModelCache(store, settings.model_cache)

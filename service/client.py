@@ -29,6 +29,7 @@ from service.client_requests import (
     LimitError,
     Loaded,
     Progress,
+    Removal,
     Requests,
     ServiceError,
     Source,
@@ -165,9 +166,12 @@ class Client:
             while True:
                 yield _finish(anext(fits))
 
-    def delete(self, fit_id: str) -> None:
-        """Cancel an unfinished fit, or delete one that has ended."""
-        _finish(self._requests.delete(fit_id))
+    def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
+        """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
+
+        With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
+        """
+        return _finish(self._requests.delete(fit_id, only=only))
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.

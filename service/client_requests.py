@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from io import BufferedReader, BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import httpx
 
@@ -33,6 +33,7 @@ from service.wire.names import check_name
 
 Source = str | PathLike[str] | bytes | Measurement
 Progress = Callable[[float], None]
+Removal = Literal["cancel", "delete"]
 Loaded = tuple[DSBRDF, FitReport | None]
 """The model of a fit, and its report."""
 
@@ -193,9 +194,11 @@ class Requests(Generic[_Fit]):
                 yield self._fit(document)
             url = page.links.get("next", {}).get("url")
 
-    async def delete(self, fit_id: str) -> None:
-        """Cancel an unfinished fit, or delete one that has ended."""
-        await self._call("DELETE", f"/v1/fits/{fit_id}")
+    async def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
+        """Cancel an unfinished fit, or delete one that has ended, as `Client.delete`."""
+        params = {} if only is None else {"only": only}
+        answer = await self._call("DELETE", f"/v1/fits/{fit_id}", params=params)
+        return str(answer.json()["status"])
 
     async def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256, as `Client.upload`."""

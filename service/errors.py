@@ -8,7 +8,8 @@ DSBRDFServiceError
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
 └── ProblemError                     answered with the problem document of its kind
     ├── FitNotFoundError
-    └── MeasurementNotFoundError
+    ├── MeasurementNotFoundError
+    └── MeasurementDamagedError
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """
@@ -71,6 +72,13 @@ class MeasurementNotFoundError(ProblemError):
     def __init__(self, sha256: str) -> None:
         remedy = "upload it with POST /v1/measurements or POST /v1/fits"
         super().__init__("not-found", f"There is no measurement {sha256[:64]!r}; {remedy}.")
+
+
+class MeasurementDamagedError(ProblemError):
+    """The file of a measurement is missing, or has not the bytes that it is named by: what is needed is an upload."""
+
+    def __init__(self, damage: str) -> None:
+        super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:

@@ -12,14 +12,15 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from service.http import problems as table
-from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem, Progress
+from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
 from service.wire.values import JSON
 
 BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
-_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, Progress)  # FastAPI does not find these itself
+# FastAPI does not find these itself.
+_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
 _EXAMPLE_MARK = "example:"
 _WITHOUT_KEY = "/health/"
 _KEY = {

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +15,7 @@ from fastapi import Header
 from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
@@ -89,10 +89,15 @@ def is_current(etag: str, if_none_match: str) -> bool:
 class OpenFileResponse(FileResponse):
     """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
 
-    Raises FileNotFoundError if it has been deleted already.
+    If the whole of it has not the digest `sha256`, its last piece is kept back, which breaks the connection, and
+    `on_damage` is called: the client learns that it has not got what the ETag says. Raises FileNotFoundError if the
+    file has been deleted already.
     """
 
-    def __init__(self, path: Path, headers: Mapping[str, str], media_type: str) -> None:
+    def __init__(
+        self, path: Path, headers: Mapping[str, str], media_type: str, sha256: str, on_damage: Callable[[], None]
+    ) -> None:
+        self._sha256, self._on_damage = sha256, on_damage
         self._file = path.open("rb")
         number = self._file.fileno()
         super().__init__(
@@ -104,8 +109,25 @@ class OpenFileResponse(FileResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the file, or the part of it that is asked for."""
+        digest = hashlib.sha256()
+        held: Message | None = None
+        status = 0
+
+        async def hold_back(message: Message) -> None:
+            nonlocal held, status
+            if held is not None:
+                await send(held)
+            held, status = message, message.get("status", status)
+            digest.update(message.get("body", b""))
+
         with self._file:
-            await super().__call__(scope, receive, send)
+            await super().__call__(scope, receive, hold_back)
+        if held is None or held.get("more_body", True):  # the client has gone
+            return
+        if status == 200 and digest.hexdigest() != self._sha256:
+            self._on_damage()
+        else:
+            await send(held)
 
 
 def check_range(request: Request, size: int) -> None:

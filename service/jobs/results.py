@@ -40,7 +40,7 @@ from dsbrdf.output.png import encode_png
 from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
-from service.errors import FitNotFoundError, ProblemError
+from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from service.storage.schema import FitKey, FitRow
 from service.storage.store import Store
 
@@ -245,11 +245,9 @@ class FitViews:
 
     def _measurement(self, row: FitRow) -> Measurement | None:
         """Return the fit's measurement, unless it has been deleted."""
-        if self._store.measurement(row.owner, row.measurement) is None:
-            return None
         try:
-            return read_merl(self._store.blobs.path(row.measurement))
-        except FileNotFoundError:  # deleted since its row was read
+            return read_merl(self._store.measurement_file(row.owner, row.measurement))
+        except (MeasurementNotFoundError, FileNotFoundError):  # of the file: deleted since its row was read
             return None
 
 

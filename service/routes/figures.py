@@ -22,7 +22,6 @@ from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
-from service.errors import MeasurementNotFoundError, ProblemError
 from service.http import openapi
 from service.http.responses import IfNoneMatch, is_current, tag_of
 from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, TheFit
@@ -84,7 +83,7 @@ async def draw_sphere(
     summary="A figure of a fit",
     responses=_FIGURE
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "fit-not-finished", "invalid-argument", "not-installed"),
+    | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument", "not-installed"),
 )
 async def draw_figure(
     context: TheContext, fit: TheFit, figure: _Figure, image_format: _ImageFormat, if_none_match: IfNoneMatch = ""
@@ -110,7 +109,7 @@ async def draw_figure(
     "/measurements/{sha256}/figures/sphere.png",
     response_class=Response,
     summary="A lit sphere of a measurement",
-    responses=_PICTURE | openapi.problems("not-found", "invalid-argument"),
+    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "invalid-argument"),
 )
 async def draw_measurement(
     context: TheContext,
@@ -124,7 +123,7 @@ async def draw_measurement(
     etag = tag_of(dsbrdf.__version__, sha256, wanted)
 
     def draw() -> bytes:
-        measurement = _measurement(context.store, sha256)
+        measurement = _measurement(context.store, caller.owner, sha256)
         return _sphere(measurement, measurement, wanted)
 
     return await _drawn(context, caller.owner, etag, if_none_match, _PNG, draw)
@@ -156,16 +155,11 @@ def _figure(store: Store, row: FitRow, model: DSBRDF, figure: str, image_format:
 
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
     options = from_wire(row.options)
-    reduced = profiles(_measurement(store, row.measurement, row.name), horizon_cutoff=options.horizon_cutoff)
+    reduced = profiles(_measurement(store, row.owner, row.measurement, row.name), horizon_cutoff=options.horizon_cutoff)
     return encode_figure(_FIGURES[figure](reduced, model), image_format)
 
 
-def _measurement(store: Store, sha256: str, name: str | None = None) -> Measurement:
-    """Return a stored measurement, whose file is mapped; raise ProblemError if it has been deleted or is damaged."""
-    damage = store.blobs.damage(sha256)
-    if damage is not None:
-        if not store.blobs.path(sha256).exists():
-            raise MeasurementNotFoundError(sha256)
-        raise ProblemError("internal", f"The stored measurement is damaged ({damage}); upload it again.")
-    measurement = map_merl(store.blobs.path(sha256), sha256)
+def _measurement(store: Store, owner: str, sha256: str, name: str | None = None) -> Measurement:
+    """Return a stored measurement, whose file is mapped; raises as `Store.measurement_file`."""
+    measurement = map_merl(store.measurement_file(owner, sha256), sha256)
     return replace(measurement, name=name or sha256[:12])

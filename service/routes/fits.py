@@ -174,22 +174,27 @@ async def get_fit(
 
 @router.delete(
     "/{fit_id}",
-    dependencies=NO_QUERY,
-    response_model=schemas.FitDocument,
+    response_model=schemas.RemovedFit,
     summary="Cancel or delete a fit",
-    responses=openapi.response("The fit was unfinished and is cancelled.", examples.CANCELLED_FIT)
-    | openapi.response("The fit had ended and is deleted.", status=204)
-    | openapi.problems("not-found", "disk-full"),
+    responses=openapi.response("The fit is cancelled or deleted, as the answer says.", examples.REMOVED_FIT)
+    | openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
 )
-async def delete_fit(context: TheContext, fit: TheFit) -> Response:
-    """Cancel an unfinished fit (200, it stays in the list), or delete one that has ended (204)."""
-    row = await context.jobs.cancel(fit)
-    if row is not None:
-        return json_reply(await _document(context, row))
-    if not await in_write_thread(context.store.remove_fit, fit):
-        raise FitNotFoundError(fit.id)
-    context.models.forget(fit)
-    return Response(status_code=204)
+async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Removal, Query()]) -> Response:
+    """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
+
+    `only` asks for one of them alone: a fit may end just before it is to be cancelled.
+    """
+    if wanted.only != "delete" and await context.jobs.cancel(fit) is not None:
+        return json_reply(schemas.RemovedFit(id=fit.id, status="cancelled"))
+    if wanted.only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
+        context.models.forget(fit)
+        return json_reply(schemas.RemovedFit(id=fit.id, status="deleted"))
+    row = await context.fit_row(fit)
+    if row.ended:
+        raise ProblemError(
+            "fit-ended", f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
+        )
+    raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
 
 
 @exports.get(

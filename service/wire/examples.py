@@ -22,6 +22,7 @@ MEASUREMENT: dict[str, Any] = {
     "valid_nodes": 1_005_210,
     "created": _CREATED,
 }
+MEASUREMENT_WITH_FITS: dict[str, Any] = {**MEASUREMENT, "fits": [FIT_ID]}
 MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
@@ -87,6 +88,7 @@ FIT: dict[str, Any] = {**_SUMMARY, "warnings": [], "components": COMPONENTS["ite
 FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
 _WITHOUT_RESULT = dict.fromkeys(("metrics", "components", "model"))
 CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, **_WITHOUT_RESULT}
+REMOVED_FIT: dict[str, Any] = {"id": FIT_ID, "status": "cancelled"}
 RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
 
 SUBMISSION: dict[str, Any] = {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}}

@@ -200,6 +200,25 @@ class FitDocument(FitSummary):
     model: ModelDocument | None
 
 
+class Removal(_Input):
+    """What a DELETE of a fit is to do."""
+
+    only: Annotated[
+        Literal["cancel", "delete"] | None,
+        Field(description="`cancel` refuses a fit that has ended, `delete` one that has not; otherwise what applies."),
+    ] = None
+
+
+class RemovedFit(BaseModel):
+    """What has become of a fit."""
+
+    id: Annotated[str, Field(pattern=FIT_ID)]
+    status: Annotated[
+        Literal["cancelled", "deleted"],
+        Field(description="`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."),
+    ]
+
+
 class FitList(BaseModel):
     """A page of fits, newest first."""
 
@@ -214,6 +233,12 @@ class MeasurementDocument(BaseModel):
     size: Annotated[int, Field(description="Length of the file [bytes].")]
     valid_nodes: Annotated[int, Field(description="Grid nodes with a value in all channels, above the horizon.")]
     created: datetime
+
+
+class MeasurementDetails(MeasurementDocument):
+    """A stored measurement with its fits."""
+
+    fits: Annotated[list[str], Field(description="Ids of its fits, newest first, at most 200 of them.")]
 
 
 class MeasurementList(BaseModel):
@@ -242,6 +267,12 @@ class Health(BaseModel):
 
     status: Literal["live", "ready"]
     version: str
+
+
+class Readiness(Health):
+    """The state of a service that can take work."""
+
+    lost_files: Annotated[int, Field(description="Files that were set aside; `dsbrdf doctor` says more.")]
 
 
 class Export(_Input):

@@ -118,7 +118,7 @@ def test_upload_of_a_file_that_another_owner_has_is_created(guarded: Guarded, da
     assert fits[0].json()["created"] != fits[1].json()["created"]
     fit = f"/v1/fits/{fits[0].json()['id']}"
 
-    assert server.http.delete(fit, headers=alice).status_code == 204
+    assert server.http.delete(fit, headers=alice).json()["status"] == "deleted"
     assert_problem(server.http.get(fit, headers=alice), 404, "not-found")
     query = "/brdf?theta_half_deg=1&theta_diff_deg=2"
     assert_problem(server.http.get(fit + query, headers=alice), 404, "not-found")
@@ -171,7 +171,7 @@ def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) 
         answer = server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
         assert answer.status_code == 201
     fit = f"/v1/fits/{answer.json()['id']}"
-    assert server.http.delete(fit).status_code == 204
+    assert server.http.delete(fit).json()["status"] == "deleted"
     assert server.http.get(fit).status_code == 404
     assert [item["id"] for item in server.http.get("/v1/fits", headers=key).json()["items"]] == [answer.json()["id"]]
     assert server.http.get(fit, headers=key).json()["status"] == "succeeded"

@@ -195,10 +195,28 @@ def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, sto
     points = {"theta_half_deg": 1, "theta_diff_deg": 1}
     assert server.http.get(f"{url}/brdf", params=points).status_code == 200
     deleted = server.http.delete(url)
-    assert (deleted.status_code, deleted.content) == (204, b"")
+    assert (deleted.status_code, deleted.json()) == (200, {"id": fit_id, "status": "deleted"})
     for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
         assert_problem(gone, 404, "not-found")
     assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
+
+
+def test_client_cancels_or_deletes_only(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", mask=0.15, **ENDLESS).json()["id"]
+    url = f"/v1/fits/{fit_id}"
+    assert_problem(server.http.delete(url, params={"only": "delete"}), 409, "fit-not-finished")
+    assert server.status(fit_id) in ("accepted", "running")
+    cancelled = server.http.delete(url, params={"only": "cancel"})
+    assert (cancelled.status_code, cancelled.json()) == (200, {"id": fit_id, "status": "cancelled"})
+    detail = assert_problem(server.http.delete(url, params={"only": "cancel"}), 409, "fit-ended")
+    assert detail == "The fit has ended as cancelled, there is nothing to cancel; only=delete deletes it."
+    assert server.status(fit_id) == "cancelled"
+    for wrong in ("both", ""):
+        assert_problem(server.http.delete(url, params={"only": wrong}), 422, "invalid-argument")
+    deleted = server.http.delete(url, params={"only": "delete"})
+    assert deleted.json() == {"id": fit_id, "status": "deleted"}
+    for only in ("cancel", "delete"):
+        assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:
