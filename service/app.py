@@ -24,6 +24,7 @@ from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
+from service.jobs.computations import Computations
 from service.jobs.jobs import Jobs
 from service.jobs.results import FitViews, ModelCache
 from service.operations.metrics import Metrics
@@ -76,7 +77,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, jobs, models, FitViews(store, models), keys, metrics, readiness)
+        computations = Computations(FitLimits(settings.fit_seconds, settings.fit_memory_mb))
+        views = FitViews(store, models)
+        app.state.context = Context(settings, store, jobs, models, views, keys, metrics, readiness, computations)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
@@ -90,6 +93,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             for task in regular:
                 task.cancel()
             await asyncio.gather(*regular, return_exceptions=True)
+            await computations.close()
             await jobs.close()
             await engine.close()
             await run_in_threadpool(keys.write_uses, store.database)

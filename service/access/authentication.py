@@ -32,7 +32,8 @@ COOKIE = "dsbrdf_key"
 _KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")
 _SAFE_METHODS = ("GET", "HEAD")
 
-CALLER = "dsbrdf.caller"  # member of the ASGI scope
+CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
+CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
 _LOCAL = Caller()
 # A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
@@ -81,6 +82,7 @@ class AuthenticationMiddleware:
             return None
         owner = scope[CALLER].owner
         caller = f"key {owner}" if owner else str((scope.get("client") or ("",))[0])
+        scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."

@@ -17,7 +17,7 @@ from starlette.routing import Match
 
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
 from dsbrdf.extras import MissingExtraError
-from service.errors import ProblemError, validation_sentence
+from service.errors import HeadOnlyError, ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
@@ -99,6 +99,11 @@ def install(app: FastAPI) -> None:
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
         app.add_exception_handler(expected, _answer_exception)
+    app.add_exception_handler(HeadOnlyError, _answer_head)
+
+
+async def _answer_head(_: Request, error: Exception) -> Response:
+    return Response(None, 200, error.headers if isinstance(error, HeadOnlyError) else None)
 
 
 async def _answer_exception(request: Request, error: Exception) -> Response:

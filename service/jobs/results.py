@@ -5,12 +5,12 @@ fit and measurement, takes up to a second and reads the whole measurement; those
 """
 
 from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
@@ -76,7 +76,7 @@ class ModelCache:
         loaded = await run_in_threadpool(self._load, key)
         if deletions != self._deletions:  # perhaps this fit was deleted after it was read
             return loaded
-        self._models[key] = loaded
+        loaded = self._models.setdefault(key, loaded)  # one that has come together with this request is the same
         while len(self._models) > self._size:
             self._models.popitem(last=False)
         return loaded
@@ -192,14 +192,16 @@ class FitViews:
         self._store = store
         self._models = models
         self._views: OrderedDict[FitKey, FitView] = OrderedDict()
-        self._computing = CapacityLimiter(1)  # one takes a core for up to a second, and some 200 MB
 
-    async def get(self, row: FitRow) -> FitView:
-        """Return the view of a fit; raises as `ModelCache.get`."""
+    async def get(self, row: FitRow, run: Callable[[Hashable, Callable[[], FitView]], Awaitable[FitView]]) -> FitView:
+        """Return the view of a fit; raises as `ModelCache.get`.
+
+        ``run(key, make)`` makes it, once for all who ask with one key: it takes a core for up to a second, and 200 MB.
+        """
         loaded = await self._models.get(row.key)
         view = self._views.get(row.key)
         if view is None or view.model is not loaded.model:
-            view = await to_thread.run_sync(self._make, row, loaded, limiter=self._computing)
+            view = await run(("view", row.key, id(loaded.model)), lambda: self._make(row, loaded))
             self._views[row.key] = view
             while len(self._views) > _KEPT:
                 self._views.popitem(last=False)

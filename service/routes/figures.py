@@ -4,8 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
-from fastapi import APIRouter, Path, Query
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Path, Query, Request
 from starlette.responses import Response
 
 import dsbrdf
@@ -61,7 +60,11 @@ _ImageFormat = Annotated[
     responses=_PICTURE | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def draw_sphere(
-    context: TheContext, fit: TheFit, wanted: Annotated[FitSphere, Query()], if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    wanted: Annotated[FitSphere, Query()],
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
 
@@ -70,7 +73,7 @@ async def draw_sphere(
     whole = await context.models.component(fit, None)
     part = await context.models.component(fit, wanted.component)
     etag = tag_of(dsbrdf.__version__, fit.id, wanted)
-    return await _drawn(context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
+    return await _drawn(request, context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
 
 
 @router.get(
@@ -83,7 +86,12 @@ async def draw_sphere(
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument", "not-installed"),
 )
 async def draw_figure(
-    context: TheContext, fit: TheFit, figure: _Figure, image_format: _ImageFormat, if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    figure: _Figure,
+    image_format: _ImageFormat,
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -99,7 +107,7 @@ async def draw_figure(
     def draw() -> bytes:
         return _figure(context.store, row, model, figure, image_format)
 
-    return await _drawn(context, fit.owner, etag, if_none_match, media_type, draw)
+    return await _drawn(request, context, fit.owner, etag, if_none_match, media_type, draw)
 
 
 @router.get(
@@ -109,6 +117,7 @@ async def draw_figure(
     responses=_PICTURE | openapi.problems("not-found", "invalid-argument"),
 )
 async def draw_measurement(
+    request: Request,
     context: TheContext,
     caller: TheCaller,
     sha256: Sha256,
@@ -123,19 +132,24 @@ async def draw_measurement(
         measurement = _measurement(context.store, sha256)
         return _sphere(measurement, measurement, wanted)
 
-    return await _drawn(context, caller.owner, etag, if_none_match, _PNG, draw)
+    return await _drawn(request, context, caller.owner, etag, if_none_match, _PNG, draw)
 
 
 async def _drawn(
-    context: Context, owner: str, etag: str, if_none_match: str, media_type: str, draw: Callable[[], bytes]
+    request: Request,
+    context: Context,
+    owner: str,
+    etag: str,
+    if_none_match: str,
+    media_type: str,
+    draw: Callable[[], bytes],
 ) -> Response:
-    """Return a picture, drawn in a thread unless the client has it."""
-    headers = {"ETag": etag}
+    """Return a picture, which is drawn unless the client has it."""
     if is_current(etag, if_none_match):
-        return Response(None, 304, headers)
-    async with context.drawing.slot(owner):
-        content = await run_in_threadpool(draw)
-    return Response(content, 200, headers, media_type)
+        return Response(None, 304, {"ETag": etag})
+    headers = {"ETag": etag, "Content-Type": media_type}
+    content = await context.computations.run(request, ("figure", owner, etag), draw, headers, "medium")
+    return Response(content, 200, headers)
 
 
 def _sphere(whole: DSBRDF | Measurement, part: DSBRDF | Measurement, wanted: Sphere) -> bytes:

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Iterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -13,18 +13,19 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF
 from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.engines.export_step import export_step
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
-from service.errors import FitNotFoundError, ProblemError
+from service.errors import FitNotFoundError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
+from service.jobs.computations import Place, departure
 from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
@@ -37,7 +38,8 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"])
 exports = APIRouter(prefix="/v1/fits", tags=["export"])
 
 _MAX_JSON = 1 << 16
-_LOSSLESS = ("json", "npz")  # made at once, and what the Python client asks for; others take up to some seconds
+_LOSSLESS = ("json", "npz")  # what the Python client asks for
+_PLACES: dict[str, Place] = {"bsdf": "medium", "bsdf-spectral": "medium", "materialx": "long"}  # others are short
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -199,7 +201,9 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     responses=openapi.response("The file.", content=_EXPORTED, headers=["Content-Disposition"])
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
-async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
+async def export_fit(
+    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
+) -> Response:
     """Return the model, or one component, for another program.
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
@@ -211,26 +215,30 @@ async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     row = await context.fit_row(fit)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
-    media_type, folder = FORMATS[wanted.format].media_type, context.store.blobs.temporary
+    headers["Content-Type"] = FORMATS[wanted.format].media_type
+    computations, folder = context.computations, context.store.blobs.temporary
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(merl_parts(model, folder), 200, headers, media_type)
+        return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
     report = (await context.models.get(fit)).report if wanted.component is None else None
+    key, place = ("export", fit, wanted.format, wanted.component), _PLACES.get(wanted.format, "short")
+    if place == "long":
+        content = await computations.run_in_process(request, key, export_step, model, wanted.format, head=headers)
+    else:
+        export = partial(export_model, model, wanted.format, report)
+        content = await computations.run(request, key, export, headers, place)
     if wanted.format in _LOSSLESS:
-        return Response(await run_in_threadpool(export_model, model, wanted.format, report), 200, headers, media_type)
-    async with context.exporting.slot(fit.owner):
-        file, size = await run_in_threadpool(_stored, model, wanted.format, folder)
-    headers["Content-Length"] = str(size)
-    return StreamingResponse(_pieces(file), 200, headers, media_type)
+        return Response(content, 200, headers)
+    file = await run_in_threadpool(_stored, content, folder)
+    return StreamingResponse(_pieces(file), 200, {**headers, "Content-Length": str(len(content))})
 
 
-def _stored(model: DSBRDF, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
-    """Return an exported file and its size; it is on the disk, so that a slow client takes no memory."""
-    content = export_model(model, file_format)
+def _stored(content: bytes, folder: Path) -> IO[bytes]:
+    """Return a file with this content: it is on the disk, so that a slow client takes no memory."""
     file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
     file.write(content)
     file.seek(0)
-    return file, len(content)
+    return file
 
 
 def _pieces(file: IO[bytes]) -> Iterator[bytes]:
@@ -286,7 +294,7 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
         row = await context.jobs.wait(fit, 0)
     else:
         async with (
-            _task_of(_departure(request)) as gone,
+            _task_of(departure(request)) as gone,
             _task_of(revocation(context.keys, caller)) as revoked,
         ):
             row = await context.jobs.wait(fit, seconds, gone, revoked)
@@ -305,13 +313,6 @@ async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.T
         yield task
     finally:
         task.cancel()
-
-
-async def _departure(request: Request) -> None:
-    """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # of a body that is not read and arrives too slowly
-        while (await request.receive())["type"] != "http.disconnect":
-            pass
 
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:

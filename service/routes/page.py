@@ -1,6 +1,7 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 from collections.abc import Callable, Coroutine
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
@@ -20,12 +21,14 @@ from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, r
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
-from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP
+from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
 from service.storage.schema import FitKey, FitRow
 from service.wire.schemas import Page
+from service.wire.values import JSON
 
+_HTML = {"Content-Type": "text/html; charset=utf-8"}
 _PNG = "image/png"
 _MAX_FORM = 1 << 12
 
@@ -89,7 +92,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
-        **await _shown(context, row),
+        **await _shown(request, context, row),
     )
 
 
@@ -101,21 +104,23 @@ async def get_comparison(
     if len(fits) != 2:
         raise InvalidArgumentError(f"Two fits are compared at a time; tick two in the list, not {len(fits)}.")
     rows = [await context.fit_row(FitKey(caller.owner, fit_id)) for fit_id in fits]
-    return _render("compare.html", request, sides=[await _shown(context, row) for row in rows])
+    return _render("compare.html", request, sides=[await _shown(request, context, row) for row in rows])
 
 
 @router.get("/fits/{fit_id}/view")
-async def get_view(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+async def get_view(request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
-    view = await context.views.get(await context.fit_row(fit))
+    view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
     return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
-async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = "") -> Response:
+async def get_sphere(
+    request: Request, context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = ""
+) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await context.views.get(await context.fit_row(fit))
+    view = await _view(request, context, fit, _PNG)
     if name not in view.pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
     return tagged_reply(view.pictures[name], if_none_match, _PNG)
@@ -123,23 +128,30 @@ async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match:
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
 async def get_profile(
-    context: TheContext, fit: TheFit, theta_diff_deg: Annotated[int, Path(ge=0, le=89)], if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    theta_diff_deg: Annotated[int, Path(ge=0, le=89)],
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
-    view = await context.views.get(await context.fit_row(fit))
-    return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
+    view = await _view(request, context, fit)
+    key, draw = ("profile", fit, theta_diff_deg), partial(view.profile, theta_diff_deg)
+    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
 
 
 @router.get("/fits/{fit_id}/polar/{theta_in_deg}")
 async def get_polar(
+    request: Request,
     context: TheContext,
     fit: TheFit,
     theta_in_deg: Annotated[int, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
-    view = await context.views.get(await context.fit_row(fit))
-    return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
+    view = await _view(request, context, fit)
+    key, draw = ("polar", fit, theta_in_deg), partial(view.plane_of_incidence, theta_in_deg)
+    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
 
 
 @router.get("/docs")
@@ -189,12 +201,19 @@ def _render(template: str, request: Request, status: int = 200, **values: Any) -
     return render(template, request.url.path, status, signed_in=COOKIE in request.cookies, **values)
 
 
-async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
+async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:
+    """Return the view of a fit, which is computed once for all who ask for a part of it."""
+    run = partial(context.computations.run, request, head={"Content-Type": media_type}, place="medium")
+    return await context.views.get(await context.fit_row(fit), run)
+
+
+async def _shown(request: Request, context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
     decomposition = await context.models.decomposition(row.key)
     components = [component for component in decomposition if component.lobes or component.model.delta.any()]
-    await run_in_threadpool(lambda: [component.albedo for component in components])  # not while rendering
+    # Not while rendering.
+    await context.computations.run(request, ("albedo", row.key), lambda: [part.albedo for part in components], _HTML)
     return {
         "row": row,
         "facts": facts_of(row),

@@ -1,4 +1,4 @@
-"""Points at which a model is evaluated, and responses with its values.
+"""Points at which a model is evaluated, and what is sent of its values.
 
 Points are half and difference angles, or pairs of directions, as text or arrays. Many points are kept in a temporary
 file, and their values leave as JSON or .npy block by block as the client reads them, so that memory stays small.
@@ -7,7 +7,7 @@ file, and their values leave as JSON or .npy block by block as the client reads 
 import math
 import mmap
 import os
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from json import JSONEncoder
@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response, StreamingResponse
 
 from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
@@ -38,7 +36,6 @@ _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
-_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
 _encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
@@ -267,40 +264,41 @@ def _npy_form(n_points: int) -> _Form:
 _JSON_FORM = _Form(JSON, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}")
 
 
-async def values_reply(model: DSBRDF, points: Points | StoredPoints, media_type: str, metrics: Metrics) -> Response:
-    """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
-    form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
-    if isinstance(points, StoredPoints):
-        # The length is known beforehand for numbers of equal size, not for their text.
-        headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
-        return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
+@dataclass(frozen=True)
+class ValuesReply:
+    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; how long it takes is noted."""
 
-    def whole() -> Response:
-        with metrics.timing("evaluating"):
-            return Response(form.head + form.write(model, points) + form.tail, media_type=media_type)
+    model: DSBRDF
+    media_type: str
+    metrics: Metrics
 
-    if len(points) <= _MAX_INLINE:
-        return whole()
-    return await run_in_threadpool(whole)
+    def whole(self, points: Points) -> bytes:
+        """Return the answer with some points."""
+        form = self._form(len(points))
+        with self.metrics.timing("evaluating"):
+            return form.head + form.write(self.model, points) + form.tail
 
+    def length_of(self, points: StoredPoints) -> dict[str, str]:
+        """Return the header with the answer's length, which is known beforehand for numbers of equal size only."""
+        if self.media_type != NPY:
+            return {}
+        return {"Content-Length": str(len(self._form(len(points)).head) + 24 * len(points))}
 
-async def _parts(form: _Form, model: DSBRDF, points: StoredPoints, metrics: Metrics) -> AsyncIterator[bytes]:
-    """Yield the parts of a long answer, each computed when the one before has been sent; note how long that took."""
-    seconds = 0.0
-
-    def write(start: int) -> bytes:
-        nonlocal seconds
-        begin = perf_counter()
-        part = form.write(model, points.block(start))
-        seconds += perf_counter() - begin
-        return part
-
-    try:
+    def parts(self, points: StoredPoints) -> Iterator[bytes]:
+        """Yield the parts of a long answer, each computed when it is asked for."""
+        form, seconds = self._form(len(points)), 0.0
         before = form.head
-        for start in range(0, len(points), BLOCK):
-            yield before + await run_in_threadpool(write, start)
-            before = form.between
+        try:
+            for start in range(0, len(points), BLOCK):
+                begin = perf_counter()
+                part = before + form.write(self.model, points.block(start))
+                seconds += perf_counter() - begin
+                yield part
+                before = form.between
+        finally:
+            points.close()
+        self.metrics.record_time("evaluating", seconds)
         yield form.tail
-    finally:
-        points.close()
-    metrics.record_time("evaluating", seconds)
+
+    def _form(self, n_points: int) -> _Form:
+        return _npy_form(n_points) if self.media_type == NPY else _JSON_FORM
