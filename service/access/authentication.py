@@ -22,6 +22,7 @@ from service.access.keys import ActiveKey, Keys
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from service.http.problems import problem_response
+from service.http.request_log import HEALTH
 from service.settings import Settings
 from service.storage.schema import Caller
 
@@ -71,16 +72,16 @@ class AuthenticationMiddleware:
             await self._app(scope, receive, send)
 
     def _begin(self, scope: Scope) -> str | None:
-        """Count a request and return whose it is; None if it is one that anyone may send.
+        """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
 
         A caller may have as many requests in progress as there are free places left: whoever takes all that one can
         get leaves as many to the others.
 
         Raises ProblemError if it has more.
         """
-        if CALLER not in scope:
+        if scope["path"].startswith(HEALTH):
             return None
-        owner = scope[CALLER].owner
+        owner = scope[CALLER].owner if CALLER in scope else ""
         caller = f"key {owner}" if owner else str((scope.get("client") or ("",))[0])
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]

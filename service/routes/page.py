@@ -1,5 +1,6 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
+import asyncio
 from collections.abc import Callable, Coroutine
 from functools import partial
 from importlib.util import find_spec
@@ -31,6 +32,7 @@ from service.wire.values import JSON
 _HTML = {"Content-Type": "text/html; charset=utf-8"}
 _PNG = "image/png"
 _MAX_FORM = 1 << 12
+_FORM_SECONDS = 5.0  # anyone may send one
 
 
 class _PageRoute(APIRoute):
@@ -176,7 +178,13 @@ async def get_sign_in() -> Response:
 @router.post("/sign-in")
 async def sign_in(request: Request, context: TheContext) -> Response:
     """Keep a key in a cookie that no script can read, and lead to the page that was wanted."""
-    form = parse_qs(bytes(await receive_body(request, _MAX_FORM, context.store.blobs.temporary)).decode("latin-1"))
+    try:
+        async with asyncio.timeout(_FORM_SECONDS):
+            body = await receive_body(request, _MAX_FORM, context.store.blobs.temporary)
+    except TimeoutError:
+        detail = f"The form took longer than the {_FORM_SECONDS:g} s that it may take."
+        raise ProblemError("request-timeout", detail, {"Connection": "close"}) from None
+    form = parse_qs(bytes(body).decode("latin-1"))
     key, wanted = (form.get(name, [""])[0].strip() for name in ("key", "wanted"))
     wanted = wanted if PAGE_PATHS.fullmatch(wanted) else "/"
     if not same_origin(request.scope["headers"]):

@@ -102,23 +102,34 @@ class Application:
                 values,
             )
 
-    def ask(self, target: str, key: str, method: str = "GET", body: bytes = b"") -> Exchange:
-        """Begin a request."""
+    def ask(self, target: str, key: str, method: str = "GET", body: bytes = b"", *, stalled: bool = False) -> Exchange:
+        """Begin a request; a stalled one never sends the last byte of its body."""
         path, _, query = target.partition("?")
         headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
         if body:
-            headers.append((b"content-length", str(len(body)).encode()))
+            headers.append((b"content-length", str(len(body) + stalled).encode()))
             headers.append((b"content-type", b"application/json"))
-        scope = {"type": "http", "asgi": {"spec_version": "2.3"}, "http_version": "1.1", "method": method}
-        scope |= {"path": path, "raw_path": path.encode(), "root_path": "", "scheme": "http"}
-        scope |= {"query_string": query.encode(), "headers": headers, "client": ("127.0.0.1", 1), "state": {}}
-        scope |= {"server": ("127.0.0.1", 80)}
+        scope: dict[str, Any] = {
+            "type": "http",
+            "asgi": {"spec_version": "2.3"},
+            "http_version": "1.1",
+            "method": method,
+            "scheme": "http",
+            "path": path,
+            "raw_path": path.encode(),
+            "root_path": "",
+            "query_string": query.encode(),
+            "headers": headers,
+            "client": ("127.0.0.1", 1),
+            "server": ("127.0.0.1", 80),
+            "state": {},
+        }
         messages: list[Message] = []
         gone, unsent = asyncio.Event(), [body]
 
         async def receive() -> Message:
             if unsent:
-                return {"type": "http.request", "body": unsent.pop(), "more_body": False}
+                return {"type": "http.request", "body": unsent.pop(), "more_body": stalled}
             await gone.wait()
             return {"type": "http.disconnect"}
 

@@ -1,8 +1,13 @@
 """Signing in on the page: the key in a cookie, which serves pages of the service itself and nobody else."""
 
+import asyncio
+from pathlib import Path
+
 import httpx
 import pytest
 
+from service.routes import page
+from tests.support.application import application
 from tests.support.guarded import Guarded
 from tests.support.server import assert_problem
 
@@ -90,6 +95,17 @@ def test_sign_in_from_another_site_or_with_a_wrong_key_sets_nothing(guarded: Gua
         assert "set-cookie" not in answer.headers
         assert 'role="alert"' in answer.text
         assert key_of(guarded) not in answer.text
+
+
+def test_form_that_does_not_arrive_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        monkeypatch.setattr(page, "_FORM_SECONDS", 0.05)
+        async with application(tmp_path, monkeypatch) as running:
+            answer = await running.ask("/sign-in", "", "POST", b"key=x", stalled=True).end()
+            assert answer.status == 408
+            assert b"longer than the 0.05 s" in answer.body
+
+    asyncio.run(check())
 
 
 def test_sign_out_removes_the_cookie(guarded: Guarded) -> None:

@@ -108,12 +108,17 @@ def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     async def check() -> None:
         async with application(tmp_path, monkeypatch) as running:
             key, computed = running.new_key(), []
+
+            def compute(*_: object) -> bytes:
+                computed.append(1)
+                return b""
+
             with monkeypatch.context() as patch:
-                patch.setattr(fits, "export_model", lambda *_: computed.append(1) or b"")
-                patch.setattr(fits, "merl_parts", lambda *_: (computed.append(1) or b"" for _ in "x"))
-                patch.setattr(figures, "_sphere", lambda *_: computed.append(1) or b"")
-                patch.setattr(FitViews, "_make", lambda *_: computed.append(1))
-                patch.setattr("dsbrdf.model.dsbrdf.DSBRDF.albedo", lambda *_: computed.append(1))
+                patch.setattr(fits, "export_model", compute)
+                patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
+                patch.setattr(figures, "_sphere", compute)
+                patch.setattr(FitViews, "_make", compute)
+                patch.setattr("dsbrdf.model.dsbrdf.DSBRDF.albedo", compute)
                 head = await running.ask(target, key, "HEAD").end()
             get = await running.ask(target, key).end()
             assert (head.status, head.body, computed) == (200, b"", [])
@@ -123,13 +128,17 @@ def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     asyncio.run(check())
 
 
-def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
+@pytest.mark.parametrize("n_requests", [1, 2])
+def test_process_of_an_export_ends_when_its_client_leaves(
+    own_server: Callable[..., Server], data: bytes, n_requests: int
+) -> None:
     server = own_server(require_keys="false", workers="1")
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     wait_until(lambda: not server.workers())
     url = server.http.base_url
     with closing(socket.create_connection((url.host, url.port or 80), timeout=60)) as connection:
-        connection.sendall(f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+        connection.sendall(n_requests * request)
         wait_until(lambda: bool(server.workers()), 20.0)
         (worker,) = server.workers()
     wait_until(lambda: worker not in server.workers())
