@@ -36,6 +36,7 @@ from service.storage.database import Database
 from service.storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
+_EXPORT_SECONDS = 300.0  # that a computation in a process of its own may take; the longest need some 15
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
 logger = logging.getLogger(__name__)
@@ -77,7 +78,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        computations = Computations(FitLimits(settings.fit_seconds, settings.fit_memory_mb))
+        computations = Computations(FitLimits(_EXPORT_SECONDS, settings.fit_memory_mb))
         views = FitViews(store, models)
         app.state.context = Context(settings, store, jobs, models, views, keys, metrics, readiness, computations)
         metrics.collect_from(store.database)
