@@ -16,7 +16,7 @@ from starlette.responses import Response
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
-from service.access.authentication import COOKIE, same_origin
+from service.access.authentication import COOKIE, from_another_site, same_origin
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
@@ -188,7 +188,7 @@ async def sign_in(request: Request, context: TheContext) -> Response:
     key, wanted = (form.get(name, [""])[0].strip() for name in ("key", "wanted"))
     wanted = wanted if PAGE_PATHS.fullmatch(wanted) else "/"
     if not same_origin(request.scope["headers"]):
-        return sign_in_page("/", "Signing in works from this page only; please try again.")
+        return sign_in_page("/", "Signing in works from this page only; please try again.", status=403)
     if context.keys.find(key.encode()) is None:
         return sign_in_page("/", "This is no valid key. It may have been revoked, or a character is missing.")
     secure = "https" in (request.url.scheme, request.headers.get("origin", "").partition(":")[0])
@@ -198,8 +198,10 @@ async def sign_in(request: Request, context: TheContext) -> Response:
 
 
 @router.post("/sign-out")
-async def sign_out() -> Response:
+async def sign_out(request: Request) -> Response:
     """Forget the key of the browser."""
+    if from_another_site(request.scope["headers"]):
+        raise ProblemError("foreign-origin", "Signing out works from the pages of the service only.")
     response = Response(status_code=303, headers={"Location": "./"})
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")
     return response

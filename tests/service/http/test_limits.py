@@ -216,7 +216,7 @@ def test_slow_sign_ins_take_no_place_from_a_key(own_server: Callable[..., Server
 
 
 def test_target_in_absolute_form_names_the_host(impatient: Server) -> None:
-    for target, status in (("http://localhost/v1/fits", b"200"), ("http://evil.example/v1/fits", b"401")):
+    for target, status in (("http://localhost/v1/fits", b"200"), ("http://evil.example/v1/fits", b"421")):
         request = f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
         with connect(impatient, request.encode()) as connection:
             assert rest(connection).split()[1] == status
