@@ -36,7 +36,7 @@ UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format
 # name -> (description, pattern)
 _HEADERS = {
     "X-Request-ID": ("Names the request in the service's log; one that the client sends is kept.", "^[A-Za-z0-9._-]+$"),
-    "Location": ("Where the fit or the measurement is.", "^/v1/"),
+    "Location": ("Where the fit or the measurement is.", "/v1/"),
     "Retry-After": ("Time after which to ask again [s].", "^[0-9]+$"),
     "ETag": ("Strong validator of the content, for `If-None-Match`.", '^"[0-9a-f]+"$'),
     "Link": ('The next page, `rel="next"`; not on the last one.', 'rel="next"$'),

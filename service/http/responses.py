@@ -38,6 +38,7 @@ _DEFAULT_HEADERS = (
     (b"cache-control", b"private, no-cache"),
 )
 _PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
+_PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
@@ -51,6 +52,15 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
     given = {name for name, _ in complete}
     complete += [header for header in _DEFAULT_HEADERS if header[0] not in given]
     return complete
+
+
+def prefix_of(request: Request) -> str:
+    """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
+
+    Whoever sends it, it changes only what this client is told of where things are.
+    """
+    given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
+    return given if _PREFIX.fullmatch(given) else ""
 
 
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
@@ -132,7 +142,7 @@ def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementR
         return {}
     names = {} if page.name is None else {"name": page.name}
     query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
-    return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
+    return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:

@@ -24,7 +24,7 @@ from service.errors import FitNotFoundError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
-from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
+from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from service.jobs.computations import Place, departure
 from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from service.storage.schema import Caller, FitKey, FitRow
@@ -121,7 +121,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    fit, headers = await _document(context, row), {"Location": f"/v1/fits/{row.id}"}
+    fit, headers = await _document(context, row), {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
     if row.ended:
         return json_reply(fit, 201 if new else 200, headers)
     return json_reply(fit, 202, {**headers, "Retry-After": "1"})

@@ -12,7 +12,15 @@ from service.errors import MeasurementNotFoundError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
-from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
+from service.http.responses import (
+    IfNoneMatch,
+    OpenFileResponse,
+    check_range,
+    is_current,
+    json_reply,
+    next_page,
+    prefix_of,
+)
 from service.routes.dependencies import NO_QUERY, Sha256, TheCaller, TheContext, name_of, no_query
 from service.routes.fits import CONTENT_ENCODING, NAMES
 from service.storage.uploads import in_write_thread
@@ -53,7 +61,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     add = partial(context.store.add_measurement, caller, name=name_of(request))
     with context.metrics.timing("upload"):
         row, new = await context.store.uploads.receive(caller, upload_body(request), add)
-    headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
+    headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
 

@@ -21,7 +21,7 @@ from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
-from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
+from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
 from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
@@ -89,7 +89,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     return _render(
         "fit.html",
         request,
-        code=reproduction(row, str(request.base_url)),
+        code=reproduction(row, f"{str(request.base_url).rstrip('/')}{prefix_of(request)}/"),
         downloads=DOWNLOADS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,

@@ -2,13 +2,14 @@
 
 import asyncio
 from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 
 import pytest
 
 from tests.service.jobs.test_jobs import Race
 from tests.support.guarded import Guarded, new_key
-from tests.support.server import Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 
 def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, fitted: str) -> None:
@@ -58,6 +59,23 @@ def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Cal
     assert server.stop() == 0
     assert "/v1/fits" in server.log.read_text()
     assert "203.0.113.9" not in server.log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [("/brdf", "/brdf"), ("/a/b/", "/a/b"), ("//evil.example", ""), ("/x y", ""), ("x", "")]
+)
+def test_addresses_begin_with_the_prefix_of_the_proxy(
+    server: Server, data: bytes, fitted: str, given: str, expected: str
+) -> None:
+    headers = {"X-Forwarded-Prefix": given}
+    stored = server.http.post("/v1/measurements", content=data, headers=headers)
+    assert stored.headers["location"] == f"{expected}/v1/measurements/{stored.json()['sha256']}"
+    fit = server.http.post("/v1/fits", json={"measurement": stored.json()["sha256"], "options": QUICK}, headers=headers)
+    assert fit.headers["location"] == f"{expected}/v1/fits/{fit.json()['id']}"
+    page = server.http.get("/v1/fits?limit=1", headers=headers)
+    assert page.headers["link"].startswith(f"<{expected}/v1/fits?limit=1&cursor=")
+    code = unescape(server.http.get(f"/fits/{fitted}", headers=headers).text)
+    assert f"curl '{str(server.http.base_url).rstrip('/')}{expected}/v1/fits/{fitted}/brdf?" in code
 
 
 def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> None:
