@@ -139,7 +139,10 @@ def document_of(app: FastAPI) -> dict[str, Any]:
             methods.pop("head", None)  # as GET, without a body
         for operation in methods.values():
             operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
-            # FastAPI adds this of its own accord; a bad id in the path is answered with 404 here.
+            # FastAPI adds these of its own accord; a bad id in the path is answered with 404 here, and a schema of the
+            # items of a stream is no part of version 3.1.
+            for described in operation["responses"].values():
+                described.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
             if "HTTPValidationError" in str(operation["responses"].get("422")):
                 del operation["responses"]["422"]
     _restore_examples(document["paths"])

@@ -253,24 +253,14 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     return fit
 
 
-_EVENT = {
-    "type": "object",
-    "properties": {
-        "event": schemas.Progress.model_json_schema()["properties"]["status"],
-        "data": {"type": "string", "contentMediaType": JSON, "contentSchema": openapi.reference(schemas.Progress)},
-    },
-    "required": ["event", "data"],
-}
-
-
 @router.get(
     "/{fit_id}/events",
     dependencies=NO_QUERY,
     response_class=EventSourceResponse,
     summary="Follow a fit",
     responses=openapi.response(
-        "Events until the fit has ended.",
-        content={"text/event-stream": {"itemSchema": _EVENT, "example": examples.EVENTS}},
+        "Events until the fit has ended; the data of each is a `Progress` document.",
+        content={"text/event-stream": {"schema": {"type": "string"}, "example": examples.EVENTS}},
     )
     | openapi.problems("not-found"),
 )
