@@ -20,7 +20,7 @@ from starlette.types import Receive, Scope, Send
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import Page
-from service.wire.values import JSON
+from service.wire.values import JSON, number_of
 
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
 
@@ -156,7 +156,7 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
         name, _, value = preference.partition(";")[0].partition("=")
         preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
     with suppress(ValueError):
-        seconds = float(preferences.get("wait", ""))
+        seconds = number_of(preferences.get("wait", ""))
         if math.isfinite(seconds) and seconds >= 0:
             return min(seconds, longest)
     return 0.0 if "respond-async" in preferences else min(default, longest)

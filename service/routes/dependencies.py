@@ -1,6 +1,7 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
 import asyncio
+from collections import Counter
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -100,6 +101,17 @@ async def _no_query(request: Request) -> None:
 
 
 NO_QUERY = [Depends(_no_query)]
+
+
+async def _no_repetition(request: Request) -> None:
+    """Refuse a parameter that is given twice: of two values one would have to be ignored."""
+    if request.scope["query_string"]:
+        for name, count in Counter(name for name, _ in request.query_params.multi_items()).items():
+            if count > 1:
+                raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
+
+
+NO_REPETITION = [Depends(_no_repetition)]
 
 
 async def revocation(keys: Keys, caller: Caller) -> None:

@@ -22,7 +22,7 @@ from dsbrdf.output.residual_figure import residual_figure
 from service.errors import MeasurementNotFoundError, ProblemError
 from service.http import openapi
 from service.http.responses import IfNoneMatch, is_current, tag_of
-from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, TheFit
+from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 from service.storage.schema import FitRow
 from service.storage.store import Store
 from service.wire.fit_options import from_wire
@@ -31,7 +31,7 @@ from service.wire.schemas import FitSphere, Sphere
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-router = APIRouter(prefix="/v1", tags=["figures"])
+router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
 _FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "profiles": profiles_figure,

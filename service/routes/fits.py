@@ -26,7 +26,16 @@ from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from service.jobs.computations import Place, departure
-from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
+from service.routes.dependencies import (
+    NO_QUERY,
+    NO_REPETITION,
+    Context,
+    TheCaller,
+    TheContext,
+    TheFit,
+    name_of,
+    revocation,
+)
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
@@ -34,8 +43,8 @@ from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from
 from service.wire.names import MAX_LENGTH, content_disposition
 from service.wire.values import JSON
 
-router = APIRouter(prefix="/v1/fits", tags=["fits"])
-exports = APIRouter(prefix="/v1/fits", tags=["export"])
+router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
+exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
 
 _MAX_JSON = 1 << 16
 _LOSSLESS = ("json", "npz")  # what the Python client asks for

@@ -21,14 +21,14 @@ from service.http.responses import (
     next_page,
     prefix_of,
 )
-from service.routes.dependencies import NO_QUERY, Sha256, TheCaller, TheContext, name_of, no_query
+from service.routes.dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, name_of, no_query
 from service.routes.fits import CONTENT_ENCODING, NAMES
 from service.storage.uploads import in_write_thread
 from service.wire import examples
 from service.wire.names import content_disposition
 from service.wire.schemas import MeasurementDocument, MeasurementList, Page, from_row
 
-router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
 _LINKS = openapi.links(
     "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"

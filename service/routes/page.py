@@ -23,10 +23,10 @@ from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
-from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
+from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
 from service.storage.schema import FitKey, FitRow
-from service.wire.schemas import Page
+from service.wire.schemas import Page, Plain
 from service.wire.values import JSON
 
 _HTML = {"Content-Type": "text/html; charset=utf-8"}
@@ -57,7 +57,7 @@ router = APIRouter(include_in_schema=False)
 pages = APIRouter(route_class=_PageRoute, include_in_schema=False)
 
 
-@pages.get("/")
+@pages.get("/", dependencies=NO_REPETITION)
 async def get_index(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
@@ -133,7 +133,7 @@ async def get_profile(
     request: Request,
     context: TheContext,
     fit: TheFit,
-    theta_diff_deg: Annotated[int, Path(ge=0, le=89)],
+    theta_diff_deg: Annotated[int, Plain, Path(ge=0, le=89)],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
@@ -147,7 +147,7 @@ async def get_polar(
     request: Request,
     context: TheContext,
     fit: TheFit,
-    theta_in_deg: Annotated[int, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
+    theta_in_deg: Annotated[int, Plain, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
