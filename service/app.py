@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import sqlite3
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -37,6 +38,7 @@ from service.storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
 _EXPORT_SECONDS = 300.0  # that a computation in a process of its own may take; the longest need some 15
+_SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
 logger = logging.getLogger(__name__)
@@ -70,6 +72,7 @@ class _Application(FastAPI):
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the parts of the service, and close them in the opposite order."""
     to_thread.current_default_thread_limiter().total_tokens = _THREADS
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
