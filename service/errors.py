@@ -6,6 +6,7 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
+├── HeadOnlyError                    the answer to HEAD is known, and nothing has to be computed
 └── ProblemError                     answered with the problem document of its kind
     ├── FitNotFoundError
     ├── MeasurementNotFoundError
@@ -43,6 +44,14 @@ class DatabaseLostError(DSBRDFServiceError, OSError):
 
 class CheckFailedError(DSBRDFServiceError):
     """A check of `dsbrdf doctor` has found a fault; the message says which, and what would help."""
+
+
+class HeadOnlyError(DSBRDFServiceError):
+    """A HEAD request is answered with 200 and these `headers`, so that what GET would send is not computed."""
+
+    def __init__(self, headers: Mapping[str, str]) -> None:
+        super().__init__("only the head is wanted")
+        self.headers = dict(headers)
 
 
 class ProblemError(DSBRDFServiceError):

@@ -324,7 +324,7 @@ def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
 
     figure = Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
     figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
     return figure
 
 

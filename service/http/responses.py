@@ -20,7 +20,7 @@ from starlette.types import Message, Receive, Scope, Send
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import Page
-from service.wire.values import JSON
+from service.wire.values import JSON, number_of
 
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
 
@@ -38,6 +38,7 @@ _DEFAULT_HEADERS = (
     (b"cache-control", b"private, no-cache"),
 )
 _PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
+_PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
@@ -51,6 +52,15 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
     given = {name for name, _ in complete}
     complete += [header for header in _DEFAULT_HEADERS if header[0] not in given]
     return complete
+
+
+def prefix_of(request: Request) -> str:
+    """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
+
+    Whoever sends it, it changes only what this client is told of where things are.
+    """
+    given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
+    return given if _PREFIX.fullmatch(given) else ""
 
 
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
@@ -154,7 +164,7 @@ def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementR
         return {}
     names = {} if page.name is None else {"name": page.name}
     query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
-    return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
+    return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:
@@ -168,7 +178,7 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
         name, _, value = preference.partition(";")[0].partition("=")
         preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
     with suppress(ValueError):
-        seconds = float(preferences.get("wait", ""))
+        seconds = number_of(preferences.get("wait", ""))
         if math.isfinite(seconds) and seconds >= 0:
             return min(seconds, longest)
     return 0.0 if "respond-async" in preferences else min(default, longest)

@@ -5,15 +5,13 @@ of lit spheres and slices of fit and measurement, takes up to a second and reads
 stay too, some 300 kB each.
 """
 
-import asyncio
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
@@ -22,7 +20,6 @@ from dsbrdf import (
     Component,
     Decomposition,
     FitReport,
-    InvalidArgumentError,
     Measurement,
     decompose,
     profiles,
@@ -31,7 +28,6 @@ from dsbrdf import (
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
-from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
@@ -41,6 +37,7 @@ from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
 from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from service.jobs.computations import Run
 from service.storage.schema import FitKey, FitRow
 from service.storage.store import Store
 
@@ -62,8 +59,6 @@ class LoadedFit:
 
     model: DSBRDF
     report: FitReport | None
-    turn: asyncio.Lock = field(default_factory=asyncio.Lock, repr=False, compare=False)
-    """Of those who want the components, so that they are computed once."""
 
     @cached_property
     def decomposition(self) -> Decomposition:
@@ -74,6 +69,11 @@ class LoadedFit:
     def components(self) -> list[dict[str, Any]]:
         """What documents say of the components; the first use computes their albedos."""
         return [component_document(component) for component in self.decomposition]
+
+    @property
+    def decomposed(self) -> bool:
+        """Whether the components are known already."""
+        return "components" in vars(self)
 
 
 class ModelCache:
@@ -98,38 +98,36 @@ class ModelCache:
         loaded = await run_in_threadpool(self._load, key)
         if deletions != self._deletions:  # perhaps this fit was deleted after it was read
             return loaded
-        self._models[key] = loaded
+        loaded = self._models.setdefault(key, loaded)  # one that has come together with this request is the same
         while len(self._models) > self._size:
             self._models.popitem(last=False)
         return loaded
 
-    async def component(self, key: FitKey, label: str | None) -> DSBRDF | Component:
-        """Return the model of a fit, or one of its components.
+    async def component(self, key: FitKey, label: str | None, run: Run) -> DSBRDF | Component:
+        """Return the model of a fit, or one of its components, which `run` computes at the first use.
 
-        Raises ProblemError as `get`, and if the component has no light; InvalidArgumentError if there is no such label.
+        Raises ProblemError as `get`, and if the component has no light.
         """
         if label is None:
             return (await self.get(key)).model
-        decomposition = await self.decomposition(key)
-        if label not in LABELS:
-            raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {label[:40]!r}.")
+        decomposition = await self.decomposition(key, run)
         if label not in decomposition.labels:
             there = f"it has {' and '.join(decomposition.labels)}" if decomposition.labels else "it reflects no light"
             raise ProblemError("not-found", f"The fit has no component {label}: {there}.")
         return decomposition[label]
 
-    async def decomposition(self, key: FitKey) -> Decomposition:
+    async def decomposition(self, key: FitKey, run: Run) -> Decomposition:
         """Return the components of a fit, whose albedos are known; raises as `get`."""
-        return (await self._decomposed(key)).decomposition
+        return (await self._decomposed(key, run)).decomposition
 
-    async def components(self, key: FitKey) -> list[dict[str, Any]]:
+    async def components(self, key: FitKey, run: Run) -> list[dict[str, Any]]:
         """Return what documents say of the components of a fit; raises as `get`."""
-        return (await self._decomposed(key)).components
+        return (await self._decomposed(key, run)).components
 
-    async def _decomposed(self, key: FitKey) -> LoadedFit:
+    async def _decomposed(self, key: FitKey, run: Run) -> LoadedFit:
         loaded = await self.get(key)
-        async with loaded.turn:
-            await run_in_threadpool(lambda: loaded.components)
+        if not loaded.decomposed:
+            await run(("components", key, id(loaded)), lambda: loaded.components)
         return loaded
 
     def forget(self, *keys: FitKey) -> None:
@@ -216,15 +214,17 @@ class FitViews:
         self._store = store
         self._models = models
         self._views: OrderedDict[FitKey, FitView] = OrderedDict()
-        self._computing = CapacityLimiter(1)  # one takes a core for up to a second, and some 200 MB
 
-    async def get(self, row: FitRow) -> FitView:
-        """Return the view of a fit; raises as `ModelCache.get`."""
+    async def get(self, row: FitRow, run: Run) -> FitView:
+        """Return the view of a fit; raises as `ModelCache.get`.
+
+        `run` makes it, once for all who ask: it takes a core for up to a second, and 200 MB.
+        """
         loaded = await self._models.get(row.key)
         view = self._views.get(row.key)
         if view is None or view.decomposition.model is not loaded.model:
-            decomposition = await self._models.decomposition(row.key)
-            view = await to_thread.run_sync(self._make, row, decomposition, limiter=self._computing)
+            decomposition = await self._models.decomposition(row.key, run)
+            view = await run(("view", row.key, id(loaded.model)), lambda: self._make(row, decomposition))
             self._views[row.key] = view
             while len(self._views) > _KEPT:
                 self._views.popitem(last=False)

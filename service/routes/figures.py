@@ -5,8 +5,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
-from fastapi import APIRouter, Path, Query
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Path, Query, Request
 from starlette.responses import Response
 
 import dsbrdf
@@ -24,7 +23,7 @@ from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
 from service.http import openapi
 from service.http.responses import IfNoneMatch, is_current, tag_of
-from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, TheFit
+from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 from service.storage.schema import FitRow
 from service.storage.store import Store
 from service.wire.fit_options import from_wire
@@ -33,7 +32,7 @@ from service.wire.schemas import FitSphere, Sphere
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-router = APIRouter(prefix="/v1", tags=["figures"])
+router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
 _FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "profiles": profiles_figure,
@@ -64,16 +63,21 @@ _ImageFormat = Annotated[
     responses=_PICTURE | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def draw_sphere(
-    context: TheContext, fit: TheFit, wanted: Annotated[FitSphere, Query()], if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    wanted: Annotated[FitSphere, Query()],
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
 
     The 99th percentile of the whole fit's sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
-    whole = await context.models.component(fit, None)
-    part = await context.models.component(fit, wanted.component)
     etag = tag_of(dsbrdf.__version__, fit.id, wanted)
-    return await _drawn(context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
+    run = context.computations.for_request(request, {"ETag": etag, "Content-Type": _PNG}, "medium")
+    whole = await context.models.component(fit, None, run)
+    part = await context.models.component(fit, wanted.component, run)
+    return await _drawn(request, context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
 
 
 @router.get(
@@ -86,7 +90,12 @@ async def draw_sphere(
     | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument", "not-installed"),
 )
 async def draw_figure(
-    context: TheContext, fit: TheFit, figure: _Figure, image_format: _ImageFormat, if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    figure: _Figure,
+    image_format: _ImageFormat,
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -102,7 +111,7 @@ async def draw_figure(
     def draw() -> bytes:
         return _figure(context.store, row, model, figure, image_format)
 
-    return await _drawn(context, fit.owner, etag, if_none_match, media_type, draw)
+    return await _drawn(request, context, fit.owner, etag, if_none_match, media_type, draw)
 
 
 @router.get(
@@ -112,6 +121,7 @@ async def draw_figure(
     responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "invalid-argument"),
 )
 async def draw_measurement(
+    request: Request,
     context: TheContext,
     caller: TheCaller,
     sha256: Sha256,
@@ -126,19 +136,24 @@ async def draw_measurement(
         measurement = _measurement(context.store, caller.owner, sha256)
         return _sphere(measurement, measurement, wanted)
 
-    return await _drawn(context, caller.owner, etag, if_none_match, _PNG, draw)
+    return await _drawn(request, context, caller.owner, etag, if_none_match, _PNG, draw)
 
 
 async def _drawn(
-    context: Context, owner: str, etag: str, if_none_match: str, media_type: str, draw: Callable[[], bytes]
+    request: Request,
+    context: Context,
+    owner: str,
+    etag: str,
+    if_none_match: str,
+    media_type: str,
+    draw: Callable[[], bytes],
 ) -> Response:
-    """Return a picture, drawn in a thread unless the client has it."""
-    headers = {"ETag": etag}
+    """Return a picture, which is drawn unless the client has it."""
     if is_current(etag, if_none_match):
-        return Response(None, 304, headers)
-    async with context.drawing.slot(owner):
-        content = await run_in_threadpool(draw)
-    return Response(content, 200, headers, media_type)
+        return Response(None, 304, {"ETag": etag})
+    headers = {"ETag": etag, "Content-Type": media_type}
+    content = await context.computations.run(request, ("figure", owner, etag), draw, headers, "medium")
+    return Response(content, 200, headers)
 
 
 def _sphere(whole: ReflectanceModel | Measurement, part: ReflectanceModel | Measurement, wanted: Sphere) -> bytes:

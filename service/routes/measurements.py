@@ -19,9 +19,19 @@ from service.http.responses import (
     is_current,
     json_reply,
     next_page,
+    prefix_of,
     tagged_reply,
 )
-from service.routes.dependencies import NO_QUERY, Context, Sha256, TheCaller, TheContext, name_of, no_query
+from service.routes.dependencies import (
+    NO_QUERY,
+    NO_REPETITION,
+    Context,
+    Sha256,
+    TheCaller,
+    TheContext,
+    name_of,
+    no_query,
+)
 from service.routes.fits import CONTENT_ENCODING, NAMES
 from service.storage.schema import MeasurementRow
 from service.storage.uploads import in_write_thread
@@ -30,7 +40,7 @@ from service.wire.names import content_disposition
 from service.wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
 from service.wire.values import JSON
 
-router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
 _LINKS = openapi.links(
     "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
@@ -66,7 +76,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     add = partial(context.store.add_measurement, caller, name=name_of(request))
     with context.metrics.timing("upload"):
         row, new = await context.store.uploads.receive(caller, upload_body(request), add)
-    headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
+    headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
@@ -18,11 +18,14 @@ from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
 from service.wire.model_document import ModelDocument
+from service.wire.values import check_plain
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
 
 Share = Annotated[float, Field(ge=0, le=1)]
+Plain = BeforeValidator(check_plain)
+"""Of numbers in a query or a path: those that only Python reads are none."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
@@ -90,7 +93,7 @@ class DirectionsRequest(_Input):
 class Page(_Input):
     """Which part of a list."""
 
-    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer.")] = 50
+    limit: Annotated[int, Plain, Field(ge=1, le=200, description="Items in the answer.")] = 50
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None
@@ -106,7 +109,9 @@ class Waiting(_Input):
     """How long to wait for a fit."""
 
     wait: Annotated[
-        float, Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s].")
+        float,
+        Plain,
+        Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
     ] = 0.0
 
 
@@ -298,7 +303,7 @@ class Sphere(_Input):
         Literal[*LIGHTINGS],  # type: ignore[valid-type]
         Field(description="Three lights, or a sky with sun and window."),
     ] = "three_lights"
-    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side.")] = 128
+    size: Annotated[int, Plain, Field(ge=8, le=256, description="Pixels along a side.")] = 128
 
 
 class FitSphere(Sphere):

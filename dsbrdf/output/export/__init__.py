@@ -21,6 +21,7 @@ __all__ = [
     "PARTS",
     "ExportFormat",
     "brdf_explorer_file",
+    "check_holds_component",
     "export_model",
     "glsl_function",
     "materialx_document",
@@ -127,13 +128,18 @@ def export_model(source: DSBRDF | Component, file_format: str, report: FitReport
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
-    found = FORMATS[file_format]
     if isinstance(source, DSBRDF):
-        return found.encode(source, report)
-    if found.encode_component is None:
+        return FORMATS[file_format].encode(source, report)
+    return check_holds_component(file_format)(source)
+
+
+def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
+    """Return what writes a component in a format; raise InvalidArgumentError if the format cannot hold one."""
+    encode = FORMATS[file_format].encode_component
+    if encode is None:
         able = [name for name, kind in FORMATS.items() if kind.encode_component]
         raise InvalidArgumentError(
             f"{file_format} cannot hold a component, whose values are a share of the model's: take "
             f"{', '.join(able[:-1])} or {able[-1]}, or export the guide, which is the components' own lobes together"
         )
-    return found.encode_component(source)
+    return encode

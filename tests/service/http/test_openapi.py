@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
 from pydantic import BaseModel
 
 import service
@@ -61,6 +62,10 @@ def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None
         "GET /health/live",
         "GET /health/ready",
     }
+
+
+def test_document_is_valid(document: dict[str, Any]) -> None:
+    OpenAPIV31SpecValidator(document).validate()
 
 
 def test_every_reference_resolves(document: dict[str, Any]) -> None:

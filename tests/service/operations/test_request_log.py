@@ -71,6 +71,14 @@ def test_request_is_logged_in_one_line(watched: Server) -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", line["time"])
 
 
+def test_line_is_short_however_long_the_path_is(watched: Server) -> None:
+    for path in ("/" + "x" * 60_000, "/v1/fits/" + "%01" * 20_000):
+        assert watched.http.get(path, headers={"X-Request-ID": "long-path"}).status_code in (404, 400)
+    for line in lines_of(watched, "long-path", 2):
+        assert line["path"].endswith(" characters)")
+        assert len(json.dumps(line)) < 5000
+
+
 def test_successful_reads_are_logged_only_on_request(watched: Server, own_server: Callable[..., Server]) -> None:
     talkative = own_server(fits=False, access_log="true")
     for server, expected in ((watched, 0), (talkative, 1)):
@@ -99,11 +107,15 @@ def test_api_key_is_never_logged(watched: Server) -> None:
     watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
     watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
     watched.http.get(f"/v1/{KEY}", headers={"X-Request-ID": KEY})
-    assert len(lines_of(watched, "with-key", 2)) == 2
+    watched.http.get(f"/v1/x{KEY}/_{KEY}", headers=headers)
+    for length in range(440, 500, 3):  # cut somewhere in the key
+        watched.http.get(f"/v1/{'x' * length}{KEY}{KEY}", headers=headers)
+    assert len(lines_of(watched, "with-key", 23)) == 23
     text = watched.log.read_text()
     assert "dsbrdf_0123456789ab_" in text  # whose key it was may be told
     assert SECRET not in text
     assert SECRET[-8:] not in text
+    assert SECRET[:3] not in text
 
 
 def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, sha256: str) -> None:

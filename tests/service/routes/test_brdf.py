@@ -64,6 +64,21 @@ def test_several_points_equal_the_library(server: Server, fitted: str, model: ds
     )
 
 
+def test_what_is_given_once_counts_for_all_points(server: Server, elongated: str) -> None:
+    model = from_json(server.http.get(f"/v1/fits/{elongated}/export?format=json").text)[0]
+    url, theta_half, phi_diff = f"/v1/fits/{elongated}/brdf", [0, 10, 20], [5, 25, 85]
+    expected = model.evaluate(np.radians(theta_half), np.radians(30), np.radians(phi_diff))
+    query = {"theta_half_deg": theta_half, "theta_diff_deg": [30], "phi_diff_deg": phi_diff}
+    close(server.http.get(url, params=query), expected)
+    close(server.http.post(url, json=query), expected)
+    two = server.http.get(f"{url}?theta_half_deg=0&theta_half_deg=10&theta_diff_deg=30")
+    close(two, model.evaluate(np.radians([0, 10]), np.radians(30)))
+    omega_in, omega_out = directions(4, 0), directions(1, 1)
+    expected = model.evaluate_directions(omega_in, omega_out)
+    close(server.http.get(url, params={"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}), expected)
+    close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
+
+
 def test_values_depend_on_phi_diff(server: Server, elongated: str) -> None:
     model = from_json(server.http.get(f"/v1/fits/{elongated}/export?format=json").text)[0]
     theta_half, theta_diff, phi_diff = 20.0, 50.0, np.array([0.0, 35.0, 90.0, -35.0, 400.0])

@@ -1,9 +1,8 @@
-"""Components over HTTP: readable, adding up to the fit, absent without light, computed once and in a thread."""
+"""Components over HTTP: readable, adding up to the fit, absent without light."""
 
 import asyncio
-import threading
-import time
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -12,12 +11,12 @@ import dsbrdf
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, to_json
 from service.errors import ProblemError
-from service.jobs import results
 from service.jobs.results import ModelCache
 from service.storage.schema import FitKey
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
+T = TypeVar("T")
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
 
@@ -150,6 +149,10 @@ class _Results:
         return self._text
 
 
+async def _at_once(_: Hashable, compute: Callable[[], T]) -> T:
+    return compute()
+
+
 def black() -> dsbrdf.DSBRDF:
     shape = np.ones((1, 1, 1))
     return dsbrdf.DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), shape, shape, interpolation="linear")
@@ -159,31 +162,9 @@ def test_a_black_fit_has_no_components() -> None:
     async def check() -> None:
         models = ModelCache(_Results(black()), 1)  # type: ignore[arg-type]
         key = FitKey("", "0" * 32)
-        assert await models.components(key) == []
+        assert await models.components(key, _at_once) == []
         with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-            await models.component(key, "diffuse")
+            await models.component(key, "diffuse", _at_once)
         assert raised.value.kind == "not-found"
 
     asyncio.run(check())
-
-
-def test_components_are_computed_once_and_not_on_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    threads = []
-
-    def slow(model: dsbrdf.DSBRDF) -> dsbrdf.Decomposition:
-        threads.append(threading.current_thread())
-        time.sleep(0.1)
-        return dsbrdf.decompose(model)
-
-    monkeypatch.setattr(results, "decompose", slow)
-
-    async def check() -> None:
-        models = ModelCache(_Results(black()), 1)  # type: ignore[arg-type]
-        key = FitKey("", "0" * 32)
-        await models.get(key)
-        found = await asyncio.gather(*(models.decomposition(key) for _ in range(4)), models.components(key))
-        assert all(decomposition is found[0] for decomposition in found[:4])
-
-    asyncio.run(check())
-    assert len(threads) == 1
-    assert threads[0] is not threading.main_thread()

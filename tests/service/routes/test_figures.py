@@ -15,7 +15,7 @@ from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.serialize import from_json
 from service.http import problems
-from tests.support.server import Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 
 @pytest.mark.parametrize("component", [None, "diffuse"])
@@ -83,6 +83,15 @@ def test_a_figure_with_one_tag_has_the_same_bytes(server: Server, fitted: str) -
     first, second = server.http.get(url), server.http.get(url)
     assert first.headers["etag"] == second.headers["etag"]
     assert first.content == second.content
+
+
+@pytest.mark.parametrize("name", ["$$", "$x_{$"])
+def test_name_of_a_fit_is_no_formula(server: Server, data: bytes, name: str) -> None:
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    query = {**QUICK, "em_iterations": 5, "name": name}
+    fit = server.http.post("/v1/fits", params=query, content=data, headers=kind).json()["id"]
+    for figure in ("profiles", "lobes", "parameters", "residual"):
+        assert server.http.get(f"/v1/fits/{fit}/figures/{figure}.svg").status_code == 200
 
 
 @pytest.mark.parametrize("figure", ["profiles.pdf", "spectrum.png", "sphere.svg"])

@@ -98,6 +98,10 @@ def test_content_types_are_checked(server: Server, data: bytes) -> None:
     for path in ("/v1/fits", "/v1/measurements"):
         answer = server.http.post(path, content=data, headers={"Content-Type": "text/plain"})
         assert "application/octet-stream" in assert_problem(answer, 415, "unsupported-media-type")
+        answer = server.http.post(path, files={"file": b"x"})
+        detail = assert_problem(answer, 415, "unsupported-media-type")
+        assert "application/octet-stream" in detail
+        assert "--data-binary @FILE" in detail
         assert "application/octet-stream" in answer.headers["accept-post"]
 
 
