@@ -285,7 +285,7 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     summary="Follow a fit",
     responses=openapi.response(
         "Events until the fit has ended; the data of each is a `Progress` document.",
-        content={"text/event-stream": {"schema": {"type": "string"}, "example": examples.EVENTS}},
+        content={"text/event-stream": {"example": examples.EVENTS}},
     )
     | openapi.problems("not-found"),
 )

@@ -25,7 +25,7 @@ SHA256 = r"^[0-9a-f]{64}$"
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Plain = BeforeValidator(check_plain)
-"""Of numbers in a query or a path: those that only Python reads are none."""
+"""Of numbers in a query or a path, behind their limits: those that only Python reads are none."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
@@ -93,7 +93,7 @@ class DirectionsRequest(_Input):
 class Page(_Input):
     """Which part of a list."""
 
-    limit: Annotated[int, Plain, Field(ge=1, le=200, description="Items in the answer.")] = 50
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), Plain] = 50
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None
@@ -110,8 +110,8 @@ class Waiting(_Input):
 
     wait: Annotated[
         float,
-        Plain,
         Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
+        Plain,
     ] = 0.0
 
 
@@ -303,7 +303,7 @@ class Sphere(_Input):
         Literal[*LIGHTINGS],  # type: ignore[valid-type]
         Field(description="Three lights, or a sky with sun and window."),
     ] = "three_lights"
-    size: Annotated[int, Plain, Field(ge=8, le=256, description="Pixels along a side.")] = 128
+    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
 
 
 class FitSphere(Sphere):
