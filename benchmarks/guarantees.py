@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 
 Array = NDArray[np.float64]

@@ -50,7 +50,10 @@ def get_repeatedly(url: str, connections: int, seconds: float, key: str = "") ->
             raise SystemExit(f"{url} did not answer every request with 200:\n{text}")
         return _read_wrk(text)
     program = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds), key]
-    return Rate(*json.loads(subprocess.run(program, check=True, capture_output=True, text=True).stdout))
+    run = subprocess.run(program, check=False, capture_output=True, text=True)
+    if run.returncode:
+        raise SystemExit(f"{url} did not answer every request with 200:\n{run.stderr}")
+    return Rate(*json.loads(run.stdout))
 
 
 def _read_wrk(text: str) -> Rate:

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.abandoned_requests import abandoned
 from benchmarks.http_load import PeakMemory, get_repeatedly
 from benchmarks.service import Row
 from dsbrdf.data.merl import FILE_SIZE, write_merl
@@ -126,7 +127,12 @@ def polls(harness: Harness) -> list[Row]:
     return [Row(asked, measured, meanwhile <= 3.0 * before)]
 
 
-PARTS: dict[str, Callable[[Harness], list[Row]]] = {"readers": readers, "stalled": stalled, "polls": polls}
+PARTS: dict[str, Callable[[Harness], list[Row]]] = {
+    "readers": readers,
+    "stalled": stalled,
+    "polls": polls,
+    "abandoned": abandoned,
+}
 
 
 def _fitted(

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.decomposition import LABELS, decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.decomposition import LABELS, decompose
 
 Array = NDArray[np.float64]
 
@@ -43,8 +43,9 @@ def changes_of(measurement: Measurement) -> dict[str, tuple[Measurement, FitOpti
 
 
 def albedos(measurement: Measurement, options: FitOptions) -> Array:
-    """Albedo of each component at normal incidence, channels added, shape (3,)."""
-    return np.array([component.albedo.sum() for component in decompose(fit(measurement, options).model)])
+    """Albedo of each component at normal incidence, channels added, 0 for an absent one, shape (3,)."""
+    found = {component.label: component.albedo.sum() for component in decompose(fit(measurement, options).model)}
+    return np.array([found.get(label, 0.0) for label in LABELS])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -13,7 +13,6 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.png import encode_png
 from dsbrdf.output.sphere_panels import compare_spheres
@@ -94,12 +93,10 @@ def _measure(material: Material) -> Numbers:
 def _numbers(measurement: Measurement, result: FitResult, lighting: str) -> Numbers:
     """Draw a measurement and its fit as arrays that can be stored."""
     compared = compare_spheres(measurement, result.model, lighting=lighting, size=SIZE)
-    empty = {component.label.replace("_", " ") for component in decompose(result.model) if not component.lobes}
-    panels = {title: panel for title, panel in compared.panels.items() if title not in empty}
     metrics = [getattr(result.report.metrics, name) for name in _METRICS]
     return {
-        "titles": np.array(list(panels)),
-        "panels": np.rint(255.0 * np.stack(list(panels.values()))).astype(np.uint8),
+        "titles": np.array(list(compared.panels)),
+        "panels": np.rint(255.0 * np.stack(list(compared.panels.values()))).astype(np.uint8),
         "metrics": np.array(metrics, dtype=np.float64),
         "n_lobes": np.array(result.model.n_lobes),
     }

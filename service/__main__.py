@@ -1,18 +1,24 @@
 """``python -m service``: run the HTTP service."""
 
+import signal
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # what follows takes a second, and Ctrl-C may end it at once
+
 import argparse
 import logging
 import os
 import resource
 import shutil
-import signal
 import socket
+import sqlite3
 import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -61,6 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return refuse(str(error))
     except OSError as error:
         return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+    except sqlite3.Error as error:
+        return refuse(f"the database in {settings.data_dir} cannot be used: {error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:
@@ -92,18 +100,19 @@ def _run(settings: Settings, store: Store) -> int:
         access_log=False,
     )
     # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
-    signal.signal(signal.SIGTERM, _exit)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _exit)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
+        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     server = _Server(config, app)
     place = settings.data_dir.resolve()
     logger.info("serving dsbrdf %s from the data folder %s; Ctrl-C or SIGTERM stops it", app.version, place)
     try:
         server.run()
-    except KeyboardInterrupt:
-        return 0
     except SystemExit as stop:
         return 1 if stop.code else 0
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second signal must not interrupt the cleanup
+        _ignore_signals()
     return 0 if server.started else 1
 
 
@@ -113,6 +122,10 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
         self._app = app
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 (uvicorn's signature)
+        """Begin to end; a second Ctrl-C does not break that off, which takes some seconds at most."""
+        super().handle_exit(signal.SIGTERM, frame)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests and let those in progress end soon."""
@@ -132,8 +145,14 @@ def _exit_at_once() -> None:
 
 
 def _exit(*_: Any) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    _ignore_signals()
     sys.exit(0)
+
+
+def _ignore_signals() -> None:
+    """Let no second signal interrupt the end."""
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import sqlite3
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -24,6 +25,7 @@ from service.access.authentication import AuthenticationMiddleware
 from service.access.keys import Keys
 from service.http import openapi, problems
 from service.http.request_log import RequestLogMiddleware
+from service.jobs.computations import Computations
 from service.jobs.jobs import Jobs
 from service.jobs.results import FitViews, ModelCache
 from service.operations.metrics import Metrics
@@ -35,6 +37,8 @@ from service.storage.database import Database
 from service.storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
+_EXPORT_SECONDS = 300.0  # that a computation in a process of its own may take; the longest need some 15
+_SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
 logger = logging.getLogger(__name__)
@@ -68,15 +72,20 @@ class _Application(FastAPI):
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the parts of the service, and close them in the opposite order."""
     to_thread.current_default_thread_limiter().total_tokens = _THREADS
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
+        for warning in store.warnings:  # not before: the log has its form only when the folder is open
+            logger.warning("%s", warning)
         engine = make_engine(settings)
         jobs = Jobs(store, engine, settings, metrics)
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        app.state.context = Context(settings, store, jobs, models, FitViews(store, models), keys, metrics, readiness)
+        computations = Computations(FitLimits(_EXPORT_SECONDS, settings.fit_memory_mb))
+        views = FitViews(store, models)
+        app.state.context = Context(settings, store, jobs, models, views, keys, metrics, readiness, computations)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()
@@ -90,6 +99,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             for task in regular:
                 task.cancel()
             await asyncio.gather(*regular, return_exceptions=True)
+            await computations.close()
             await jobs.close()
             await engine.close()
             await run_in_threadpool(keys.write_uses, store.database)

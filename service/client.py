@@ -3,7 +3,7 @@
 with Client("http://127.0.0.1:8000") as client:
     fit = client.fit("nickel.binary")
     fit.model.evaluate(theta_half, theta_diff)
-    dsbrdf.decompose(fit.model).diffuse
+    fit.components["diffuse"].albedo
 
 async with AsyncClient("http://127.0.0.1:8000") as client:
     fits = await asyncio.gather(client.fit("nickel.binary"), client.fit("brass.binary"))
@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 import httpx
 
-from dsbrdf import DSBRDF, FitOptions, FitReport, Measurement
+from dsbrdf import DSBRDF, Decomposition, FitOptions, FitReport, Measurement
 from service.client_requests import (
     POLL,
     AccessError,
@@ -29,6 +29,7 @@ from service.client_requests import (
     LimitError,
     Loaded,
     Progress,
+    Removal,
     Requests,
     ServiceError,
     Source,
@@ -44,7 +45,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Fit(FitState):
-    """The state of a fit when `Client` asked for it, with its model."""
+    """The state of a fit when `Client` asked for it, with its model and components."""
 
     @property
     def model(self) -> DSBRDF:
@@ -57,13 +58,18 @@ class Fit(FitState):
         return self._result[1]
 
     @cached_property
+    def components(self) -> Decomposition:
+        """The components that `dsbrdf.decompose` finds in the model, computed by the service."""
+        return _finish(self._decompose(self.id, self.model))
+
+    @cached_property
     def _result(self) -> Loaded:
         return _finish(self._load(self.id))
 
 
 @dataclass(frozen=True)
 class AsyncFit(FitState):
-    """The state of a fit when `AsyncClient` asked for it; its model is a method, because it has to be awaited."""
+    """The state of a fit when `AsyncClient` asked for it; what `Fit` has as properties are methods, to be awaited."""
 
     async def model(self) -> DSBRDF:
         """Return the fitted model, bit for bit as the library fits it."""
@@ -72,6 +78,10 @@ class AsyncFit(FitState):
     async def report(self) -> FitReport | None:
         """Return the library's report of the fit."""
         return (await self._load(self.id))[1]
+
+    async def components(self) -> Decomposition:
+        """Return the components that `dsbrdf.decompose` finds in the model, computed by the service."""
+        return await self._decompose(self.id, await self.model())
 
 
 class Client:
@@ -156,9 +166,12 @@ class Client:
             while True:
                 yield _finish(anext(fits))
 
-    def delete(self, fit_id: str) -> None:
-        """Cancel an unfinished fit, or delete one that has ended."""
-        _finish(self._requests.delete(fit_id))
+    def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
+        """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
+
+        With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
+        """
+        return _finish(self._requests.delete(fit_id, only=only))
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.

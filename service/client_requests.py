@@ -12,11 +12,20 @@ from dataclasses import dataclass, field
 from io import BufferedReader, BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import httpx
 
-from dsbrdf import DSBRDF, FitError, FitOptions, FitReport, InvalidArgumentError, Measurement, MeasurementFormatError
+from dsbrdf import (
+    DSBRDF,
+    Decomposition,
+    FitError,
+    FitOptions,
+    FitReport,
+    InvalidArgumentError,
+    Measurement,
+    MeasurementFormatError,
+)
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.output.serialize import from_json
 from service.wire.fit_options import from_wire, to_wire
@@ -24,6 +33,7 @@ from service.wire.names import check_name
 
 Source = str | PathLike[str] | bytes | Measurement
 Progress = Callable[[float], None]
+Removal = Literal["cancel", "delete"]
 Loaded = tuple[DSBRDF, FitReport | None]
 """The model of a fit, and its report."""
 
@@ -96,6 +106,7 @@ class FitState:
     metrics: dict[str, float | None] | None
     error: dict[str, str] | None
     _load: Callable[[str], Coroutine[Any, Any, Loaded]] = field(repr=False, compare=False)
+    _decompose: Callable[[str, DSBRDF], Coroutine[Any, Any, Decomposition]] = field(repr=False, compare=False)
 
     @property
     def ended(self) -> bool:
@@ -183,9 +194,11 @@ class Requests(Generic[_Fit]):
                 yield self._fit(document)
             url = page.links.get("next", {}).get("url")
 
-    async def delete(self, fit_id: str) -> None:
-        """Cancel an unfinished fit, or delete one that has ended."""
-        await self._call("DELETE", f"/v1/fits/{fit_id}")
+    async def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
+        """Cancel an unfinished fit, or delete one that has ended, as `Client.delete`."""
+        params = {} if only is None else {"only": only}
+        answer = await self._call("DELETE", f"/v1/fits/{fit_id}", params=params)
+        return str(answer.json()["status"])
 
     async def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256, as `Client.upload`."""
@@ -220,9 +233,16 @@ class Requests(Generic[_Fit]):
             await self._transport.sleep(_READY_POLL)
         raise ServiceError({"detail": f"the service at {self._transport.address} is not ready: {last}"})
 
-    async def _result(self, fit_id: str) -> Loaded:
-        """Return the model of a fit that has succeeded, with its report."""
-        return from_json((await self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"})).text)
+    async def _result(self, fit_id: str, **query: str) -> Loaded:
+        """Return the model of a fit that has succeeded, with its report; or another model that the query names."""
+        answer = await self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json", **query})
+        return from_json(answer.text)
+
+    async def _decomposition(self, fit_id: str, model: DSBRDF) -> Decomposition:
+        """Return the components of a fit, whose model is known, as the service has computed them."""
+        guide, _ = await self._result(fit_id, component="guide")
+        items = (await self._call("GET", f"/v1/fits/{fit_id}/components")).json()["items"]
+        return Decomposition(model, guide, tuple(item["label"] for item in items))
 
     async def _call(
         self,
@@ -250,7 +270,9 @@ class Requests(Generic[_Fit]):
     def _fit(self, document: Mapping[str, Any]) -> _Fit:
         names = ("id", "name", "status", "progress", "measurement", "metrics", "error")
         plain = {name: document[name] for name in names}
-        return self._kind(**plain, options=from_wire(document["options"]), _load=self._result)
+        return self._kind(
+            **plain, options=from_wire(document["options"]), _load=self._result, _decompose=self._decomposition
+        )
 
 
 def sha256_of(source: bytes | str | PathLike[str]) -> str:

@@ -6,9 +6,11 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
+├── HeadOnlyError                    the answer to HEAD is known, and nothing has to be computed
 └── ProblemError                     answered with the problem document of its kind
     ├── FitNotFoundError
-    └── MeasurementNotFoundError
+    ├── MeasurementNotFoundError
+    └── MeasurementDamagedError
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """
@@ -44,6 +46,14 @@ class CheckFailedError(DSBRDFServiceError):
     """A check of `dsbrdf doctor` has found a fault; the message says which, and what would help."""
 
 
+class HeadOnlyError(DSBRDFServiceError):
+    """A HEAD request is answered with 200 and these `headers`, so that what GET would send is not computed."""
+
+    def __init__(self, headers: Mapping[str, str]) -> None:
+        super().__init__("only the head is wanted")
+        self.headers = dict(headers)
+
+
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
@@ -71,6 +81,13 @@ class MeasurementNotFoundError(ProblemError):
     def __init__(self, sha256: str) -> None:
         remedy = "upload it with POST /v1/measurements or POST /v1/fits"
         super().__init__("not-found", f"There is no measurement {sha256[:64]!r}; {remedy}.")
+
+
+class MeasurementDamagedError(ProblemError):
+    """The file of a measurement is missing, or has not the bytes that it is named by: what is needed is an upload."""
+
+    def __init__(self, damage: str) -> None:
+        super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf demo``: from a measurement over HTTP to lobes, and a figure that ends with lit spheres.
+"""The command ``dsbrdf demo``: from a measurement over HTTP to components, and a figure that ends with lit spheres.
 
 The service runs in a process of its own, as for any other client; the demo uses it through httpx only.
 """
@@ -26,10 +26,8 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.extras import require
 from dsbrdf.fitting.report import FitReport
-from dsbrdf.model.decomposition import LABELS, decompose
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, overview_figure
-from dsbrdf.output.report_text import components_table, metrics_line
+from dsbrdf.output.report_text import component_lobes_table, components_table, metrics_line
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import compare_spheres
 
@@ -40,8 +38,7 @@ Array = NDArray[np.float64]
 
 START_TIMEOUT = 60.0  # seconds
 STOP_TIMEOUT = 10.0  # seconds
-SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 30, 60)  # of theta_half and theta_diff, for the table of values
-SHOWN_THETA_DIFF = 30.0  # of the parameters [degrees]
+SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 60)  # of theta_half and theta_diff, for the table of values
 
 
 def demo(*, output: OutputFolder = Path("out")) -> int:
@@ -82,7 +79,6 @@ def run_demo(folder: Path) -> None:
             fit = _fit_twice(client, measurement)
             model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_components(client, fit)
-            _show_lobes(model)
             _show_metrics(report)
             _show_values(client, fit, measurement)
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +86,7 @@ def run_demo(folder: Path) -> None:
     spheres = compare_spheres(measurement, model, lighting="environment", size=256)
     overview = overview_figure(profiles(measurement), model, spheres=spheres)
     write_atomically(figure, [encode_figure(overview)])
-    print(f"\n{figure}: profiles, fit and lobes; lit spheres of measurement, fit and components")
+    print(f"\n{figure}: profiles, fit and components; lit spheres of measurement, fit and components")
     print(f"done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data is removed")
 
 
@@ -188,27 +184,13 @@ def _values(client: "httpx.Client", fit: dict[str, Any], path: str, theta_half: 
 
 
 def _show_components(client: "httpx.Client", fit: dict[str, Any]) -> None:
-    """Print the components, and whether their values add up to those of the fit."""
-    _print("", *components_table(_get(client, fit, "lobes").json()["items"]))
+    """Print the components, their own lobes, and whether their values add up to those of the fit."""
+    components = _get(client, fit, "components").json()["items"]
+    _print("", *components_table(components), "", *component_lobes_table(components))
     point = np.array([2.0]), np.array([30.0])
-    parts = [_values(client, fit, f"lobes/{label}/brdf", *point)[0] for label in LABELS]
+    parts = [_values(client, fit, f"components/{component['label']}/brdf", *point)[0] for component in components]
     whole = _values(client, fit, "brdf", *point)[0]
     print(f"largest difference between their sum and the fit: {np.abs(np.sum(parts, axis=0) - whole).max():.1e} /sr")
-
-
-def _show_lobes(model: DSBRDF) -> None:
-    """Print the parameters of each lobe at one theta_diff, in one line."""
-    found = {name: values[0] for name, values in model.parameters_at([np.radians(SHOWN_THETA_DIFF)]).items()}
-    head = f"lobes at theta_diff {SHOWN_THETA_DIFF:.0f}°"
-    print(
-        f"\n{head:<24}{'amplitude red, green, blue [1/sr]':>34}{'kappa':>9}{'gamma':>9}{'center':>9}{'elongation':>12}"
-    )
-    for lobe in range(model.n_lobes):
-        label = next(part.label for part in decompose(model) if lobe in part.lobes)
-        colour = "".join(f"{value:>11.4g}" for value in found["amplitude"][:, lobe])
-        kappa, gamma = found["kappa"][0, lobe], found["gamma"][0, lobe]
-        center = f"{np.degrees(found['center'][0, lobe]):.2f}°"
-        print(f"{lobe}, {label:<21}{colour:>34}{kappa:>9.4g}{gamma:>9.4g}{center:>9}{found['elongation'][lobe]:>12.3f}")
 
 
 def _show_metrics(report: FitReport | None) -> None:

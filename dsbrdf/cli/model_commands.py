@@ -9,17 +9,18 @@ from cyclopts import Parameter
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile
 from dsbrdf.cli.point_arguments import Points
-from dsbrdf.cli.source_files import read_model
+from dsbrdf.cli.source_files import named_part, read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.decomposition import decompose
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
+from dsbrdf.output.serialize import save
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
+GuideFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
 Format = Annotated[str | None, Parameter(name="--format", choices=tuple(FORMATS))]
 
 _NO_POINTS = Points()
@@ -29,7 +30,7 @@ def evaluate(
     model: ModelFile, /, *, points: Points = _NO_POINTS, component: Component = None, json: Json = False
 ) -> int:
     """Print values of a model or of one of its components; return the exit code."""
-    part = _component(read_model(model)[0], component)
+    part = named_part(model, read_model(model)[0], component)
     columns = points.arrays()
     if "omega_in" in columns:
         values = part.evaluate_directions(columns["omega_in"], columns["omega_out"])
@@ -45,31 +46,41 @@ def evaluate(
     return 0
 
 
-def show(model: ModelFile, /, *, json: Json = False) -> int:
-    """Print the report of a fit again; return the exit code."""
+def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", json: Json = False) -> int:
+    """Print the report of a fit again; return the exit code.
+
+    Parameters
+    ----------
+    lobes
+        Print the lobes of the model too, not only those of its components.
+    channel
+        Of the model's lobes in the text.
+    """
     stored, report = read_model(model)
     if json:
         print_json(result_document(stored, report))
     elif report is None:
-        print(f"{model.stem}: {lobes_phrase(stored)}", "", *model_text(stored), sep="\n")
+        print(f"{model.stem}: {lobes_phrase(stored)}", "", *model_text(stored, lobes=lobes, channel=channel), sep="\n")
     else:
-        print(*result_text(model, FitResult(stored, report)), sep="\n")
+        print(*result_text(model, FitResult(stored, report), lobes=lobes, channel=channel), sep="\n")
     return 0
 
 
-def print_components(model: ModelFile, /, *, channel: Channel = "red", json: Json = False) -> int:
-    """Print the components of a model and their lobes; return the exit code.
+def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Json = False) -> int:
+    """Print the components of a model and their own lobes; return the exit code.
 
     Parameters
     ----------
-    channel
-        Channel of the parameters in the text.
+    output
+        Save the guide, which is the components' own lobes together, as a model: .json or .npz.
     """
     stored, _ = read_model(model)
+    if output is not None:
+        save(decompose(stored).guide, output)
     if json:
         print_json({"items": component_documents(stored)})
     else:
-        print(*model_text(stored, channel=channel), sep="\n")
+        print(*model_text(stored), sep="\n")
     return 0
 
 
@@ -87,13 +98,14 @@ def export(
     Parameters
     ----------
     file_format
-        By default that of the file's suffix; merl is a .binary file, a table of values.
+        By default that of the file's suffix; merl is a .binary file, a table of values.  merl, glsl, brdf, bsdf and
+        bsdf-spectral can hold a component, all formats the guide.
     output
         The file to write.
     """
     name = file_format or _format_of(output)
     stored, report = read_model(model)
-    content = export_model(_component(stored, component), name, report if component is None else None)
+    content = export_model(named_part(model, stored, component), name, report if component is None else None)
     write_atomically(output, [content])
     if json:
         print_json({"output": str(output), "format": name, "bytes": len(content)})
@@ -107,7 +119,3 @@ def _format_of(path: Path) -> str:
             return name
     known = ", ".join(dict.fromkeys(f".{file_format.suffix}" for file_format in FORMATS.values()))
     raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or --format must name its format")
-
-
-def _component(model: DSBRDF, label: str | None) -> DSBRDF:
-    return model if label is None else decompose(model)[label].model

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import CoercionError, Parameter, Token, convert
 
-from dsbrdf.model.decomposition import LABELS
+from dsbrdf.output.export import PARTS
 
 
 def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
@@ -24,6 +24,9 @@ RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
 Folder = Annotated[Path, Parameter(metavar="DIR")]
 OutputFolder = Annotated[Path, Parameter(alias="-o", metavar="DIR")]
-Component = Annotated[str | None, Parameter(choices=LABELS, help="One component instead of the whole model.")]
+Component = Annotated[
+    str | None,
+    Parameter(choices=PARTS, help="One component, or the guide (all components' own lobes), instead of the model."),
+]
 Jobs = Annotated[int | None, Whole]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]

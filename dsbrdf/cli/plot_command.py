@@ -12,24 +12,35 @@ from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 
 
-def plot(model: ModelFile, measurement: Path | None = None, /, *, output: OutputFile, json: Json = False) -> int:
+def plot(
+    model: ModelFile,
+    measurement: Path | None = None,
+    /,
+    *,
+    output: OutputFile,
+    lobes: bool = False,
+    json: Json = False,
+) -> int:
     """Draw the fit of a measurement, or the parameters of a model; return the exit code.
 
     Parameters
     ----------
     measurement
-        What was fitted: draws its profiles, the fit and the lobes; without it, the parameters over theta_diff.
+        What was fitted: draws its profiles, the fit and the components; without it, the parameters over
+        theta_diff.
     output
         The file to write: .png, .svg or .pdf.
+    lobes
+        Draw the lobes of the model instead of its components.
     """
     image_format = output.suffix.lower().removeprefix(".")
     if image_format not in IMAGE_FORMATS:
         raise InvalidArgumentError(f"{output}: the figure's file must end in {_endings()}")
     fitted, _ = read_model(model)
     if measurement is None:
-        figure = parameters_figure(fitted, title=model.stem)
+        figure = parameters_figure(fitted, title=model.stem, model_lobes=lobes)
     else:
-        figure = overview_figure(profiles(read_grid(measurement)), fitted)
+        figure = overview_figure(profiles(read_grid(measurement)), fitted, model_lobes=lobes)
     content = encode_figure(figure, image_format)
     write_atomically(output, [content])
     if json:

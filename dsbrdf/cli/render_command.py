@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.parameters import Component, Json, OutputFile, RequiredFiles, Whole
-from dsbrdf.cli.source_files import named_in_errors, read_source
+from dsbrdf.cli.source_files import named_in_errors, named_part, read_source
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
@@ -39,7 +38,7 @@ class Look:
     size
         Of a sphere [pixels].
     component
-        One component instead of the whole model.
+        One component, or the guide (all components' own lobes), instead of the model.
     exposure
         What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
         of the whole material, or of the first source, becomes 1.
@@ -100,15 +99,13 @@ def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, jso
 def _sphere(path: Path, look: Look) -> tuple[Array, dict[str, Any]]:
     """Picture of one source, or of one of its components, and what to report."""
     light, whole = look.light(), read_source(path)
-    source = whole
-    if look.component is not None:
-        if isinstance(whole, Measurement):
-            raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")
-        source = decompose(whole)[look.component].model
-    image = render_sphere(source, lighting=light, size=look.size)
+    if look.component is not None and isinstance(whole, Measurement):
+        raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")
+    part = whole if isinstance(whole, Measurement) else named_part(path, whole, look.component)
+    image = render_sphere(part, lighting=light, size=look.size)
     factor = look.exposure
     if factor is None:
-        of_whole = image if source is whole else render_sphere(whole, lighting=light, size=look.size)
+        of_whole = image if part is whole else render_sphere(whole, lighting=light, size=look.size)
         factor = exposure(of_whole, sphere_normals(look.size)[1])
     return displayed(image, factor), {"exposure": factor}
 

@@ -8,8 +8,10 @@ from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export import part_of
 from dsbrdf.output.serialize import read_model_file
 
 MEASUREMENTS = (".binary", ".bsdf", ".csv")
@@ -46,6 +48,12 @@ def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
         if kind is not None and not kind.startswith(("JSON", "a ZIP")):
             raise ModelFormatError(f"the file is {kind}; a stored model is a .json or .npz file")
         return read_model_file(path)
+
+
+def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | Component:
+    """Return a part of the model in a file, see `part_of`; an error names the file."""
+    with named_in_errors(path):
+        return part_of(model, part)
 
 
 def read_source(path: Path) -> Measurement | DSBRDF:

@@ -33,7 +33,7 @@ from dsbrdf.output.serialize import result_from_json, to_json
 
 logger = logging.getLogger(__name__)
 
-_MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,10 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except DSBRDFError as error:
         return Fault("input", type(error).__name__, str(error))
     except MemoryError:
-        return _MEMORY_LIMIT
+        return MEMORY_LIMIT
     except OSError as error:
         if error.errno == errno.ENOMEM:  # a file that is mapped, not read, is refused memory in this way
-            return _MEMORY_LIMIT
+            return MEMORY_LIMIT
         logger.exception("a measurement could not be read")
         reason = error.strerror or type(error).__name__
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dsbrdf.engines.engine import NOT_STARTED, Fault, FitLimits, OnProgress
-from dsbrdf.engines.fit_steps import run_step
+from dsbrdf.engines.fit_steps import MEMORY_LIMIT, run_step
 from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory
 
 try:
@@ -37,6 +37,7 @@ _EXIT_TIMEOUT = 5.0  # seconds that a process has to end after it has sent its o
 _ENDED_FROM_OUTSIDE = tuple(
     -getattr(signal, name) for name in ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT") if hasattr(signal, name)
 )
+_OUT_OF_MEMORY = 75  # exit code of a process that could not send its outcome
 _UNKNOWN_EXIT = 255  # reported by multiprocessing when the fork server is gone
 
 _start_lock = threading.Lock()
@@ -157,6 +158,8 @@ class WorkerProcess:
 
     def _fault_of_exit(self) -> Fault:
         code = self._process.exitcode
+        if code == _OUT_OF_MEMORY:
+            return MEMORY_LIMIT
         reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
         if code in _ENDED_FROM_OUTSIDE or code == _UNKNOWN_EXIT:
             return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
@@ -179,13 +182,26 @@ def _run_in_worker(
 ) -> None:
     """Run a step in the worker process; send progress as floats, log records and, last, the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
+    try:
+        _prepare(pipe, memory_mb)
+        pipe.send(run_step(step, *arguments, _sender(pipe)))
+    except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
+        if isinstance(error, MemoryError) or _memory_is_limited():  # else a thread is refused for another reason
+            os._exit(_OUT_OF_MEMORY)
+        raise
+
+
+def _prepare(pipe: "connection.Connection[Any, Any]", memory_mb: int | None) -> None:
     end_with_parent()
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        if memory_mb is not None:
-            resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
+        _limit_memory(memory_mb)
     keep_freed_memory()
     logging.basicConfig(handlers=[_LogToParent(pipe)], level=logging.INFO, force=True)
+
+
+def _sender(pipe: "connection.Connection[Any, Any]") -> OnProgress:
+    """Return a function that sends the progress to the parent process, but no small steps."""
     sent = 0.0
 
     def on_progress(share: float) -> None:
@@ -194,7 +210,18 @@ def _run_in_worker(
             sent = float(share)
             pipe.send(sent)
 
-    pipe.send(run_step(step, *arguments, on_progress))
+    return on_progress
+
+
+def _memory_is_limited() -> bool:
+    return resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+
+
+def _limit_memory(memory_mb: int | None) -> None:
+    """Limit the address space, unless what started the service has set a narrower limit for all that it starts."""
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    if memory_mb is not None and (most == resource.RLIM_INFINITY or memory_mb << 20 < most):
+        resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
 
 
 class _LogToParent(logging.Handler):

@@ -13,8 +13,9 @@ in the paper.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from io import BytesIO
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
-from dsbrdf.model.decomposition import LABELS, decompose, lobe_widths
+from dsbrdf.output.figure_parts import component_parts, lobe_parts
 from dsbrdf.output.sphere_panels import draw_panels
 
 if TYPE_CHECKING:
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
     from dsbrdf.data.reduction import Profiles
-    from dsbrdf.model.decomposition import Component
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.model.reflectance import ReflectanceModel
     from dsbrdf.output.sphere_panels import SphereComparison
 
 Array = NDArray[np.float64]
@@ -44,9 +45,6 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 """Formats of `encode_figure`."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
-LOBE_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
-DELTA_COLOUR = "#868e96"
-LINE_STYLES = ("-", "--", ":", "-.")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
 ROW_HEIGHT, SPHERES_HEIGHT = 3.4, 2.3  # of a row of panels, in inches
@@ -87,8 +85,9 @@ def lobes_figure(
     *,
     theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
     channel: str = "red",
+    model_lobes: bool = False,
 ) -> Figure:
-    """Individual lobes (coloured by component) and their sum (black) (Nishino 2009, Figure 1, row b).
+    """Components with their own lobes, or the model's lobes, and their sum (Nishino 2009, Figure 1, row b).
 
     Parameters
     ----------
@@ -96,6 +95,8 @@ def lobes_figure(
         As for `profiles_figure`.
     channel : {"red", "green", "blue"}, optional
         The colour channel; the paper shows one at a time too.
+    model_lobes : bool, optional
+        Whether to draw the lobes of the model instead of its components.
 
     Returns
     -------
@@ -109,8 +110,9 @@ def lobes_figure(
         If matplotlib is not installed.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    figure = empty_figure(f"{profiles.name}, {channel} channel", len(rows), height=ROW_HEIGHT)
-    _lobes_row(figure, profiles, model, rows, index)
+    what = _parts_name(model_lobes)
+    figure = empty_figure(f"{profiles.name}: {what}, {channel} channel", len(rows), height=ROW_HEIGHT)
+    _parts_row(figure, profiles, model, rows, index, model_lobes)
     return figure
 
 
@@ -120,13 +122,14 @@ def overview_figure(
     *,
     theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
     channel: str = "red",
+    model_lobes: bool = False,
     spheres: SphereComparison | None = None,
 ) -> Figure:
-    """Both rows of Nishino 2009, Figure 1: profiles with the fit above, lobes of one channel below; then lit spheres.
+    """Both rows of Nishino 2009, Figure 1: profiles with the fit, components in one channel; then lit spheres.
 
     Parameters
     ----------
-    profiles, model, theta_diff, channel
+    profiles, model, theta_diff, channel, model_lobes
         As for `lobes_figure`.
     spheres : SphereComparison, optional
         What to draw in a third row.
@@ -145,9 +148,9 @@ def overview_figure(
     figure = empty_figure(profiles.name, len(rows), height=sum(heights) + 0.3)
     above, below, *rest = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
-    below.suptitle(f"(b) lobes of the {channel} channel", fontsize=10)
+    below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
-    _lobes_row(below, profiles, model, rows, index)
+    _parts_row(below, profiles, model, rows, index, model_lobes)
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
@@ -194,39 +197,36 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 _draw_curve(ax, curve, colour, label=f"{channel}, fit")
-    draw_legend(figure, pairs[0][0], columns=min(6, 3 * len(rows)))
+    draw_legend(figure, [pairs[0][0]], columns=min(6, 3 * len(rows)))
 
 
-def _lobes_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int) -> None:
-    """Draw the lobes of one channel, in two panels for each slice, with a legend."""
-    lobes = [lobe for component in decompose(model) for lobe in _lobes(component, model)]
+def _parts_name(model_lobes: bool) -> str:
+    return "lobes of the model" if model_lobes else "components of the fit (dashed: their own lobes)"
+
+
+def _parts_row(
+    figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int, model_lobes: bool
+) -> None:
+    """Draw parts of a model in one channel, in two panels for each slice, with a legend of those that are seen."""
+    parts = lobe_parts(model, channel) if model_lobes else component_parts(model)
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
         fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
         _set_limits(pair, row, fitted, points[1])
+        curves = [slice_means(part.source, row, profiles.horizon_cutoff)[:, channel] for part in parts]
+        seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
             _draw_points(ax, *points, "black", "o", "measured")
-            _draw_curve(ax, fitted, "black", label="fit, all lobes")
-            for label, colour, style, lobe in lobes:
-                curve = slice_means(lobe, row, profiles.horizon_cutoff)[:, channel]
-                _draw_curve(ax, curve, colour, style=style, label=label)
-    draw_legend(figure, pairs[0][0], columns=2 * len(rows))
+            _draw_curve(ax, fitted, "black", label="fit")
+            for part, curve in compress(zip(parts, curves, strict=True), seen):
+                _draw_curve(ax, curve, part.colour, style=part.style, label=part.label)
+    draw_legend(figure, [pair[0] for pair in pairs], columns=2 * len(rows))
 
 
-def _lobes(component: Component, model: DSBRDF) -> Iterator[tuple[str, str, str, DSBRDF]]:
-    """Yield label, colour, line style and model of the delta term, if there is one, and of each lobe of a component."""
-    if np.any(component.model.delta):
-        yield "delta term", DELTA_COLOUR, LINE_STYLES[0], model.select((), with_delta=True)
-    widths, rings = np.degrees(lobe_widths(model)), model.is_ring
-    for number, lobe in enumerate(component.lobes):
-        kind = f"{component.label.replace('_', ' ')}{' (ring)' if rings[lobe] else ''}"
-        label = f"{lobe}: {kind}, half width {widths[lobe]:.2g}°"
-        part = model.select((lobe,), with_delta=False)
-        yield label, LOBE_COLOURS[component.label], LINE_STYLES[number % len(LINE_STYLES)], part
-
-
-def slice_means(model: DSBRDF, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES) -> Array:
+def slice_means(
+    model: ReflectanceModel, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES
+) -> Array:
     """Return a model's mean over the phi_diff that count in profiles, in one slice of theta_diff.
 
     Both cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some
@@ -234,7 +234,7 @@ def slice_means(model: DSBRDF, row: int, horizon_cutoff: float | None, theta_hal
 
     Parameters
     ----------
-    model : DSBRDF
+    model : ReflectanceModel
     row : int
         Of the measurement's theta_diff.
     horizon_cutoff : float or None
@@ -280,7 +280,8 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
 
 
 def _draw_curve(ax: Axes, values: Array, colour: str, *, label: str, style: str = "-") -> None:
-    ax.plot(*_mirrored(CURVE_ANGLES, values), style, color=colour, linewidth=1.2, label=label)
+    width = 1.2 if label else 0.8
+    ax.plot(*_mirrored(CURVE_ANGLES, values), style, color=colour, linewidth=width, label=label)
 
 
 def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
@@ -307,10 +308,12 @@ def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
 
 
-def draw_legend(figure: FigureBase, ax: Axes, *, columns: int) -> None:
-    """Draw one legend under the panels, with the labelled lines of ``ax``."""
-    handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+def draw_legend(figure: FigureBase, axes: Sequence[Axes], *, columns: int) -> None:
+    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
+    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
+    figure.legend(
+        list(lines.values()), list(lines), loc="outside lower center", ncols=columns, fontsize=8, frameon=False
+    )
 
 
 def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
@@ -321,7 +324,7 @@ def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
 
     figure = Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
     figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
     return figure
 
 

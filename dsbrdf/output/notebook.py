@@ -15,7 +15,7 @@ import numpy as np
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.model.decomposition import decompose
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import overview_figure
@@ -33,12 +33,12 @@ _THUMBNAIL = 96  # pixels
 
 
 def plot_model(model: DSBRDF) -> Figure:
-    """Draw the parameters over theta_diff."""
+    """Draw the parameters of the components' own lobes over theta_diff."""
     return parameters_figure(model)
 
 
 def plot_result(result: FitResult, measurement: Measurement | None) -> Figure:
-    """Draw the measured profiles, the fit and its lobes; without the measurement, the parameters over theta_diff."""
+    """Draw the measured profiles, the fit and its components; without the measurement, the components' parameters."""
     if measurement is None:
         return plot_model(result.model)
     options = result.report.options
@@ -54,12 +54,12 @@ def measurement_html(measurement: Measurement) -> str:
 
 
 def model_html(model: DSBRDF) -> str:
-    """Return a lit sphere of a model beside its lobes and the albedo of its components."""
+    """Return a lit sphere of a model beside the half width and albedo of its components."""
     return _card(model, _model_table(model))
 
 
 def result_html(result: FitResult) -> str:
-    """Return a lit sphere of the model beside its lobes, the metrics and the warnings."""
+    """Return a lit sphere of the model beside its components, the metrics and the warnings."""
     return _card(result.model, _model_table(result.model), report_html(result.report))
 
 
@@ -73,8 +73,9 @@ def report_html(report: FitReport) -> str:
 def _model_table(model: DSBRDF) -> str:
     rows = {"model": f"{lobes_phrase(model)}, {model.n_numbers} numbers"}
     for component in decompose(model):
-        red, green, blue = component.albedo
-        rows[f"albedo, {component.label.replace('_', ' ')}"] = f"{red:.4f}, {green:.4f}, {blue:.4f}"
+        albedo = ", ".join(f"{value:.4f}" for value in component.albedo)
+        width = np.degrees(component.half_width)
+        rows[component.label.replace("_", " ")] = f"half width {width:.1f}°, albedo {albedo}"
     return _table(rows)
 
 

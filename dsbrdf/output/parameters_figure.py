@@ -1,4 +1,4 @@
-"""Figure of how the parameters of a model run over theta_diff."""
+"""Figure of how the parameters of lobes run over theta_diff."""
 
 from __future__ import annotations
 
@@ -6,27 +6,33 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dsbrdf.model.decomposition import decompose, lobe_reaches
-from dsbrdf.output.figures import CHANNEL_COLOURS, LINE_STYLES, LOBE_COLOURS, ROW_HEIGHT, draw_legend, empty_figure
+from dsbrdf.fitting.decomposition import LobeParameters, decompose
+from dsbrdf.model.lobes import half_width
+from dsbrdf.output.figure_parts import COMPONENT_COLOURS, LOBE_COLOURS
+from dsbrdf.output.figures import CHANNEL_COLOURS, ROW_HEIGHT, draw_legend, empty_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from dsbrdf.model.dsbrdf import DSBRDF
 
-_ANGLES = np.radians(np.linspace(0.0, 89.0, 200))
+_ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
 _WIDTH_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
-_MARKERS = ("", "o", "s", "^")  # of lobes of one component that have the same line style
+_STYLES = ("-", "--", "-.", ":")
 
 
-def parameters_figure(model: DSBRDF, *, title: str = "") -> Figure:
-    """Amplitude of each lobe in red, green and blue, its half width and its elongation, over theta_diff.
+def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
+    """Height in red, green and blue, half width, tail and elongation over theta_diff: the components' own lobes.
 
     Parameters
     ----------
     model : DSBRDF
     title : str, optional
         Such as the name of the material.
+    model_lobes : bool, optional
+        Whether to draw the lobes of the model instead: with kappa as the tail, and the green channel's shape where
+        each channel has its own.
 
     Returns
     -------
@@ -37,37 +43,63 @@ def parameters_figure(model: DSBRDF, *, title: str = "") -> Figure:
     MissingExtraError
         If matplotlib is not installed.
     """
-    figure = empty_figure(title, 2, height=ROW_HEIGHT + 0.4)
-    amplitudes, widths, elongations = figure.subplots(1, 3)
-    parameters = model.parameters_at(_ANGLES)
-    reaches = np.degrees(lobe_reaches(model, _ANGLES)[0])
+    figure = empty_figure(title, 2, height=1.7 * ROW_HEIGHT)
+    heights, widths, tails, elongations = figure.subplots(2, 2).flat
     degrees = np.degrees(_ANGLES)
-    for component in decompose(model):
-        colour = LOBE_COLOURS[component.label]
-        for lobe in component.lobes:
-            repeat, style = divmod(lobe, len(LINE_STYLES))
-            look = {
-                "linestyle": LINE_STYLES[style],
-                "linewidth": 1.2,
-                "marker": _MARKERS[repeat % len(_MARKERS)],
-                "markevery": 25,
-                "markersize": 3.5,
-            }
-            label = f"{lobe}: {component.label.replace('_', ' ')}{' (ring)' if model.is_ring[lobe] else ''}"
-            for channel, channel_colour in enumerate(CHANNEL_COLOURS):
-                amplitudes.plot(degrees, parameters["amplitude"][:, channel, lobe], color=channel_colour, **look)
-            widths.plot(degrees, reaches[:, lobe], color=colour, label=label, **look)
-            elongations.plot(degrees, parameters["elongation"][:, lobe], color=colour, **look)
-    amplitudes.set(yscale="log", title="amplitude in red, green and blue [1/sr]")
+    for number, (label, colour, at) in enumerate(_model_lobes(model) if model_lobes else _own_lobes(model)):
+        style = _STYLES[number % len(_STYLES)]
+        for values, channel_colour in zip(at.height.T, CHANNEL_COLOURS, strict=True):
+            heights.plot(degrees, values, style, color=channel_colour, linewidth=1.2)
+        for ax, values in ((widths, np.degrees(at.half_width)), (tails, at.tail), (elongations, at.elongation)):
+            ax.plot(degrees, values, style, color=colour, linewidth=1.2, label=label)
+    heights.set(yscale="log", title="height in red, green and blue [1/sr]")
     widths.set(yscale="log", title="half width [degrees]")
+    _set_width_ticks(widths)
+    tails.set(title="kappa" if model_lobes else "tail, 2 for GGX, less for longer ones")
+    elongations.set(title="elongation, 0 for a round lobe")
+    _include(tails, 0.0, 2.5)
+    _include(elongations, -0.25, 1.25)
+    for ax in (heights, widths, tails, elongations):
+        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]", xticks=range(0, 91, 15))
+        ax.title.set_fontsize(9)
+        ax.tick_params(labelsize=8)
+    draw_legend(figure, [widths], columns=4)
+    return figure
+
+
+def _own_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
+    """Label, colour and own lobe of each component."""
+    return [
+        (part.label.replace("_", " "), COMPONENT_COLOURS[part.label], part.parameters_at(_ANGLES))
+        for part in decompose(model)
+    ]
+
+
+def _model_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
+    """Label, colour and parameters of each lobe of a model."""
+    at = model.parameters_at(_ANGLES)
+    channel = 1 if model.kappa.shape[0] == 3 else 0
+    kappa, gamma = at["kappa"][:, channel], at["gamma"][:, channel]
+    widths = half_width(kappa, gamma, model.lobe)
+    return [
+        (
+            f"{'ring lobe' if is_ring else 'lobe'} {k}",
+            LOBE_COLOURS[k % len(LOBE_COLOURS)],
+            LobeParameters(at["amplitude"][..., k], widths[:, k], kappa[:, k], at["elongation"][:, k]),
+        )
+        for k, is_ring in enumerate(model.is_ring)
+    ]
+
+
+def _set_width_ticks(widths: Axes) -> None:
+    """Label a logarithmic axis of half widths with round numbers."""
     low, high = widths.get_ylim()
     ticks = [tick for tick in _WIDTH_TICKS if low <= tick <= high]
     widths.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     widths.set_yticks([], minor=True)
-    elongations.set(title="elongation, 0 for a round lobe")
-    for ax in (amplitudes, widths, elongations):
-        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]", xticks=range(0, 91, 15))
-        ax.title.set_fontsize(9)
-        ax.tick_params(labelsize=8)
-    draw_legend(figure, widths, columns=4)
-    return figure
+
+
+def _include(ax: Axes, low: float, high: float) -> None:
+    """Widen the axis to usual values, so that small differences look small."""
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(min(low, bottom), max(high, top))

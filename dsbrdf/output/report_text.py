@@ -1,4 +1,4 @@
-"""The result of a fit as text and as JSON: metrics, lobes and components.
+"""The result of a fit as text and as JSON: metrics, components with their own lobes, and the model's lobes.
 
 The JSON has the same form as in the HTTP service.  Angles are in degrees, because this is for display and for HTTP; the
 rest of the library uses radians.
@@ -11,17 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.decomposition import Component, decompose, lobe_widths
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import half_width
 from dsbrdf.output.serialize import to_json
 
-SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 75.0)
-"""theta_diff of the parameters that are printed [degrees]."""
+LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+"""theta_diff of the values of components' own lobes in JSON [degrees]."""
+SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
+"""theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
+_NO_COMPONENTS = "The model has no light, and so no components."
 
 
 def metrics_line(metrics: Metrics) -> str:
@@ -29,40 +32,76 @@ def metrics_line(metrics: Metrics) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in asdict(metrics).items() if value is not None)
 
 
-def components_table(components: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: lobes, half width, albedo and margin."""
-    lines = [f"{'component':<16}{'lobes':<9}{'half width':>10}   {'albedo red, green, blue':<24}{'margin':>8}"]
+def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a table with a line for each component: half width, tail, albedo, colour and clarity."""
+    if not components:
+        return [_NO_COMPONENTS]
+    heads = f"{'half width':>10}{'tail':>7}   {'albedo red, green, blue':<26}{'colour':<19}{'clarity':>7}"
+    lines = [f"{'component':<16}{heads}"]
     for component in components:
-        lobes = ", ".join(str(lobe) for lobe in component["lobes"]) or "none"
-        width = "" if component["half_width_deg"] is None else f"{component['half_width_deg']:.2f}°"
-        albedo = "  ".join(f"{round(value, 4) + 0.0:.4f}" for value in component["albedo"])  # never -0.0000
-        margin = "" if component["margin"] is None else f"{component['margin']:.2f}"
-        lines.append(f"{component['label']:<16}{lobes:<9}{width:>10}   {albedo:<24}{margin:>8}".rstrip())
+        albedo = "  ".join(f"{value:.4f}" for value in component["albedo"])
+        color = "  ".join(f"{value:.2f}" for value in component["color"])
+        cells = f"{component['half_width_deg']:>9.2f}°{_usual_tail(component['lobe']):>7.2f}   {albedo:<26}{color:<19}"
+        lines.append(f"{component['label']:<16}{cells}{component['clarity']:>7.2f}")
     return lines
 
 
-def parameters_table(
-    model: DSBRDF, *, channel: str = "red", theta_diff_deg: Sequence[float] = SHOWN_THETA_DIFF
-) -> list[str]:
-    """Return a table of the parameters of one channel, with center and elongation where they are not 0."""
-    parameters = model.parameters_at(np.radians(theta_diff_deg))
-    column = CHANNELS.index(channel)
-    shape_column = column if model.kappa.shape[0] == 3 else 0
-    head = "".join(f"{angle:>10.0f}°" for angle in theta_diff_deg)
-    lines = [f"{f'{channel} channel, theta_diff':<34}{head}"]
-    for lobe, width in enumerate(np.degrees(lobe_widths(model))):
-        rows = [("amplitude", parameters["amplitude"][:, column, lobe])]
-        rows += [(name, parameters[name][:, shape_column, lobe]) for name in ("kappa", "gamma")]
-        if model.is_ring[lobe]:
-            rows.append(("center", np.degrees(parameters["center"][:, shape_column, lobe])))
-        if model.elongation[:, lobe].any():
-            rows.append(("elongation", parameters["elongation"][:, lobe]))
-        lead = f"{'ring lobe' if model.is_ring[lobe] else 'lobe'} {lobe}, {width:.2f}°"
-        for name, values in rows:
-            cells = "".join(f"{value:>10.4g}{'°' if name == 'center' else ' '}" for value in values)
-            lines.append(f"{lead:<22}{name:<12}{cells}".rstrip())
+def _usual_tail(lobe: Mapping[str, Any]) -> float:
+    """Return the median over theta_diff from 0 to 60 degrees, as the half width of a component is."""
+    angles = zip(lobe["theta_diff_deg"], lobe["tail"], strict=True)
+    return float(np.median([tail for angle, tail in angles if angle <= 60.0]))
+
+
+def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a table of the own lobe of each component: its values at `SHOWN_THETA_DIFF`."""
+    if not components:
+        return []
+    lines = [_angles_head("own lobes [1/sr], theta_diff")]
+    for component in components:
+        lobe, lead = component["lobe"], component["label"]
+        shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
+        heights = zip(*lobe["height"], strict=True)
+        rows = [(f"height {channel}", values, "") for channel, values in zip(CHANNELS, heights, strict=True)]
+        rows += [("half width", lobe["half_width_deg"], "°"), ("tail", lobe["tail"], "")]
+        rows.append(("elongation", lobe["elongation"], ""))
+        for name, values, unit in rows:
+            lines.append(_row(lead, name, [values[index] for index in shown], unit))
             lead = ""
     return lines
+
+
+def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
+    """Return a table of the parameters of the model's lobes in one channel at `SHOWN_THETA_DIFF`.
+
+    The half width of a ring lobe is counted from its center.
+    """
+    parameters = model.parameters_at(np.radians(SHOWN_THETA_DIFF))
+    column = CHANNELS.index(channel)
+    kappa, gamma, center = (
+        parameters[name][:, column if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
+    )
+    widths = np.degrees(half_width(kappa, gamma, model.lobe))
+    lines = [_angles_head(f"{channel} channel [1/sr], theta_diff")]
+    for lobe, is_ring in enumerate(model.is_ring):
+        rows = [("height", parameters["amplitude"][:, column, lobe], ""), ("half width", widths[:, lobe], "°")]
+        if is_ring:
+            rows.append(("center", np.degrees(center[:, lobe]), "°"))
+        rows += [("kappa", kappa[:, lobe], ""), ("gamma", gamma[:, lobe], "")]
+        if model.elongation[:, lobe].any():
+            rows.append(("elongation", parameters["elongation"][:, lobe], ""))
+        lead = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
+        for name, values, unit in rows:
+            lines.append(_row(lead, name, values, unit))
+            lead = ""
+    return lines
+
+
+def _angles_head(title: str) -> str:
+    return f"{title:<31}" + "".join(f"{angle:>10.0f}°" for angle in SHOWN_THETA_DIFF)
+
+
+def _row(lead: str, name: str, values: Iterable[float], unit: str) -> str:
+    return (f"{lead:<18}{name:<13}" + "".join(f"{value:>10.4g}{unit or ' '}" for value in values)).rstrip()
 
 
 def lobes_phrase(model: DSBRDF) -> str:
@@ -109,15 +148,17 @@ def bands_table(report: FitReport) -> list[str]:
     return lines
 
 
-def model_text(model: DSBRDF, *, channel: str = "red") -> list[str]:
-    """Return the components of a model and the parameters of one channel."""
-    return [*components_table(component_documents(model)), "", *parameters_table(model, channel=channel)]
+def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> list[str]:
+    """Return the components of a model and their own lobes, then, if asked for, the model's lobes in one channel."""
+    components = component_documents(model)
+    lines = [*components_table(components), "", *component_lobes_table(components)]
+    return [*lines, "", *parameters_table(model, channel=channel)] if lobes else lines
 
 
-def result_text(file: Path, result: FitResult) -> list[str]:
-    """Return the report of one fit: metrics, warnings, components, parameters, lobes tried, errors."""
+def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
+    """Return the report of one fit: metrics, warnings, components, lobes tried, errors; the lobes if asked for."""
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
-    lines = [headline(file, result), *warnings, "", *model_text(result.model)]
+    lines = [headline(file, result), *warnings, "", *model_text(result.model, lobes=lobes, channel=channel)]
     for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
@@ -130,11 +171,10 @@ def headline(file: Path, result: FitResult) -> str:
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return the stored form of a model and its report, with metrics, warnings, lobes and components beside it."""
+    """Return the stored form of a model and its report, after metrics, warnings and components."""
     about = {
         "metrics": None if report is None else asdict(report.metrics),
         "warnings": [] if report is None else list(report.warnings),
-        "lobes": lobes_document(model),
         "components": component_documents(model),
     }
     stored: dict[str, Any] = json.loads(to_json(model, report))
@@ -146,35 +186,21 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
     return [component_document(component) for component in decompose(model)]
 
 
-def lobes_document(model: DSBRDF) -> dict[str, Any]:
-    """Return the parameters as they are written to JSON: those of `DSBRDF`, with angles in degrees."""
-    arrays: dict[str, Any] = {
-        "theta_diff_deg": _degrees(model.theta_diff),
-        "amplitude": model.amplitude.tolist(),
-        "shape_theta_diff_deg": _degrees(model.shape_theta_diff),
-        "kappa": model.kappa.tolist(),
-        "gamma": model.gamma.tolist(),
-        "center_deg": _degrees(model.center),
-        "elongation_theta_diff_deg": _degrees(model.elongation_theta_diff),
-        "elongation": model.elongation.tolist(),
-        "delta": model.delta.tolist(),
-    }
-    return arrays | {"interpolation": model.interpolation, "lobe": model.lobe}
-
-
 def component_document(component: Component) -> dict[str, Any]:
-    """Return one component as JSON content."""
-    width = component.half_width
+    """Return one component as JSON content; its own lobe as values at `LOBE_THETA_DIFF`."""
+    at = component.parameters_at(np.radians(LOBE_THETA_DIFF))
+    lobe = {
+        "theta_diff_deg": list(LOBE_THETA_DIFF),
+        "height": at.height.tolist(),
+        "half_width_deg": np.degrees(at.half_width).tolist(),
+        "tail": at.tail.tolist(),
+        "elongation": at.elongation.tolist(),
+    }
     return {
         "label": component.label,
-        "lobes": list(component.lobes),
-        "parameters": lobes_document(component.model),
+        "lobe": lobe,
         "albedo": component.albedo.tolist(),
-        "half_width_deg": None if width is None else float(np.degrees(width)),
-        "margin": component.margin,
+        "color": component.color.tolist(),
+        "half_width_deg": float(np.degrees(component.half_width)),
+        "clarity": component.clarity,
     }
-
-
-def _degrees(angles: NDArray[np.float64]) -> Any:
-    """Return angles in degrees, rounded so that 5 degrees are written as 5."""
-    return np.round(np.degrees(angles), 10).tolist()

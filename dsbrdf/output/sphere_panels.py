@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.model.decomposition import decompose
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
@@ -38,7 +38,7 @@ class SphereComparison:
     Attributes
     ----------
     panels : dict of ndarray, shape (size, size, 3)
-        By title, as a screen shows them: measured, fit, difference, each component of the fit.
+        By title, as a screen shows them: measured, fit, difference, each component that the fit has.
     exposure : float
         What radiance was multiplied by.
     psnr, ssim : float
@@ -80,7 +80,7 @@ def compare_spheres(
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
     panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
     for component in decompose(fit):
-        part = render_sphere(component.model, lighting=lighting, size=size)
+        part = render_sphere(component, lighting=lighting, size=size)
         panels[component.label.replace("_", " ")] = displayed(part, factor)
     return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))
 

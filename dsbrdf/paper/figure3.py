@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.model.decomposition import LABELS, decompose
+from dsbrdf.fitting.decomposition import LABELS, Component, decompose
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.paper.materials import Computed, Material, Numbers, choose
@@ -43,15 +44,22 @@ def _measure(material: Material) -> Numbers:
     """Spheres and albedo at 30 degrees of the data, both fits and their parts, in the order of the picture."""
     paper, default = material.fit(method="paper", n_lobes=3).model, material.fit().model
     lobes = [paper.select((k,), with_delta=k == 0) for k in range(paper.n_lobes)]
-    components = [component.model for component in decompose(default)]
+    found = decompose(default)
+    components = [found[label] if label in found.labels else default.select((), with_delta=False) for label in LABELS]
     measured = sphere(material.measurement, _SIZE)
     factor = exposure(measured, sphere_normals(_SIZE)[1])
-    models = [paper, *lobes, default, *components]
+    models = [paper, *lobes, default, *components]  # black where a component is absent
     pictures = [measured, *(sphere(model, _SIZE) for model in models)]
     return {
         "spheres": np.stack([to_bytes(picture, factor) for picture in pictures]),
-        "albedo": np.array([model.albedo(np.radians(30.0)) for model in models]),
+        "albedo": np.array([_albedo(model) for model in models]),
     }
+
+
+def _albedo(part: DSBRDF | Component) -> NDArray[np.float64]:
+    """Directional albedo at 30 degrees, RGB, shape (3,)."""
+    angle = np.radians(30.0)
+    return part.albedo(angle) if isinstance(part, DSBRDF) else part.directional_albedo(angle)
 
 
 def saturation(albedo: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,9 +69,10 @@ def saturation(albedo: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _parts(one: Computed) -> dict[str, NDArray[np.float64]]:
-    """Albedo of the parts by name: three lobes, then three components."""
+    """Albedo of the parts with light by name: lobes, then components."""
     albedo = one["albedo"]
-    return dict(zip(PARTS, [*albedo[1:4], *albedo[5:8]], strict=True))
+    parts = zip(PARTS, [*albedo[1:4], *albedo[5:8]], strict=True)
+    return {name: values for name, values in parts if values.any()}
 
 
 def _table(computed: Sequence[Computed]) -> list[Row]:
@@ -85,6 +94,8 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     for number, (row, one) in enumerate(zip(axes, computed, strict=True)):
         for ax, name, picture in zip(row, names, one["spheres"], strict=True):
             draw_sphere(ax, picture, "" if number else name)
+            for image in ax.images:
+                image.set_visible(bool(picture.any()))  # an absent component has no panel, but its column a title
         row[0].set_ylabel(one.label, fontsize=7)
     return figure
 
@@ -92,8 +103,8 @@ def _draw(computed: Sequence[Computed]) -> Figure:
 def _is_split(one: Computed, bright: Sequence[str], coloured: str) -> bool | None:
     """Whether colour sits in one part only; None for a material whose fit has no coloured part worth the name."""
     parts = _parts(one)
-    total = sum(parts[name].sum() for name in (*bright, coloured))
-    seen = [name for name in (*bright, coloured) if parts[name].sum() > _FAINT * total]
+    total = sum(parts[name].sum() for name in (*bright, coloured) if name in parts)
+    seen = [name for name in (*bright, coloured) if name in parts and parts[name].sum() > _FAINT * total]
     found = {name: float(saturation(parts[name])) for name in seen}
     if max(found.values()) < _COLOURED:
         return None
@@ -110,7 +121,7 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     split, of = _count(computed, PARTS[:2], PARTS[2])
     split_default, of_default = _count(computed, PARTS[3:5], PARTS[5])
     listed = "; ".join(
-        f"{one.label} {', '.join(f'{float(saturation(albedo)):.2f}' for albedo in _parts(one).values())}"
+        f"{one.label} {', '.join(f'{name} {float(saturation(albedo)):.2f}' for name, albedo in _parts(one).items())}"
         for one in computed
     )
     return [
@@ -121,13 +132,13 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             f" coloured materials for the 3 lobes of the paper's procedure, on {split_default} of {of_default} for the"
             " components of the default fit. Metals and effect paints are counted too: their highlights are coloured,"
             " and the sentence cannot hold for them. The paper's lobes are sorted by kappa, slice by slice and channel"
-            " by channel, and nothing else holds them together. Saturation of lobes 1 to 3, spike, specular lobe and"
-            f" diffuse part (0 for an empty one): {listed}.",
+            f" by channel, and nothing else holds them together. Saturation of the parts: {listed}.",
         ),
         Claim(
             "Such a decomposition cannot be achieved with non-parametric models.",
             "agrees",
-            "A table has no parts; both fits are sums of non-negative parts, and the parts add up to the fit exactly.",
+            "A table has no parts; the paper's fit is a sum of lobes, and every model, by lobes that are fitted to its"
+            " values, a sum of components; the parts are non-negative and add up to the fit exactly.",
         ),
     ]
 
@@ -137,7 +148,8 @@ FIGURE = PaperFigure(
     title="Parts of a sphere",
     shows=(
         "Each row: the data; the paper's procedure with 3 lobes and its lobes by falling kappa (the delta term is shown"
-        " with the first); the default fit and its specular spike, specular lobe and diffuse part. One exposure a row."
+        " with the first); the default fit and those of specular spike, specular lobe and diffuse part that it has. One"
+        " exposure a row."
     ),
     choose=_choose,
     measure=_measure,

@@ -22,6 +22,7 @@ from service.access.keys import ActiveKey, Keys
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from service.http.problems import problem_response
+from service.http.request_log import HEALTH
 from service.settings import Settings
 from service.storage.schema import Caller
 
@@ -32,7 +33,8 @@ COOKIE = "dsbrdf_key"
 _KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")
 _SAFE_METHODS = ("GET", "HEAD")
 
-CALLER = "dsbrdf.caller"  # member of the ASGI scope
+CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
+CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
 _LOCAL = Caller()
 # A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
@@ -70,17 +72,18 @@ class AuthenticationMiddleware:
             await self._app(scope, receive, send)
 
     def _begin(self, scope: Scope) -> str | None:
-        """Count a request and return whose it is; None if it is one that anyone may send.
+        """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
 
         A caller may have as many requests in progress as there are free places left: whoever takes all that one can
         get leaves as many to the others.
 
         Raises ProblemError if it has more.
         """
-        if CALLER not in scope:
+        if scope["path"].startswith(HEALTH):
             return None
-        owner = scope[CALLER].owner
+        owner = scope[CALLER].owner if CALLER in scope else ""
         caller = f"key {owner}" if owner else str((scope.get("client") or ("",))[0])
+        scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."
@@ -113,7 +116,7 @@ class AuthenticationMiddleware:
             raise ProblemError("bad-request", detail, {"Connection": "close"})
         if scope["path"] in OPEN_PATHS:
             return
-        key = self._key(scope["headers"], scope["method"])
+        key = self._key(scope)
         scope[CALLER] = _LOCAL if key is None else key.caller
         if not scope["path"].isprintable():  # a route would take a line break for the end of the path
             raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
@@ -125,16 +128,18 @@ class AuthenticationMiddleware:
             return sign_in_page(scope["path"], "", error.headers)
         return problem_response(error, scope["path"])
 
-    def _key(self, headers: _Headers, method: str) -> ActiveKey | None:
+    def _key(self, scope: Scope) -> ActiveKey | None:
         """Return the key of a request; None is the local user, who needs none."""
+        headers: _Headers = scope["headers"]
         sent = [value for name, value in headers if name == b"authorization"]
         if not sent:
             key = self._key_of_cookie(headers)
             if key is None:
-                self._check_local(headers)
+                self._check_local(scope)
                 return None
-            if method not in _SAFE_METHODS and not same_origin(headers):
-                raise _key_needed("A key in a cookie changes something only from the pages of the service itself.")
+            if scope["method"] not in _SAFE_METHODS and not same_origin(headers):
+                detail = "A key in a cookie changes something only from the pages of the service itself."
+                raise ProblemError("foreign-origin", detail)
             return _counted(key)
         scheme, _, text = sent[0].partition(b" ")
         # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
@@ -149,18 +154,20 @@ class AuthenticationMiddleware:
         found = _KEY_IN_COOKIE.search(cookies)
         return None if found is None else self._keys.find(found[1])
 
-    def _check_local(self, headers: _Headers) -> None:
+    def _check_local(self, scope: Scope) -> None:
+        """Check that it is the local user who asks; a link of another site may lead this user to a page."""
+        headers: _Headers = scope["headers"]
         if self._needs_key:
             raise _key_needed("An API key is needed here; send it as 'Authorization: Bearer <key>'.")
         if self._local_only:
             hosts = [value for name, value in headers if name == b"host"]
             if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
-                raise _key_needed(
-                    "Without an API key the service goes by 127.0.0.1, localhost and names without a dot only."
-                )
-            origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
-            if not all(origin in hosts for origin in origins):
-                raise _key_needed("Without an API key the service does not answer to pages of other sites.")
+                detail = "Without an API key the service goes by 127.0.0.1, localhost and names without a dot only."
+                raise ProblemError("misdirected", detail)
+            is_link = (b"sec-fetch-dest", b"document") in headers and PAGE_PATHS.fullmatch(scope["path"])
+            if from_another_site(headers) and not (is_link and scope["method"] == "GET"):
+                detail = "Without an API key the service does not answer to pages of other sites."
+                raise ProblemError("foreign-origin", detail)
 
 
 def _counted(key: ActiveKey) -> ActiveKey:
@@ -177,8 +184,15 @@ def same_origin(headers: _Headers) -> bool:
     given = dict(headers)
     if b"sec-fetch-site" in given:
         return given[b"sec-fetch-site"] == b"same-origin"
-    origin = given.get(b"origin", b"").partition(b"://")[2]
-    return bool(origin) and origin == given.get(b"host")
+    return b"origin" in given and not from_another_site(headers)
+
+
+def from_another_site(headers: _Headers) -> bool:
+    """Return whether a browser says that a page of another site has sent a request."""
+    hosts = [value for name, value in headers if name == b"host"]
+    origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
+    sites = [value for name, value in headers if name == b"sec-fetch-site"]
+    return not (all(site in (b"same-origin", b"none") for site in sites) and all(origin in hosts for origin in origins))
 
 
 def invalid_key() -> ProblemError:

@@ -17,7 +17,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from service.storage.database import FILE_NAME, Database
+from service.storage.database import FILE_NAME, Database, check_integrity
 from service.storage.schema import Caller
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
@@ -90,6 +90,7 @@ def has_active_key(folder: Path) -> bool:
     """Return whether a data folder, which need not exist, has a key that is not revoked."""
     if not (folder / FILE_NAME).exists():
         return False
+    check_integrity(folder)
     with closing(Database(folder, exclusive=False)) as database:
         return any(row.revoked is None for row in all_keys(database))
 

@@ -66,6 +66,17 @@ def _measurements(folder: Path) -> str:
     return f"{len(still)} files are what their rows say"
 
 
+def _lost(folder: Path) -> str:
+    number = Blobs(folder).n_lost()
+    if number:
+        place = folder / "lost"
+        raise CheckFailedError(
+            f"{number} files have no row or not the bytes that they are named by: they are in {place}, from where an "
+            "upload of the same measurement takes one back; remove those that nobody needs"
+        )
+    return "no file is set aside"
+
+
 def _stored(folder: Path) -> set[str]:
     return {sha256 for (sha256,) in _rows(folder, "SELECT DISTINCT sha256 FROM measurements")}
 
@@ -77,5 +88,5 @@ def _rows(folder: Path, query: str) -> list[tuple[Any, ...]]:
         return db.execute(query).fetchall()
 
 
-CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements}
+CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements, "lost files": _lost}
 """A check returns what it has found, or raises an exception that says what is wrong."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from dsbrdf.cli.arguments import Parser, add_json_option, print_json
 from service.commands import add_data_dir, run_in_folder
 from service.storage.blobs import Blobs
-from service.storage.database import Database
+from service.storage.database import Database, check_integrity
 from service.storage.schema import IS_UNFINISHED
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
@@ -44,8 +44,9 @@ class Purged:
 def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
     """Remove what is older than the time `before` [s since 1970].
 
-    Raises DataFolderError if the folder cannot be opened.
+    Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
+    check_integrity(folder)
     with closing(Database(folder, exclusive=False)) as database:
         if dry_run:
             return _counted(database, before)
@@ -77,12 +78,12 @@ def _remove_measurements(database: Database, blobs: Blobs, before: float) -> lis
     """Remove some old measurements; return for each how many bytes it has freed."""
     query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     freed = []
-    with database.transaction() as db:
+    with blobs.removal() as remove_file, database.transaction() as db:
         for rowid, sha256, size in db.execute(query, {"before": before}).fetchall():
             db.execute("DELETE FROM measurements WHERE rowid = ?", (rowid,))
             last = _rows_of(db, sha256) == 0
             if last:  # inside the transaction: an upload of the same bytes comes before it or after it
-                blobs.remove(sha256)
+                remove_file(sha256)
             freed.append(size if last else 0)
     return freed
 

@@ -10,9 +10,10 @@ import termios
 from array import array
 from contextlib import suppress
 from http import HTTPStatus
+from typing import Any
 
 from starlette.types import Message, Receive
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from service.errors import ProblemError
 from service.http.problems import problem_response
@@ -37,6 +38,9 @@ class Connection(HttpToolsProtocol):
 
     _n_received = _n_head = _n_body = 0  # bytes of the request that is being received
 
+    _answering: RequestResponseCycle | None = None  # the request that is being answered; `cycle` is the last one
+    _refusal: ProblemError | None = None  # of what has come behind it, to be sent when it is answered
+
     _header_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
 
@@ -52,6 +56,8 @@ class Connection(HttpToolsProtocol):
         if self._excess:
             detail = f"{self.max_connections} connections are open, as many as may; try again later."
             self._refuse(ProblemError("overloaded", detail, _CLOSE))
+            return
+        if self._refusal is not None:
             return
         self._n_received += len(data)
         super().data_received(data)
@@ -106,10 +112,23 @@ class Connection(HttpToolsProtocol):
         if self._n_head > _MAX_HEAD:
             raise ValueError("too long a head")  # the parser turns what its callbacks raise into its own error
 
+    def _start_asgi_task(self, cycle: RequestResponseCycle, app: Any) -> None:
+        self._answering = cycle
+        super()._start_asgi_task(cycle, app)
+
+    def on_response_complete(self) -> None:
+        """Go on with the next request; when all are answered, refuse what came behind them."""
+        super().on_response_complete()
+        if self._refusal is not None and self._idle():
+            self._refuse(self._refusal)
+
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the timers."""
+        """Stop the timers, and tell the request that is being answered, behind which there may be others."""
         _cancel(self._header_timer)
         _cancel(self._write_timer)
+        if self._answering is not None and not self._answering.response_complete:
+            self._answering.disconnected = True
+            self._answering.message_event.set()
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
@@ -132,11 +151,21 @@ class Connection(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """Answer a request that is not HTTP with a problem document."""
-        if not self._idle() and self.cycle.response_started:
-            self.transport.close()  # in the middle of another response
-            return
         detail = f"{msg.rstrip('.')}: what was sent is not HTTP/1.1, or its head is too long."
-        self._refuse(ProblemError("bad-request", detail, _CLOSE))
+        refusal = ProblemError("bad-request", detail, _CLOSE)
+        if self._answering is None or self._idle():
+            self._refuse(refusal)
+        elif self._answering.more_body:  # it is the body of this request that is wrong
+            if self._answering.response_started:
+                self.transport.close()
+            else:
+                self._answering.disconnected = True  # what it answers comes too late
+                self._answering.message_event.set()
+                self._refuse(refusal)
+        else:
+            self._refusal = refusal
+            if self.pipeline and self.cycle.more_body:  # the last request never comes to its end
+                self.pipeline.popleft()
 
     def _update_header_timer(self) -> None:
         """Run the header timeout only between requests."""
@@ -148,7 +177,7 @@ class Connection(HttpToolsProtocol):
 
     def _idle(self) -> bool:
         """Return whether no request is being answered."""
-        return not self.cycle or self.cycle.response_complete
+        return self._answering is None or self._answering.response_complete
 
     def _on_header_timeout(self) -> None:
         self._header_timer = None

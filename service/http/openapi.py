@@ -12,14 +12,15 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from service.http import problems as table
-from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, Problem, Progress
+from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
 from service.wire.values import JSON
 
 BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
-_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, Progress)  # FastAPI does not find these itself
+# FastAPI does not find these itself.
+_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
 _EXAMPLE_MARK = "example:"
 _WITHOUT_KEY = "/health/"
 _KEY = {
@@ -29,14 +30,14 @@ _KEY = {
     "service is set to require one; a key that is sent is always checked.",
 }
 _EVERYWHERE = ("bad-request", "internal", "overloaded", "shutting-down")
-_BEHIND_A_KEY = ("unauthorized", "rate-limited", "too-many-at-once")
+_BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")
 BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
 UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
 
 # name -> (description, pattern)
 _HEADERS = {
     "X-Request-ID": ("Names the request in the service's log; one that the client sends is kept.", "^[A-Za-z0-9._-]+$"),
-    "Location": ("Where the fit or the measurement is.", "^/v1/"),
+    "Location": ("Where the fit or the measurement is.", "/v1/"),
     "Retry-After": ("Time after which to ask again [s].", "^[0-9]+$"),
     "ETag": ("Strong validator of the content, for `If-None-Match`.", '^"[0-9a-f]+"$'),
     "Link": ('The next page, `rel="next"`; not on the last one.', 'rel="next"$'),
@@ -139,7 +140,10 @@ def document_of(app: FastAPI) -> dict[str, Any]:
             methods.pop("head", None)  # as GET, without a body
         for operation in methods.values():
             operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
-            # FastAPI adds this of its own accord; a bad id in the path is answered with 404 here.
+            # FastAPI adds these of its own accord; a bad id in the path is answered with 404 here, and a schema of the
+            # items of a stream is no part of version 3.1.
+            for described in operation["responses"].values():
+                described.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
             if "HTTPValidationError" in str(operation["responses"].get("422")):
                 del operation["responses"]["422"]
     _restore_examples(document["paths"])

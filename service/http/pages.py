@@ -53,6 +53,6 @@ def render(
     return HTMLResponse(text, status, {"Content-Security-Policy": _POLICY, **(headers or {})})
 
 
-def sign_in_page(path: str, fault: str, headers: Mapping[str, str] | None = None) -> HTMLResponse:
+def sign_in_page(path: str, fault: str, headers: Mapping[str, str] | None = None, status: int = 401) -> HTMLResponse:
     """Return the page that asks for a key, and leads to the page at `path` then."""
-    return render("sign_in.html", path, 401, headers, fault=fault, wanted=path, signed_in=False)
+    return render("sign_in.html", path, status, headers, fault=fault, wanted=path, signed_in=False)

@@ -17,7 +17,7 @@ from starlette.routing import Match
 
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
 from dsbrdf.extras import MissingExtraError
-from service.errors import ProblemError, validation_sentence
+from service.errors import HeadOnlyError, ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
@@ -38,18 +38,22 @@ KINDS: dict[str, Kind] = {
     "bad-request": Kind(400, "The request cannot be understood", "The client went away before the body's end."),
     "bad-encoding": Kind(400, "The body does not decode", "The body is not valid gzip: it is cut off."),
     "unauthorized": Kind(401, "A valid API key is needed", "An API key is needed here; send it as Bearer."),
+    "foreign-origin": Kind(403, "The request comes from another site", "A page of another site has sent it."),
     "storage-quota": Kind(403, "The key's storage is full", "this key has stored 90.0 of 99.0 MB; delete some."),
     "not-found": Kind(404, "There is no such resource", "There is no fit '0'; GET /v1/fits lists those there are."),
+    "measurement-damaged": Kind(404, "The measurement has to be uploaded again", "The stored measurement is damaged."),
     "method-not-allowed": Kind(405, "The resource does not support this method", "PUT is not supported here."),
     "not-acceptable": Kind(406, "No acceptable representation", "Accept application/json or application/x-npy."),
     "request-timeout": Kind(408, "The request did not arrive in time", "The body stopped for 30 s."),
     "measurement-in-use": Kind(409, "Unfinished fits use the measurement", "1 unfinished fits use it; cancel them."),
     "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet.", 1),
     "fit-without-result": Kind(409, "The fit has no result", "The fit failed and has no model."),
+    "fit-ended": Kind(409, "The fit has ended", "The fit has ended as succeeded."),
     "too-large": Kind(413, "The body is too large", "2000000 points are more than the 1000000 allowed."),
     "measurement-too-large": Kind(413, "The file is too long", "The data is longer than 34992012 bytes."),
     "unsupported-media-type": Kind(415, "The body's type or encoding is not supported", "Send a MERL file or JSON."),
     "range-not-satisfiable": Kind(416, "The file has no such part", "The range begins beyond the end of the file."),
+    "misdirected": Kind(421, "The service has another name", "Without a key it goes by 127.0.0.1 and localhost."),
     "measurement-format": Kind(422, "Not an acceptable measurement", "The data has only 17 bytes."),
     "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9."),
     "fit-impossible": Kind(422, "The measurement cannot be fitted with these options", "No sample is left to fit."),
@@ -99,6 +103,11 @@ def install(app: FastAPI) -> None:
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
         app.add_exception_handler(expected, _answer_exception)
+    app.add_exception_handler(HeadOnlyError, _answer_head)
+
+
+async def _answer_head(_: Request, error: Exception) -> Response:
+    return Response(None, 200, error.headers if isinstance(error, HeadOnlyError) else None)
 
 
 async def _answer_exception(request: Request, error: Exception) -> Response:

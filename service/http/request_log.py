@@ -21,7 +21,8 @@ from service.settings import Settings
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 _SAFE_METHODS = ("GET", "HEAD")
-_HEALTH = "/health/"  # answered however busy the service is
+HEALTH = "/health/"
+"""How paths begin that are answered however busy the service is."""
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ class RequestLogMiddleware:
 
     async def _answer(self, scope: Scope, receive: Receive, exchange: "_Exchange") -> None:
         path = scope["path"]
-        if self._in_progress > self._settings.limit_concurrency and not path.startswith(_HEALTH):
+        if self._in_progress > self._settings.limit_concurrency and not path.startswith(HEALTH):
             detail = f"{self._settings.limit_concurrency} requests are in progress, as many as may; ask again later."
             await problem_response(ProblemError("overloaded", detail), path)(scope, receive, exchange.send)
             return

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +15,12 @@ from fastapi import Header
 from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import Page
-from service.wire.values import JSON
+from service.wire.values import JSON, number_of
 
 IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
 
@@ -38,6 +38,7 @@ _DEFAULT_HEADERS = (
     (b"cache-control", b"private, no-cache"),
 )
 _PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
+_PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
@@ -51,6 +52,15 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
     given = {name for name, _ in complete}
     complete += [header for header in _DEFAULT_HEADERS if header[0] not in given]
     return complete
+
+
+def prefix_of(request: Request) -> str:
+    """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
+
+    Whoever sends it, it changes only what this client is told of where things are.
+    """
+    given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
+    return given if _PREFIX.fullmatch(given) else ""
 
 
 def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
@@ -89,10 +99,15 @@ def is_current(etag: str, if_none_match: str) -> bool:
 class OpenFileResponse(FileResponse):
     """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
 
-    Raises FileNotFoundError if it has been deleted already.
+    If the whole of it has not the digest `sha256`, its last piece is kept back, which breaks the connection, and
+    `on_damage` is called: the client learns that it has not got what the ETag says. Raises FileNotFoundError if the
+    file has been deleted already.
     """
 
-    def __init__(self, path: Path, headers: Mapping[str, str], media_type: str) -> None:
+    def __init__(
+        self, path: Path, headers: Mapping[str, str], media_type: str, sha256: str, on_damage: Callable[[], None]
+    ) -> None:
+        self._sha256, self._on_damage = sha256, on_damage
         self._file = path.open("rb")
         number = self._file.fileno()
         super().__init__(
@@ -104,8 +119,25 @@ class OpenFileResponse(FileResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the file, or the part of it that is asked for."""
+        digest = hashlib.sha256()
+        held: Message | None = None
+        status = 0
+
+        async def hold_back(message: Message) -> None:
+            nonlocal held, status
+            if held is not None:
+                await send(held)
+            held, status = message, message.get("status", status)
+            digest.update(message.get("body", b""))
+
         with self._file:
-            await super().__call__(scope, receive, send)
+            await super().__call__(scope, receive, hold_back)
+        if held is None or held.get("more_body", True):  # the client has gone
+            return
+        if status == 200 and digest.hexdigest() != self._sha256:
+            self._on_damage()
+        else:
+            await send(held)
 
 
 def check_range(request: Request, size: int) -> None:
@@ -132,7 +164,7 @@ def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementR
         return {}
     names = {} if page.name is None else {"name": page.name}
     query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
-    return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
+    return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:
@@ -146,7 +178,7 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
         name, _, value = preference.partition(";")[0].partition("=")
         preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
     with suppress(ValueError):
-        seconds = float(preferences.get("wait", ""))
+        seconds = number_of(preferences.get("wait", ""))
         if math.isfinite(seconds) and seconds >= 0:
             return min(seconds, longest)
     return 0.0 if "respond-async" in preferences else min(default, longest)

@@ -17,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
 
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
+from service.errors import MeasurementDamagedError
 from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
@@ -217,21 +218,19 @@ class Jobs:
     async def _compute(self, row: FitRow) -> Outcome:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
-            damage = asyncio.create_task(run_in_threadpool(self._store.blobs.damage, row.measurement))
             try:
+                damage = await run_in_threadpool(self._store.blobs.damage, row.measurement)
+                if damage is not None:
+                    return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
                 task = FitTask(str(row.key), path, options, row.measurement)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
-                found = await damage
             except OSError as error:
-                outcome, found = Fault("system", NOT_STARTED, f"The fit could not be started: {error}."), None
+                outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
             except Exception as error:
                 logger.exception("the engine broke")
                 message = f"The engine broke with {type(error).__name__}; the log says why."
                 return Fault("system", "EngineFailed", message)
-            if found is not None:
-                message = f"The stored measurement is damaged ({found}); upload it again and ask for the fit once more."
-                return Fault("system", "MeasurementDamaged", message)
             if not (isinstance(outcome, Fault) and outcome.type == NOT_STARTED):
                 return outcome
             logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)

@@ -1,31 +1,43 @@
 """What is kept in memory of finished fits: their models, and what a page shows of them beside their measurements.
 
-The models used last stay, so that a request for values reads nothing. A view, pictures of lit spheres and slices of
-fit and measurement, takes up to a second and reads the whole measurement; those used last stay too, some 300 kB each.
+The models used last stay with their components, so that a request for values reads and fits nothing. A view, pictures
+of lit spheres and slices of fit and measurement, takes up to a second and reads the whole measurement; those used last
+stay too, some 300 kB each.
 """
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from anyio import CapacityLimiter, to_thread
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf import DSBRDF, Decomposition, FitReport, Measurement, decompose, profiles, read_merl
+from dsbrdf import (
+    DSBRDF,
+    Component,
+    Decomposition,
+    FitReport,
+    Measurement,
+    decompose,
+    profiles,
+    read_merl,
+)
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
-from dsbrdf.model.decomposition import LABELS, lobe_widths
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.png import encode_png
+from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
-from service.errors import FitNotFoundError, ProblemError
+from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from service.jobs.computations import Run
 from service.storage.schema import FitKey, FitRow
 from service.storage.store import Store
 
@@ -50,8 +62,18 @@ class LoadedFit:
 
     @cached_property
     def decomposition(self) -> Decomposition:
-        """The model's components, computed at the first use."""
+        """The model's components; the first use takes some 0.2 s."""
         return decompose(self.model)
+
+    @cached_property
+    def components(self) -> list[dict[str, Any]]:
+        """What documents say of the components; the first use computes their albedos."""
+        return [component_document(component) for component in self.decomposition]
+
+    @property
+    def decomposed(self) -> bool:
+        """Whether the components are known already."""
+        return "components" in vars(self)
 
 
 class ModelCache:
@@ -76,27 +98,37 @@ class ModelCache:
         loaded = await run_in_threadpool(self._load, key)
         if deletions != self._deletions:  # perhaps this fit was deleted after it was read
             return loaded
-        self._models[key] = loaded
+        loaded = self._models.setdefault(key, loaded)  # one that has come together with this request is the same
         while len(self._models) > self._size:
             self._models.popitem(last=False)
         return loaded
 
-    async def component(self, key: FitKey, label: str | None) -> DSBRDF:
-        """Return the model of a fit, or of one of its components.
+    async def component(self, key: FitKey, label: str | None, run: Run) -> DSBRDF | Component:
+        """Return the model of a fit, or one of its components, which `run` computes at the first use.
 
-        Raises ProblemError: as `get`, or if there is no such label.
+        Raises ProblemError as `get`, and if the component has no light.
         """
         if label is None:
             return (await self.get(key)).model
-        decomposition = await self.decomposition(key)
-        if label not in LABELS:
-            raise ProblemError("not-found", f"There is no component {label[:40]!r}; a fit has {', '.join(LABELS)}.")
-        return decomposition[label].model
+        decomposition = await self.decomposition(key, run)
+        if label not in decomposition.labels:
+            there = f"it has {' and '.join(decomposition.labels)}" if decomposition.labels else "it reflects no light"
+            raise ProblemError("not-found", f"The fit has no component {label}: {there}.")
+        return decomposition[label]
 
-    async def decomposition(self, key: FitKey) -> Decomposition:
-        """Return the components of a fit; raises as `get`."""
+    async def decomposition(self, key: FitKey, run: Run) -> Decomposition:
+        """Return the components of a fit, whose albedos are known; raises as `get`."""
+        return (await self._decomposed(key, run)).decomposition
+
+    async def components(self, key: FitKey, run: Run) -> list[dict[str, Any]]:
+        """Return what documents say of the components of a fit; raises as `get`."""
+        return (await self._decomposed(key, run)).components
+
+    async def _decomposed(self, key: FitKey, run: Run) -> LoadedFit:
         loaded = await self.get(key)
-        return await run_in_threadpool(lambda: loaded.decomposition)
+        if not loaded.decomposed:
+            await run(("components", key, id(loaded)), lambda: loaded.components)
+        return loaded
 
     def forget(self, *keys: FitKey) -> None:
         """Drop models whose fits are deleted; without keys all, as any may have been deleted by another process."""
@@ -117,15 +149,6 @@ class ModelCache:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One lobe of a fit, or its delta term."""
-
-    label: str
-    component: str
-    model: DSBRDF
-
-
-@dataclass(frozen=True, eq=False)
 class FitView:
     """A fit beside its measurement.
 
@@ -141,9 +164,8 @@ class FitView:
         Measured values in the plane of incidence [1/sr].
     horizon_cutoff : float or None
         Largest angle to the normal of the samples in those means [rad].
-    model : DSBRDF
-    parts : tuple of Part
-        They add up to the model.
+    decomposition : Decomposition
+        The model and its components, whose values add up to the model's.
     """
 
     exposure: float
@@ -151,8 +173,7 @@ class FitView:
     measured: Array | None
     polar: Array | None
     horizon_cutoff: float | None
-    model: DSBRDF
-    parts: tuple[Part, ...]
+    decomposition: Decomposition
 
     def profile(self, row: int) -> dict[str, Any]:
         """Return curves over theta_half at one row of theta_diff, in JSON's types; values in 1/sr, by channel."""
@@ -162,27 +183,28 @@ class FitView:
             "node_theta_half_deg": _rounded(np.degrees(THETA_HALF)),
             "measured": None if measured is None else [_rounded(channel) for channel in measured],
             "theta_half_deg": _rounded(np.degrees(_CURVE_ANGLES)),
-            "fit": self._curves(self.model, row),
-            "lobes": [
-                {"label": part.label, "component": part.component, "values": self._curves(part.model, row)}
-                for part in self.parts
-            ],
+            **self._of_components(lambda model: slice_means(model, row, self.horizon_cutoff, _CURVE_ANGLES)),
         }
 
     def plane_of_incidence(self, light: int) -> dict[str, Any]:
         """Return curves over the viewer's angle for one angle of the light [degrees], as `profile` does."""
         measured = None if self.polar is None else self.polar[light // LIGHT_STEP]
-        fit = self.model.evaluate(*_in_plane(np.array([light])))[0]
+        angles = _in_plane(np.array([light]))
         return {
             "theta_in_deg": light,
             "theta_out_deg": _POLAR_ANGLES.tolist(),
             "measured": None if measured is None else [_rounded(channel) for channel in measured.T],
-            "fit": [_rounded(channel) for channel in fit.T],
+            **self._of_components(lambda model: model.evaluate(*angles)[0]),
         }
 
-    def _curves(self, model: DSBRDF, row: int) -> list[list[float | None]]:
-        values = slice_means(model, row, self.horizon_cutoff, _CURVE_ANGLES)
-        return [_rounded(channel) for channel in values.T]
+    def _of_components(self, values: Callable[[ReflectanceModel], Array]) -> dict[str, Any]:
+        """Return curves of the fit and of its components, from what gives the values (n, 3) of a model."""
+
+        def curves(model: ReflectanceModel) -> list[list[float | None]]:
+            return [_rounded(channel) for channel in values(model).T]
+
+        components = [{"label": component.label, "values": curves(component)} for component in self.decomposition]
+        return {"fit": curves(self.decomposition.model), "components": components}
 
 
 class FitViews:
@@ -192,21 +214,24 @@ class FitViews:
         self._store = store
         self._models = models
         self._views: OrderedDict[FitKey, FitView] = OrderedDict()
-        self._computing = CapacityLimiter(1)  # one takes a core for up to a second, and some 200 MB
 
-    async def get(self, row: FitRow) -> FitView:
-        """Return the view of a fit; raises as `ModelCache.get`."""
+    async def get(self, row: FitRow, run: Run) -> FitView:
+        """Return the view of a fit; raises as `ModelCache.get`.
+
+        `run` makes it, once for all who ask: it takes a core for up to a second, and 200 MB.
+        """
         loaded = await self._models.get(row.key)
         view = self._views.get(row.key)
-        if view is None or view.model is not loaded.model:
-            view = await to_thread.run_sync(self._make, row, loaded, limiter=self._computing)
+        if view is None or view.decomposition.model is not loaded.model:
+            decomposition = await self._models.decomposition(row.key, run)
+            view = await run(("view", row.key, id(loaded.model)), lambda: self._make(row, decomposition))
             self._views[row.key] = view
             while len(self._views) > _KEPT:
                 self._views.popitem(last=False)
         self._views.move_to_end(row.key)
         return view
 
-    def _make(self, row: FitRow, loaded: LoadedFit) -> FitView:
+    def _make(self, row: FitRow, decomposition: Decomposition) -> FitView:
         cutoff = row.options["horizon_cutoff_deg"]
         horizon_cutoff = None if cutoff is None else float(np.radians(cutoff))
         measurement = self._measurement(row)
@@ -215,16 +240,14 @@ class FitViews:
             reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
             means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
             polar = interpolate(measurement).evaluate(*_in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
-        factor, pictures = _pictures(loaded.model, measurement)
-        return FitView(factor, pictures, means, polar, horizon_cutoff, loaded.model, _parts(loaded))
+        factor, pictures = _pictures(decomposition.model, measurement)
+        return FitView(factor, pictures, means, polar, horizon_cutoff, decomposition)
 
     def _measurement(self, row: FitRow) -> Measurement | None:
         """Return the fit's measurement, unless it has been deleted."""
-        if self._store.measurement(row.owner, row.measurement) is None:
-            return None
         try:
-            return read_merl(self._store.blobs.path(row.measurement))
-        except FileNotFoundError:  # deleted since its row was read
+            return read_merl(self._store.measurement_file(row.owner, row.measurement))
+        except (MeasurementNotFoundError, FileNotFoundError):  # of the file: deleted since its row was read
             return None
 
 
@@ -237,7 +260,7 @@ def _in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     return half_difference(omega_in, omega_out)
 
 
-def _pictures(model: DSBRDF, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
+def _pictures(model: ReflectanceModel, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
     """Return the exposure and the pictures, which all have it."""
     fit = render_sphere(model, size=_SIZE)
     reference = fit if measurement is None else render_sphere(measurement, size=_SIZE)
@@ -248,19 +271,6 @@ def _pictures(model: DSBRDF, measurement: Measurement | None) -> tuple[float, di
         pictures["measured"] = displayed(reference, factor)
         pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - seen), 0.0, 1.0)
     return factor, {name: encode_png(picture) for name, picture in pictures.items()}
-
-
-def _parts(loaded: LoadedFit) -> tuple[Part, ...]:
-    model, parts = loaded.model, []
-    widths = np.degrees(lobe_widths(model))
-    if np.any(model.delta):
-        parts.append(Part("delta term", "specular_spike", model.select((), with_delta=True)))
-    for component in loaded.decomposition:
-        for lobe in component.lobes:
-            ring = ", a ring" if model.is_ring[lobe] else ""
-            label = f"lobe {lobe}: {component.label.replace('_', ' ')}, half width {widths[lobe]:.2g}°{ring}"
-            parts.append(Part(label, component.label, model.select((lobe,), with_delta=False)))
-    return tuple(parts)
 
 
 def _rounded(values: Array) -> list[float | None]:

@@ -2,7 +2,8 @@
 
 JSON lines, or text for a person at a terminal. A line carries the id of the request that caused it, and what was
 bound besides (structlog's context variables), also in the tasks and threads that the request has started. Keys
-never reach it: whatever looks like one is cut out of every line. A line stays one line, whatever a client sends.
+never reach it: whatever looks like one is cut out of every line. A line stays one line and short, whatever a client
+sends.
 """
 
 import logging
@@ -19,12 +20,14 @@ from structlog.dev import ConsoleRenderer
 
 from service.settings import Settings
 
-_SECRETS = re.compile(r"(\bdsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
+_SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
 # Characters that would end a line or control a terminal.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 # What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
+_LONGEST = 500  # characters of what a line tells
+_LONGEST_TRACEBACK = 20_000
 _encode = JSONEncoder(default=str).encode
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
@@ -57,12 +60,13 @@ class LineFormatter(logging.Formatter):
             **get_contextvars(),
         }
         line |= {name: value for name, value in vars(record).items() if name not in _NOT_SHOWN}
+        line = {name: _cut(value, _LONGEST) for name, value in line.items()}
         # A record that came from another process has its traceback as text.
         exception = self.formatException(record.exc_info) if record.exc_info else record.exc_text
         if exception:
-            line["exception"] = exception
+            line["exception"] = _cut(exception, _LONGEST_TRACEBACK)
         written = _encode(line) if self._console is None else str(self._console(None, "", _on_one_line(line)))
-        return _SECRETS.sub(lambda match: f"{match[1] or match[2]}...", written)
+        return _mask(written)
 
 
 class _Repetitions:
@@ -79,6 +83,17 @@ class _Repetitions:
             return False
         self._told = now
         return True
+
+
+def _mask(text: str) -> str:
+    return _SECRETS.sub(lambda match: f"{match[1] or match[2]}...", text)
+
+
+def _cut(value: Any, longest: int) -> Any:
+    """Return a text's beginning and its length if it is too long; masked first, as a part of a key does not look it."""
+    if not isinstance(value, str) or len(value) <= longest:
+        return value
+    return f"{_mask(value)[:longest]}... ({len(value)} characters)"
 
 
 def _on_one_line(event: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-// Profiles over theta_half at one theta_diff, as SVG: measured points, the fit, and the lobes of one channel.
+// Profiles over theta_half at one theta_diff, as SVG: measured points, the fit and its components.
 const root = document.documentElement.dataset.root;
 const SVG = "http://www.w3.org/2000/svg";
 export const CHANNELS = ["red", "green", "blue"];
@@ -16,29 +16,24 @@ export function choice(name) {
   return document.querySelector(`input[name="${name}"]:checked`).value;
 }
 
-// What is drawn: curves with their points, each with a class for its colour.
-function seriesOf(data, channel) {
-  if (channel === "all") {
-    const fits = CHANNELS.map((name, c) => ({ label: `${name}, fit`, colour: name, x: data.theta_half_deg, y: data.fit[c] }));
-    const points = CHANNELS.map((name, c) => ({
-      label: `${name}, measured`, colour: name, points: true, x: data.node_theta_half_deg, y: data.measured?.[c] ?? [],
-    }));
-    return data.measured ? [...points, ...fits] : fits;
+// What a plot draws: points and curves, each with a class for its colour; in one channel a component has its own colour.
+export function seriesOf({ fit, measured, components }, channel) {
+  if (channel !== "all") {
+    const c = Number(channel);
+    const parts = components.map(({ label, values }) => ({ label: label.replace("_", " "), colour: label, y: values[c], part: true }));
+    const points = measured ? [{ label: "measured", colour: "ink", points: true, y: measured[c] }] : [];
+    return [...points, ...parts, { label: "fit", colour: "ink", y: fit[c] }];
   }
-  const c = Number(channel);
-  const used = {};
-  const lobes = data.lobes.map((lobe) => {
-    used[lobe.component] = (used[lobe.component] ?? -1) + 1;
-    const dash = used[lobe.component] % 4;
-    return { label: lobe.label, colour: lobe.component, dash, x: data.theta_half_deg, y: lobe.values[c] };
-  });
-  const fit = { label: "fit, all lobes", colour: "ink", x: data.theta_half_deg, y: data.fit[c] };
-  const measured = { label: "measured", colour: "ink", points: true, x: data.node_theta_half_deg, y: data.measured?.[c] ?? [] };
-  return data.measured ? [measured, ...lobes, fit] : [...lobes, fit];
+  const ofChannels = (values, more) => CHANNELS.map((name, c) => ({ colour: name, y: values[c], ...more(name) }));
+  const points = measured ? ofChannels(measured, (name) => ({ label: `${name}, measured`, points: true })) : [];
+  const parts = components.flatMap(({ label, values }) => ofChannels(values, () => ({ label: label.replace("_", " "), dash: label, part: true })));
+  return [...points, ...parts, ...ofChannels(fit, (name) => ({ label: `${name}, fit` }))];
 }
 
+export const classOf = ({ points, colour, dash }) => `${points ? "point" : "curve"} c-${colour} ${dash ? `dash-${dash}` : ""}`;
+
 function limits(data, series, axis, range) {
-  const curves = series.filter((one) => one.colour === "ink" || CHANNELS.includes(one.colour));
+  const curves = series.filter((one) => !one.part);
   const values = curves.flatMap((one) => one.y.filter((value) => value > 0));
   const top = Math.max(...values, 1e-6);
   const total = data.theta_half_deg.map((_, i) => data.fit.reduce((sum, curve) => sum + curve[i], 0));
@@ -68,7 +63,7 @@ function logTicks(low, high) {
 
 function plot(box, data, channel, axis, range) {
   const width = Math.max(box.clientWidth, 280);
-  const series = seriesOf(data, channel);
+  const series = seriesOf(data, channel).map((one) => ({ ...one, x: one.points ? data.node_theta_half_deg : data.theta_half_deg }));
   const { end, low, high } = limits(data, series, axis, range);
   const scale = axis === "log" ? Math.log : (value) => value;
   const inner = { width: width - MARGIN.left - MARGIN.right, height: HEIGHT - MARGIN.top - MARGIN.bottom };
@@ -97,7 +92,7 @@ function plot(box, data, channel, axis, range) {
   for (const one of series) draw(group, one, { px, py, low, axis, end });
   svg.append(group);
   box.replaceChildren(svg);
-  showLegend(series);
+  showLegend(series, box);
 }
 
 function draw(group, one, { px, py, low, axis, end }) {
@@ -110,24 +105,25 @@ function draw(group, one, { px, py, low, axis, end }) {
       last = px(x);
       d += `M${(px(x) - 2.5).toFixed(1)} ${(py(value) - 2.5).toFixed(1)}h5v5h-5z`;
     }
-    group.append(element("path", { class: `point c-${one.colour}`, d }));
+    group.append(element("path", { class: classOf(one), d }));
     return;
   }
   const floor = axis === "log" ? low / 100 : low - 1e9;
   const d = visible.map(([x, value], i) => `${i ? "L" : "M"}${px(x).toFixed(1)} ${py(Math.max(value, floor)).toFixed(1)}`).join("");
-  group.append(element("path", { class: `curve c-${one.colour} dash-${one.dash ?? 0}`, d }));
+  group.append(element("path", { class: classOf(one), d }));
 }
 
-function showLegend(series) {
-  const items = series.map((one) => {
+// The legend below a plot; where a component is drawn in three channels, its dashes are shown once.
+export function showLegend(series, box) {
+  const items = series.filter((one, i) => series.findIndex(({ label }) => label === one.label) === i).map((one) => {
     const item = document.createElement("li");
     const svg = element("svg", { viewBox: "0 0 30 12", "aria-hidden": "true" });
-    if (one.points) svg.append(element("path", { class: `point c-${one.colour}`, d: "M12 3h6v6h-6z" }));
-    else svg.append(element("path", { class: `curve c-${one.colour} dash-${one.dash ?? 0}`, d: "M1 6H29" }));
+    const look = classOf(one.dash ? { ...one, colour: "ink" } : one);
+    svg.append(element("path", { class: look, d: one.points ? "M12 3h6v6h-6z" : "M1 6H29" }));
     item.append(svg, one.label);
     return item;
   });
-  document.getElementById("legend").replaceChildren(...items);
+  document.getElementById(`${box.id}-legend`).replaceChildren(...items);
 }
 
 // Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes.

@@ -18,8 +18,8 @@ function follow() {
     if (events.readyState === EventSource.CLOSED) setTimeout(() => location.reload(), 3000);
   };
   document.getElementById("cancel").addEventListener("click", async () => {
-    const answer = await fetch(`${root}v1/fits/${id}`, { method: "DELETE" });
-    if (answer.ok) return location.reload();
+    const answer = await fetch(`${root}v1/fits/${id}?only=cancel`, { method: "DELETE" });
+    if (answer.ok || answer.status === 409) return location.reload();
     const fault = document.getElementById("fault");
     fault.hidden = false;
     fault.textContent = (await answer.json()).detail;

@@ -1,4 +1,5 @@
-// A lit sphere of a fit by WebGL 2. Its material is the GLSL function that the service exports, as it is.
+// A lit sphere of a fit by WebGL 2. Its material is a GLSL function that the service exports, as it is: the fit's, or,
+// once a component is hidden, that of a component, which has the weights of all.
 const root = document.documentElement.dataset.root;
 const LABELS = ["specular_spike", "specular_lobe", "diffuse"];
 const VERTEX = `#version 300 es
@@ -45,7 +46,8 @@ export class Sphere {
     this.hint = figure.querySelector(".hint");
     this.sources = new Map();
     this.programs = new Map();
-    this.shown = new Set(LABELS);
+    this.boxes = [...figure.querySelectorAll("[data-component]")];
+    for (const box of this.boxes) box.checked = true; // a browser keeps what was ticked before
     this.stops = 0;
     this.single = false;
     this.onlight = () => {};
@@ -68,28 +70,21 @@ export class Sphere {
     return view;
   }
 
-  source(label) {
-    if (!this.sources.has(label)) {
-      const part = label && `&component=${label}`;
-      this.sources.set(label, load(`v1/fits/${this.figure.dataset.fit}/export?format=glsl${part}`, "text"));
+  // The GLSL function of the whole fit, "", or the one that weighs its components, "parts".
+  source(kind) {
+    if (!this.sources.has(kind)) {
+      const part = kind && `&component=${this.boxes[0].dataset.component}`;
+      this.sources.set(kind, load(`v1/fits/${this.figure.dataset.fit}/export?format=glsl${part}`, "text"));
     }
-    return this.sources.get(label).then((text) => (this.sources[label] = text));
+    return this.sources.get(kind).then((text) => (this.sources[kind] = text));
   }
 
-  // The program for the whole fit, "", or for some of its components; each one's names get its label.
-  program(key) {
-    const known = this.programs.get(key);
+  program(kind) {
+    const known = this.programs.get(kind);
     if (known) return known;
     const gl = this.gl;
-    let functions;
-    if (key === "none") functions = "vec3 material(vec3 a, vec3 b) { return vec3(0.0); }";
-    else if (key === "") functions = `${this.sources[""]}\nvec3 material(vec3 a, vec3 b) { return dsbrdf(a, b); }`;
-    else {
-      const labels = key.split(" ");
-      const renamed = labels.map((label) => this.sources[label].replace(/\b(dsbrdf|DSBRDF)(?=\w*)/g, `$1_${label}`));
-      const sum = labels.map((label) => `dsbrdf_${label}(a, b)`).join(" + ");
-      functions = `${renamed.join("\n")}\nvec3 material(vec3 a, vec3 b) { return ${sum}; }`;
-    }
+    const call = kind ? "dsbrdf_shown(a, b, shown)" : "dsbrdf(a, b)";
+    const functions = `${this.sources[kind]}\nuniform vec3 shown;\nvec3 material(vec3 a, vec3 b) { return ${call}; }`;
     const program = gl.createProgram();
     const head = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
     gl.attachShader(program, compile(gl, gl.VERTEX_SHADER, VERTEX));
@@ -100,18 +95,18 @@ export class Sphere {
       throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);
     }
     const at = (name) => gl.getUniformLocation(program, name);
-    const places = { size: at("size"), exposure: at("exposure"), count: at("count"), towards: at("towards"), irradiance: at("irradiance") };
-    this.programs.set(key, { program, places });
-    return this.programs.get(key);
+    const places = { size: at("size"), exposure: at("exposure"), count: at("count"), towards: at("towards"), irradiance: at("irradiance"), shown: at("shown") };
+    this.programs.set(kind, { program, places });
+    return this.programs.get(kind);
   }
 
-  async toggle(label, on) {
-    if (on) this.shown.add(label);
-    else this.shown.delete(label);
+  async toggle() {
     try {
-      await Promise.all([...this.shown].map((name) => this.source(name)));
+      await this.source("parts");
+      this.program("parts");
       this.draw();
     } catch (error) {
+      this.sources.delete("parts");
       this.hint.textContent = error.message;
     }
   }
@@ -131,11 +126,10 @@ export class Sphere {
 
   paint() {
     const { gl, canvas, view } = this;
-    const boxes = [...this.figure.querySelectorAll("[data-component]")].map((box) => box.dataset.component);
-    const wanted = boxes.filter((label) => this.shown.has(label));
-    const key = wanted.length === boxes.length ? "" : wanted.join(" ") || "none";
-    if (key !== "" && key !== "none" && wanted.some((label) => !this.sources[label])) return;
-    const { program, places } = this.program(key);
+    const hidden = this.boxes.filter((box) => !box.checked).map((box) => box.dataset.component);
+    const kind = hidden.length ? "parts" : "";
+    if (!this.sources[kind]) return; // on its way
+    const { program, places } = this.program(kind);
     const lights = this.single ? view.lights.slice(0, 1) : view.lights;
     const directions = lights.map((light, index) => (index === 0 ? this.light : light.direction));
     const padded = (vectors) => new Float32Array(9).map((_, index) => vectors.flat()[index] ?? 0);
@@ -148,6 +142,7 @@ export class Sphere {
     gl.uniform1i(places.count, lights.length);
     gl.uniform3fv(places.towards, padded(directions));
     gl.uniform3fv(places.irradiance, padded(lights.map((light) => light.irradiance)));
+    gl.uniform3fv(places.shown, LABELS.map((label) => Number(!hidden.includes(label))));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     canvas.dataset.painted = String(Number(canvas.dataset.painted ?? 0) + 1);
   }
@@ -229,9 +224,7 @@ function control(spheres) {
   document.getElementById("reset").addEventListener("click", reset);
   for (const sphere of spheres) {
     sphere.onlight = ({ light }) => all((other) => { other.light = [...light]; });
-    for (const box of sphere.figure.querySelectorAll("[data-component]")) {
-      box.addEventListener("change", () => sphere.toggle(box.dataset.component, box.checked));
-    }
+    for (const box of sphere.boxes) box.addEventListener("change", () => sphere.toggle());
     sphere.canvas.addEventListener("keydown", (event) => {
       if (event.key === "r" || event.key === "R") reset();
       else if ("+-=".includes(event.key)) {

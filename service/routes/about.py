@@ -10,7 +10,7 @@ from service.errors import ProblemError
 from service.http import openapi
 from service.http.responses import json_reply
 from service.routes.dependencies import NO_QUERY, TheCaller, TheContext
-from service.wire.schemas import Health
+from service.wire.schemas import Health, Readiness
 
 router = APIRouter(tags=["health"])
 
@@ -18,6 +18,7 @@ _METRICS = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
 # TYPE dsbrdf_fits gauge
 dsbrdf_fits{state="running"} 2.0
 """
+_READY = {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0}
 
 
 @router.get(
@@ -36,10 +37,9 @@ async def get_live() -> Response:
 @router.get(
     "/health/ready",
     dependencies=NO_QUERY,
-    response_model=Health,
+    response_model=Readiness,
     summary="Can it take work?",
-    responses=openapi.response("The service is ready.", {"status": "ready", "version": dsbrdf.__version__})
-    | openapi.problems("not-ready", behind_a_key=False),
+    responses=openapi.response("The service is ready.", _READY) | openapi.problems("not-ready", behind_a_key=False),
 )
 async def get_ready(context: TheContext) -> Response:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
@@ -49,7 +49,8 @@ async def get_ready(context: TheContext) -> Response:
     fault = await context.readiness.fault()
     if fault is not None:
         raise ProblemError("not-ready", fault)
-    return json_reply(Health(status="ready", version=dsbrdf.__version__))
+    lost = await run_in_threadpool(context.store.blobs.n_lost)
+    return json_reply(Readiness(status="ready", version=dsbrdf.__version__, lost_files=lost))
 
 
 @router.get(

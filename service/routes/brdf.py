@@ -5,18 +5,19 @@ from functools import partial
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
 
-from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from dsbrdf.model.decomposition import LABELS
-from dsbrdf.output.report_text import component_document
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.model.reflectance import ReflectanceModel
 from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import IN_MEMORY, media_type_of, receive_body
 from service.http.responses import IfNoneMatch, tagged_reply
+from service.jobs.computations import Place
 from service.routes.dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 from service.storage.schema import FitKey
 from service.wire import examples, values
@@ -28,7 +29,7 @@ class _DirectRoute(APIRoute):
     """A route whose function gets its dependencies and path parameters without FastAPI's validation.
 
     FastAPI describes it like any other. Without solving, validating and stacks of exits, a GET takes a third less time;
-    an id or a label that nothing can have is not found.
+    an id that nothing can have is not found.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -45,13 +46,13 @@ class _DirectRoute(APIRoute):
 
 
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
-components = APIRouter(prefix="/v1/fits/{fit_id}/lobes", tags=["lobes"])
+components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"])
 Label = Annotated[
     str,
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
 ]
 
-_long_bodies = CapacityLimiter(1)
+_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 _MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_PER_POINT = 48
@@ -105,9 +106,9 @@ async def get_values(request: Request, context: TheContext, fit: TheFit) -> Resp
     return await _values_of_query(request, context, fit, None)
 
 
-@_get("/lobes/{label}/brdf", summary="A component's values at some points")
+@_get("/components/{label}/brdf", summary="A component's values at some points")
 async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
-    """Return one component's values; the three components' values add up to the fit's."""
+    """Return one component's values; those of all components add up to the fit's. One without light is not found."""
     return await _values_of_query(request, context, fit, label)
 
 
@@ -122,7 +123,7 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
     return await _values_of_batch(request, context, fit, None)
 
 
-@_post("/lobes/{label}/brdf", summary="A component's values at many points")
+@_post("/components/{label}/brdf", summary="A component's values at many points")
 async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
     return await _values_of_batch(request, context, fit, label)
@@ -137,28 +138,64 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
     | openapi.NOT_MODIFIED
     | openapi.problems("not-found", "fit-not-finished"),
 )
-async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
-    """Return the three components with their lobes, albedo, half width and how clear the label is."""
-    items = [component_document(component) for component in await context.models.decomposition(fit)]
-    document = ComponentList.model_validate({"items": items})
+async def get_components(
+    request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = ""
+) -> Response:
+    """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
+
+    Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
+    """
+    run = context.computations.for_request(request, {"Content-Type": JSON}, "medium")
+    document = ComponentList.model_validate({"items": await context.models.components(fit, run)})
     return tagged_reply(document.model_dump_json().encode(), if_none_match)
 
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    model = await context.models.component(fit, label)
+    await _check(context, fit, label)
     points = values.from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    return await values.values_reply(model, points, JSON, context.metrics)
+    model = await _model(request, context, fit, label, JSON)
+    return await _reply(request, context, model, points, JSON)
 
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     await no_query(request)
     media_type = _accepted_type(request)
-    model = await context.models.component(fit, label)
+    await _check(context, fit, label)
     points = await _batch(request, context)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise ProblemError("too-large", detail)
-    return await values.values_reply(model, points, media_type, context.metrics)
+    model = await _model(request, context, fit, label, media_type)
+    return await _reply(request, context, model, points, media_type)
+
+
+async def _check(context: Context, fit: FitKey, label: str | None) -> None:
+    """Raise what is wrong with the fit or the label, which goes before what is wrong with the points."""
+    await context.models.get(fit)
+    if label is not None and label not in LABELS:
+        raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {label[:40]!r}.")
+
+
+async def _model(
+    request: Request, context: Context, fit: FitKey, label: str | None, media_type: str
+) -> ReflectanceModel:
+    """Return the model of a fit or a component; the request's body must have been read."""
+    run = context.computations.for_request(request, {"Content-Type": media_type}, "medium")
+    return await context.models.component(fit, label, run)
+
+
+async def _reply(
+    request: Request, context: Context, model: ReflectanceModel, points: Points | StoredPoints, media_type: str
+) -> Response:
+    """Return the values of a model: a few at once, many in a turn, very many in parts."""
+    reply, head = values.ValuesReply(model, media_type, context.metrics), {"Content-Type": media_type}
+    if isinstance(points, StoredPoints):
+        head |= reply.length_of(points)
+        return StreamingResponse(context.computations.stream(request, reply.parts(points), head), 200, head)
+    if len(points) <= _MAX_INLINE and request.method != "HEAD":
+        return Response(reply.whole(points), 200, head)
+    content = await context.computations.run(request, object(), lambda: reply.whole(points), head)
+    return Response(content, 200, head)
 
 
 async def _batch(request: Request, context: Context) -> Points | StoredPoints:
@@ -176,7 +213,8 @@ async def _batch(request: Request, context: Context) -> Points | StoredPoints:
         return values.stored(_from_json(bytes(body), max_points).blocks(), folder)
 
     # What is read of a long body takes memory: of one at a time.
-    return await to_thread.run_sync(convert, limiter=_long_bodies if len(body) > IN_MEMORY else None)
+    place: Place = "medium" if len(body) > IN_MEMORY else "short"
+    return await context.computations.run(request, object(), convert, {}, place)
 
 
 def _from_json(body: bytes, max_points: int) -> Points:

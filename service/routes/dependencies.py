@@ -1,18 +1,18 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
 import asyncio
-from dataclasses import dataclass, field
-from functools import partial
+from collections import Counter
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends, Path, Request
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER
 from service.access.keys import Keys
 from service.errors import FitNotFoundError, MeasurementNotFoundError
+from service.jobs.computations import Computations
 from service.jobs.jobs import Jobs
 from service.jobs.results import FitViews, ModelCache
 from service.operations.metrics import Metrics
@@ -39,9 +39,7 @@ class Context:
     keys: Keys
     metrics: Metrics
     readiness: Readiness
-    # One at a time, and callers take turns: what is drawn or exported takes a core and memory for up to some seconds.
-    drawing: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
-    exporting: FairSlots = field(default_factory=partial(FairSlots, {"": 1}))
+    computations: Computations
 
     async def fit_row(self, fit: FitKey) -> FitRow:
         """Return a fit's row; raise FitNotFoundError if there is no such fit."""
@@ -103,6 +101,17 @@ async def _no_query(request: Request) -> None:
 
 
 NO_QUERY = [Depends(_no_query)]
+
+
+async def _no_repetition(request: Request) -> None:
+    """Refuse a parameter that is given twice: of two values one would have to be ignored."""
+    if request.scope["query_string"]:
+        for name, count in Counter(name for name, _ in request.query_params.multi_items()).items():
+            if count > 1:
+                raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
+
+
+NO_REPETITION = [Depends(_no_repetition)]
 
 
 async def revocation(keys: Keys, caller: Caller) -> None:

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Iterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -13,31 +13,43 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF
+from dsbrdf import DSBRDF, Component
 from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.engines.export_step import export_step
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, export_model
 from dsbrdf.output.export.merl import merl_parts
-from dsbrdf.output.report_text import lobes_document
 from service.access.authentication import invalid_key
 from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
-from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, tagged_reply
-from service.routes.dependencies import NO_QUERY, Context, TheCaller, TheContext, TheFit, name_of, revocation
+from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from service.jobs.computations import Place, Run, departure
+from service.routes.dependencies import (
+    NO_QUERY,
+    NO_REPETITION,
+    Context,
+    TheCaller,
+    TheContext,
+    TheFit,
+    name_of,
+    revocation,
+)
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.uploads import UploadBody, in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
+from service.wire.model_document import model_document
 from service.wire.names import MAX_LENGTH, content_disposition
 from service.wire.values import JSON
 
-router = APIRouter(prefix="/v1/fits", tags=["fits"])
-exports = APIRouter(prefix="/v1/fits", tags=["export"])
+router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
+exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
 
 _MAX_JSON = 1 << 16
-_LOSSLESS = ("json", "npz")  # made at once, and what the Python client asks for; others take up to some seconds
+_LOSSLESS = ("json", "npz")  # what the Python client asks for
+_PLACES: dict[str, Place] = {"bsdf": "medium", "bsdf-spectral": "medium", "materialx": "long"}  # others are short
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -119,7 +131,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    fit, headers = await _document(context, row), {"Location": f"/v1/fits/{row.id}"}
+    fit, headers = await _document(request, context, row), {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
     if row.ended:
         return json_reply(fit, 201 if new else 200, headers)
     return json_reply(fit, 202, {**headers, "Retry-After": "1"})
@@ -167,29 +179,34 @@ async def get_fit(
 ) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
-    document = await _document(context, row)
+    document = await _document(request, context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
     return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=headers)
 
 
 @router.delete(
     "/{fit_id}",
-    dependencies=NO_QUERY,
-    response_model=schemas.FitDocument,
+    response_model=schemas.RemovedFit,
     summary="Cancel or delete a fit",
-    responses=openapi.response("The fit was unfinished and is cancelled.", examples.CANCELLED_FIT)
-    | openapi.response("The fit had ended and is deleted.", status=204)
-    | openapi.problems("not-found", "disk-full"),
+    responses=openapi.response("The fit is cancelled or deleted, as the answer says.", examples.REMOVED_FIT)
+    | openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
 )
-async def delete_fit(context: TheContext, fit: TheFit) -> Response:
-    """Cancel an unfinished fit (200, it stays in the list), or delete one that has ended (204)."""
-    row = await context.jobs.cancel(fit)
-    if row is not None:
-        return json_reply(await _document(context, row))
-    if not await in_write_thread(context.store.remove_fit, fit):
-        raise FitNotFoundError(fit.id)
-    context.models.forget(fit)
-    return Response(status_code=204)
+async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Removal, Query()]) -> Response:
+    """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
+
+    `only` asks for one of them alone: a fit may end just before it is to be cancelled.
+    """
+    if wanted.only != "delete" and await context.jobs.cancel(fit) is not None:
+        return json_reply(schemas.RemovedFit(id=fit.id, status="cancelled"))
+    if wanted.only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
+        context.models.forget(fit)
+        return json_reply(schemas.RemovedFit(id=fit.id, status="deleted"))
+    row = await context.fit_row(fit)
+    if row.ended:
+        raise ProblemError(
+            "fit-ended", f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
+        )
+    raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
 
 
 @exports.get(
@@ -199,38 +216,54 @@ async def delete_fit(context: TheContext, fit: TheFit) -> Response:
     responses=openapi.response("The file.", content=_EXPORTED, headers=["Content-Disposition"])
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
-async def export_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]) -> Response:
-    """Return the model, or one component, for another program.
+async def export_fit(
+    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
+) -> Response:
+    """Return the model, one component, or the components' own lobes together, for another program.
 
     `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
     `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
     for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
     some seconds; `csv` the parameters.
     """
-    model = await context.models.component(fit, wanted.component)
+    loaded = await context.models.get(fit)
+    if wanted.component not in (None, GUIDE):
+        check_holds_component(wanted.format)
     row = await context.fit_row(fit)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
-    media_type, folder = FORMATS[wanted.format].media_type, context.store.blobs.temporary
+    headers["Content-Type"] = FORMATS[wanted.format].media_type
+    computations, folder = context.computations, context.store.blobs.temporary
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(merl_parts(model, folder), 200, headers, media_type)
-    report = (await context.models.get(fit)).report if wanted.component is None else None
+    model = await _exported(context, fit, wanted.component, computations.for_request(request, headers, "medium"))
+    if wanted.format == "merl":
+        return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
+    key, place = ("export", fit, wanted.format, wanted.component), _PLACES.get(wanted.format, "short")
+    if place == "long":
+        content = await computations.run_in_process(request, key, export_step, model, wanted.format, head=headers)
+    else:
+        report = loaded.report if wanted.component is None else None
+        export = partial(export_model, model, wanted.format, report)
+        content = await computations.run(request, key, export, headers, place)
     if wanted.format in _LOSSLESS:
-        return Response(await run_in_threadpool(export_model, model, wanted.format, report), 200, headers, media_type)
-    async with context.exporting.slot(fit.owner):
-        file, size = await run_in_threadpool(_stored, model, wanted.format, folder)
-    headers["Content-Length"] = str(size)
-    return StreamingResponse(_pieces(file), 200, headers, media_type)
+        return Response(content, 200, headers)
+    file = await run_in_threadpool(_stored, content, folder)
+    return StreamingResponse(_pieces(file), 200, {**headers, "Content-Length": str(len(content))})
 
 
-def _stored(model: DSBRDF, file_format: str, folder: Path) -> tuple[IO[bytes], int]:
-    """Return an exported file and its size; it is on the disk, so that a slow client takes no memory."""
-    content = export_model(model, file_format)
+async def _exported(context: Context, fit: FitKey, part: str | None, run: Run) -> DSBRDF | Component:
+    if part == GUIDE:
+        return (await context.models.decomposition(fit, run)).guide
+    return await context.models.component(fit, part, run)
+
+
+def _stored(content: bytes, folder: Path) -> IO[bytes]:
+    """Return a file with this content: it is on the disk, so that a slow client takes no memory."""
     file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
     file.write(content)
     file.seek(0)
-    return file, len(content)
+    return file
 
 
 def _pieces(file: IO[bytes]) -> Iterator[bytes]:
@@ -245,24 +278,14 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     return fit
 
 
-_EVENT = {
-    "type": "object",
-    "properties": {
-        "event": schemas.Progress.model_json_schema()["properties"]["status"],
-        "data": {"type": "string", "contentMediaType": JSON, "contentSchema": openapi.reference(schemas.Progress)},
-    },
-    "required": ["event", "data"],
-}
-
-
 @router.get(
     "/{fit_id}/events",
     dependencies=NO_QUERY,
     response_class=EventSourceResponse,
     summary="Follow a fit",
     responses=openapi.response(
-        "Events until the fit has ended.",
-        content={"text/event-stream": {"itemSchema": _EVENT, "example": examples.EVENTS}},
+        "Events until the fit has ended; the data of each is a `Progress` document.",
+        content={"text/event-stream": {"example": examples.EVENTS}},
     )
     | openapi.problems("not-found"),
 )
@@ -286,7 +309,7 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
         row = await context.jobs.wait(fit, 0)
     else:
         async with (
-            _task_of(_departure(request)) as gone,
+            _task_of(departure(request)) as gone,
             _task_of(revocation(context.keys, caller)) as revoked,
         ):
             row = await context.jobs.wait(fit, seconds, gone, revoked)
@@ -307,14 +330,12 @@ async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.T
         task.cancel()
 
 
-async def _departure(request: Request) -> None:
-    """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # of a body that is not read and arrives too slowly
-        while (await request.receive())["type"] != "http.disconnect":
-            pass
-
-
-async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
+async def _document(request: Request, context: Context, row: FitRow) -> schemas.FitDocument:
+    run = context.computations.for_request(request, {"Content-Type": JSON}, "medium")
     fit = await context.models.get(row.key) if row.status == "succeeded" else None
-    more = {"lobes": fit and lobes_document(fit.model), "warnings": fit.report.warnings if fit and fit.report else []}
+    more = {
+        "warnings": fit.report.warnings if fit and fit.report else [],
+        "components": fit and await context.models.components(row.key, run),
+        "model": fit and model_document(fit.model),
+    }
     return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

@@ -12,15 +12,35 @@ from service.errors import MeasurementNotFoundError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
-from service.http.responses import IfNoneMatch, OpenFileResponse, check_range, is_current, json_reply, next_page
-from service.routes.dependencies import NO_QUERY, Sha256, TheCaller, TheContext, name_of, no_query
+from service.http.responses import (
+    IfNoneMatch,
+    OpenFileResponse,
+    check_range,
+    is_current,
+    json_reply,
+    next_page,
+    prefix_of,
+    tagged_reply,
+)
+from service.routes.dependencies import (
+    NO_QUERY,
+    NO_REPETITION,
+    Context,
+    Sha256,
+    TheCaller,
+    TheContext,
+    name_of,
+    no_query,
+)
 from service.routes.fits import CONTENT_ENCODING, NAMES
+from service.storage.schema import MeasurementRow
 from service.storage.uploads import in_write_thread
 from service.wire import examples
 from service.wire.names import content_disposition
-from service.wire.schemas import MeasurementDocument, MeasurementList, Page, from_row
+from service.wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
+from service.wire.values import JSON
 
-router = APIRouter(prefix="/v1/measurements", tags=["measurements"])
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
 _LINKS = openapi.links(
     "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
@@ -28,6 +48,9 @@ _LINKS = openapi.links(
 _uploaded_as = partial(openapi.response, model=MeasurementDocument, headers=["Location", "ETag"], links=_LINKS)
 _FIRST_WITH_OPTIONS = {"measurement": "$response.body#/items/0/sha256", "options": {"method": "paper", "n_lobes": 1}}
 _FIT_LINK = {"submit_fit": {"operationId": "submit_fit", "requestBody": _FIRST_WITH_OPTIONS}}
+_VARY = {"Vary": "Accept"}
+_MOST_FITS = 200
+_ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.", BINARY)
 _RANGE = openapi.header_parameter(
     "Range", "One range of bytes; what is no such range is ignored (RFC 9110).", "bytes=0-11"
 )
@@ -53,7 +76,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     add = partial(context.store.add_measurement, caller, name=name_of(request))
     with context.metrics.timing("upload"):
         row, new = await context.store.uploads.receive(caller, upload_body(request), add)
-    headers = {"Location": f"/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
+    headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
 
@@ -81,9 +104,16 @@ async def list_measurements(
     response_class=FileResponse,
     summary="Download a measurement",
     responses=openapi.response(
-        "The file, byte for byte as it was uploaded.",
-        content={BINARY: openapi.file(BINARY)},
-        headers=["ETag", "Accept-Ranges", "Content-Disposition"],
+        "The file, byte for byte as it was uploaded; or what is known of it.",
+        content={
+            BINARY: openapi.file(BINARY),
+            JSON: {
+                "schema": openapi.reference(MeasurementDetails),
+                "example": openapi.kept(examples.MEASUREMENT_WITH_FITS),
+            },
+        },
+        headers=["ETag"],
+        optional_headers=["Accept-Ranges", "Content-Disposition"],
     )
     | openapi.response(
         "The part of the file that was asked for.",
@@ -91,20 +121,28 @@ async def list_measurements(
         headers=["ETag", "Content-Range", "Content-Disposition"],
     )
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "range-not-satisfiable"),
-    openapi_extra={"parameters": [_RANGE]},
+    | openapi.problems("not-found", "measurement-damaged", "range-not-satisfiable"),
+    openapi_extra={"parameters": [_RANGE, _ACCEPT]},
 )
 async def download_measurement(
     request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it."""
-    row, headers = await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
+    """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it.
+
+    With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
+    """
+    row = await context.measurement_row(caller.owner, sha256)
+    if _wants_document(request):
+        return await _details(context, row, if_none_match)
+    headers = {"ETag": f'"{sha256}"', **_VARY}
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
     check_range(request, row.size)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}.binary")
+    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
+    distrust = partial(context.store.blobs.distrust, sha256)
     try:
-        return await run_in_threadpool(OpenFileResponse, context.store.blobs.path(sha256), headers, BINARY)
+        return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256, distrust)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
@@ -116,16 +154,33 @@ async def download_measurement(
     summary="Ask for a measurement",
     responses=openapi.response("The measurement is stored.", headers=["ETag", "Content-Length"])
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found"),
+    | openapi.problems("not-found", "measurement-damaged"),
 )
 async def probe_measurement(
-    context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
+    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
 ) -> Response:
-    """Tell whether the measurement is stored, so that an upload can be spared."""
-    row, headers = await context.measurement_row(caller.owner, sha256), {"ETag": f'"{sha256}"'}
+    """Tell whether the measurement is stored and sound, so that an upload can be spared."""
+    row = await context.measurement_row(caller.owner, sha256)
+    if _wants_document(request):
+        return await _details(context, row, if_none_match)
+    headers = {"ETag": f'"{sha256}"', **_VARY}
     if is_current(headers["ETag"], if_none_match):
         return Response(None, 304, headers)
+    await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
+
+
+def _wants_document(request: Request) -> bool:
+    """Return whether ``Accept`` names JSON, and not the file: who accepts anything gets the file."""
+    accepted = ",".join(request.headers.getlist("accept")).lower().split(",")
+    named = {entry.partition(";")[0].strip() for entry in accepted}
+    return JSON in named and BINARY not in named
+
+
+async def _details(context: Context, row: MeasurementRow, if_none_match: str) -> Response:
+    fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
+    document = from_row(MeasurementDetails, row, fits=fits)
+    return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=_VARY)
 
 
 @router.delete(

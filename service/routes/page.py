@@ -1,6 +1,8 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
+import asyncio
 from collections.abc import Callable, Coroutine
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
@@ -14,20 +16,34 @@ from starlette.responses import Response
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
-from service.access.authentication import COOKIE, same_origin
+from dsbrdf.output.report_text import lobes_phrase
+from service.access.authentication import COOKIE, from_another_site, same_origin
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
-from service.http.responses import IfNoneMatch, json_text_reply, tagged_reply
-from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP
-from service.routes.dependencies import Context, TheCaller, TheContext, TheFit
-from service.routes.page_text import DOWNLOADS, FIGURES, facts_of, metrics_in_words, options_in_words, reproduction
+from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
+from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
+from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
+from service.routes.page_text import (
+    COMPONENT_MEANINGS,
+    DOWNLOADS,
+    FIGURES,
+    component_facts,
+    facts_of,
+    metrics_in_words,
+    model_lobes,
+    options_in_words,
+    reproduction,
+)
 from service.storage.schema import FitKey, FitRow
-from service.wire.schemas import Page
+from service.wire.schemas import Page, Plain
+from service.wire.values import JSON
 
+_HTML = {"Content-Type": "text/html; charset=utf-8"}
 _PNG = "image/png"
 _MAX_FORM = 1 << 12
+_FORM_SECONDS = 5.0  # anyone may send one
 
 
 class _PageRoute(APIRoute):
@@ -52,7 +68,7 @@ router = APIRouter(include_in_schema=False)
 pages = APIRouter(route_class=_PageRoute, include_in_schema=False)
 
 
-@pages.get("/")
+@pages.get("/", dependencies=NO_REPETITION)
 async def get_index(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
@@ -81,15 +97,19 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
     measured = await run_in_threadpool(context.store.measurement, row.owner, row.measurement) is not None
+    model = (await context.models.get(row.key)).model
     return _render(
         "fit.html",
         request,
-        code=reproduction(row, str(request.base_url)),
+        code=reproduction(row, f"{str(request.base_url).rstrip('/')}{prefix_of(request)}/"),
         downloads=DOWNLOADS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
-        **await _shown(context, row),
+        model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",
+        lobes=model_lobes(model),
+        meanings=COMPONENT_MEANINGS,
+        **await _shown(request, context, row),
     )
 
 
@@ -101,21 +121,23 @@ async def get_comparison(
     if len(fits) != 2:
         raise InvalidArgumentError(f"Two fits are compared at a time; tick two in the list, not {len(fits)}.")
     rows = [await context.fit_row(FitKey(caller.owner, fit_id)) for fit_id in fits]
-    return _render("compare.html", request, sides=[await _shown(context, row) for row in rows])
+    return _render("compare.html", request, sides=[await _shown(request, context, row) for row in rows])
 
 
 @router.get("/fits/{fit_id}/view")
-async def get_view(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+async def get_view(request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
-    view = await context.views.get(await context.fit_row(fit))
+    view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
     return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
-async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = "") -> Response:
+async def get_sphere(
+    request: Request, context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = ""
+) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await context.views.get(await context.fit_row(fit))
+    view = await _view(request, context, fit, _PNG)
     if name not in view.pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
     return tagged_reply(view.pictures[name], if_none_match, _PNG)
@@ -123,23 +145,30 @@ async def get_sphere(context: TheContext, fit: TheFit, name: str, if_none_match:
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
 async def get_profile(
-    context: TheContext, fit: TheFit, theta_diff_deg: Annotated[int, Path(ge=0, le=89)], if_none_match: IfNoneMatch = ""
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    theta_diff_deg: Annotated[int, Plain, Path(ge=0, le=89)],
+    if_none_match: IfNoneMatch = "",
 ) -> Response:
-    """Return the measured values, the fit and each lobe over theta_half, at one theta_diff."""
-    view = await context.views.get(await context.fit_row(fit))
-    return json_text_reply(await run_in_threadpool(view.profile, theta_diff_deg), if_none_match)
+    """Return the measured values, the fit and its components over theta_half, at one theta_diff."""
+    view = await _view(request, context, fit)
+    key, draw = ("profile", fit, theta_diff_deg), partial(view.profile, theta_diff_deg)
+    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
 
 
 @router.get("/fits/{fit_id}/polar/{theta_in_deg}")
 async def get_polar(
+    request: Request,
     context: TheContext,
     fit: TheFit,
-    theta_in_deg: Annotated[int, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
+    theta_in_deg: Annotated[int, Plain, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
     if_none_match: IfNoneMatch = "",
 ) -> Response:
-    """Return the measured values and the fit in the plane of incidence, for one direction of the light."""
-    view = await context.views.get(await context.fit_row(fit))
-    return json_text_reply(await run_in_threadpool(view.plane_of_incidence, theta_in_deg), if_none_match)
+    """Return the measured values, the fit and its components in the plane of incidence, for one direction of light."""
+    view = await _view(request, context, fit)
+    key, draw = ("polar", fit, theta_in_deg), partial(view.plane_of_incidence, theta_in_deg)
+    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
 
 
 @router.get("/docs")
@@ -164,11 +193,17 @@ async def get_sign_in() -> Response:
 @router.post("/sign-in")
 async def sign_in(request: Request, context: TheContext) -> Response:
     """Keep a key in a cookie that no script can read, and lead to the page that was wanted."""
-    form = parse_qs(bytes(await receive_body(request, _MAX_FORM, context.store.blobs.temporary)).decode("latin-1"))
+    try:
+        async with asyncio.timeout(_FORM_SECONDS):
+            body = await receive_body(request, _MAX_FORM, context.store.blobs.temporary)
+    except TimeoutError:
+        detail = f"The form took longer than the {_FORM_SECONDS:g} s that it may take."
+        raise ProblemError("request-timeout", detail, {"Connection": "close"}) from None
+    form = parse_qs(bytes(body).decode("latin-1"))
     key, wanted = (form.get(name, [""])[0].strip() for name in ("key", "wanted"))
     wanted = wanted if PAGE_PATHS.fullmatch(wanted) else "/"
     if not same_origin(request.scope["headers"]):
-        return sign_in_page("/", "Signing in works from this page only; please try again.")
+        return sign_in_page("/", "Signing in works from this page only; please try again.", status=403)
     if context.keys.find(key.encode()) is None:
         return sign_in_page("/", "This is no valid key. It may have been revoked, or a character is missing.")
     secure = "https" in (request.url.scheme, request.headers.get("origin", "").partition(":")[0])
@@ -178,8 +213,10 @@ async def sign_in(request: Request, context: TheContext) -> Response:
 
 
 @router.post("/sign-out")
-async def sign_out() -> Response:
+async def sign_out(request: Request) -> Response:
     """Forget the key of the browser."""
+    if from_another_site(request.scope["headers"]):
+        raise ProblemError("foreign-origin", "Signing out works from the pages of the service only.")
     response = Response(status_code=303, headers={"Location": "./"})
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")
     return response
@@ -189,18 +226,22 @@ def _render(template: str, request: Request, status: int = 200, **values: Any) -
     return render(template, request.url.path, status, signed_in=COOKIE in request.cookies, **values)
 
 
-async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
+async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:
+    """Return the view of a fit, which is computed once for all who ask for a part of it."""
+    run = context.computations.for_request(request, {"Content-Type": media_type}, "medium")
+    return await context.views.get(await context.fit_row(fit), run)
+
+
+async def _shown(request: Request, context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
-    decomposition = await context.models.decomposition(row.key)
-    components = [component for component in decomposition if component.lobes or component.model.delta.any()]
-    await run_in_threadpool(lambda: [component.albedo for component in components])  # not while rendering
+    run = context.computations.for_request(request, _HTML, "medium")
+    decomposition = await context.models.decomposition(row.key, run)
     return {
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
-        "model": loaded.model,
-        "components": components,
+        "components": [component_facts(component) for component in decomposition],
     }

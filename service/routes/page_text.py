@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf import DSBRDF, Component
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.lobes import half_width
 from service.storage.schema import FitRow
 from service.wire.fit_options import DEFAULTS, canonical
 
@@ -31,10 +37,21 @@ DOWNLOADS = {
 }
 """Formats of the export, and what each is for."""
 FIGURES = {
-    "parameters": "Amplitude, half width and elongation of each lobe over theta_diff",
-    "residual": "Difference of fit and measurement over theta_half and theta_diff",
+    "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),
+    "residual": ("Difference of fit and measurement over theta_half and theta_diff", 326),
 }
-"""Figures that the page of a fit shows, and what is in them."""
+"""Figures that the page of a fit shows: what is in them, and for 1056 pixels of width the height to keep free."""
+COMPONENT_MEANINGS = {
+    "colour": "Red, green and blue of the albedo, over the largest.",
+    "half width": "θ_half at which its lobe has half the height; the median for θ_diff from 0° to 60°.",
+    "tail": "How steeply its lobe falls outside: 2 as GGX does, less more slowly, 10 nearly as a Gaussian.",
+    "height in 1/sr": "Of its lobe, at normal incidence.",
+    "albedo": "Share of light at normal incidence that it reflects.",
+    "clarity": "Its share of all light where it shines. Near 1 nothing else shines there; at 0.5 other components "
+    "shine there as much, and a small change of the measurement can move light from one to the other.",
+}
+"""Numbers of a component that the pages show, and what they mean."""
+_LOBE_ANGLES = (0, 30, 60)  # theta_diff at which the model's own lobes are shown [degrees]
 
 
 @dataclass(frozen=True)
@@ -55,6 +72,32 @@ class Facts:
     error: str
 
 
+@dataclass(frozen=True)
+class ComponentFacts:
+    """What the pages show of a component: its label, its colour on a screen, and numbers by name, one or three each."""
+
+    label: str
+    swatch: str
+    numbers: dict[str, list[str]]
+
+    @property
+    def name(self) -> str:
+        """The label in words."""
+        return self.label.replace("_", " ")
+
+
+@dataclass(frozen=True)
+class LobeFacts:
+    """One of the model's own lobes at one theta_diff."""
+
+    name: str
+    theta_diff: str
+    height: list[str]
+    half_width: str
+    center: str
+    elongation: str
+
+
 def facts_of(row: FitRow) -> Facts:
     """Return the facts of a fit."""
     error = (row.metrics or {}).get("relative_rms")
@@ -71,6 +114,41 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
         found.append(Metric("psnr", f"{psnr:.1f} dB", f"A lit sphere of the fit {words} one of the measurement."))
     found += [Metric(name, write(given[name]), meaning) for name, write, meaning in _METRICS if name in given]
     return found
+
+
+def component_facts(component: Component) -> ComponentFacts:
+    """Return what the pages show of a component, whose albedo and clarity are known already."""
+    at_normal = component.parameters_at(0.0)
+    numbers = {
+        "colour": _written(component.color, ".2f"),
+        "half width": [f"{np.degrees(component.half_width):.3g}°"],
+        "tail": [f"{float(at_normal.tail):.2g}"],
+        "height in 1/sr": _written(at_normal.height, ".3g"),
+        "albedo": _written(component.albedo, ".3f"),
+        "clarity": [f"{component.clarity:.2f}"],
+    }
+    swatch = "#" + bytes(np.rint(255.0 * displayed(component.color)).astype(np.uint8).tolist()).hex()
+    return ComponentFacts(component.label, swatch, numbers)
+
+
+def model_lobes(model: DSBRDF) -> list[LobeFacts]:
+    """Return the model's own lobes at some theta_diff; of shapes for each channel, the green one's."""
+    at = model.parameters_at(np.radians(_LOBE_ANGLES))
+    channel = at["kappa"].shape[1] // 2
+    kappa, gamma, center = (at[name][:, channel] for name in ("kappa", "gamma", "center"))
+    widths = np.degrees(half_width(kappa, gamma, model.lobe))
+    return [
+        LobeFacts(
+            f"{'ring lobe' if model.is_ring[lobe] else 'lobe'} {lobe}",
+            f"{angle}°",
+            _written(at["amplitude"][row, :, lobe], ".3g"),
+            f"{widths[row, lobe]:.3g}°",
+            f"{np.degrees(center[row, lobe]):.3g}°" if model.is_ring[lobe] else "–",
+            f"{at['elongation'][row, lobe]:.2f}",
+        )
+        for lobe in range(model.n_lobes)
+        for row, angle in enumerate(_LOBE_ANGLES)
+    ]
 
 
 def options_in_words(options: Mapping[str, Any]) -> str:
@@ -93,6 +171,8 @@ def reproduction(row: FitRow, address: str) -> dict[str, str]:
         f'measurement = dsbrdf.read_merl("{name}.binary")',
         f"result = dsbrdf.fit(measurement{options})",
         'print(result.report.metrics["relative_rms"])',
+        "for component in dsbrdf.decompose(result):",
+        "    print(component.label, component.half_width, component.albedo)",
         f'dsbrdf.save(result, "{name}.json")',
     ]
     query = "&".join(f"{option}={_word(value)}" for option, value in given.items())
@@ -103,10 +183,16 @@ def reproduction(row: FitRow, address: str) -> dict[str, str]:
         f"  '{fits}{'?' if query else ''}{query}'",
         "# a picture of it",
         f"curl -o sphere.png '{fits}/{row.id}/figures/sphere.png?size=256'",
+        "# its components, each with a lobe that a person can read",
+        f"curl '{fits}/{row.id}/components'",
         "# values of the BRDF in 1/sr",
         f"curl '{fits}/{row.id}/brdf?theta_half_deg=10&theta_diff_deg=30'",
     ]
     return {"Python": "\n".join(python), "curl": "\n".join(curl)}
+
+
+def _written(values: NDArray[np.float64], form: str) -> list[str]:
+    return [format(value, form) for value in values.tolist()]
 
 
 def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:

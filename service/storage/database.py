@@ -42,6 +42,7 @@ class Database:
         try:
             if exclusive:
                 self._resources.enter_context(_lock(folder))
+                check_integrity(folder)
             with suppress(FileExistsError):  # SQLite gives its other files the same mode
                 os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
             self._writer, self._reader = self._connection(), self._connection()
@@ -122,6 +123,27 @@ class Database:
                 "its file has been removed or replaced while the service had it open; put it back, or start the "
                 "service again"
             )
+
+
+def check_integrity(folder: Path) -> None:
+    """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
+
+    A damaged table or index lacks rows, and what has no row is taken for what nobody wants.
+    """
+    path = folder.resolve() / FILE_NAME
+    if not path.exists():
+        return
+    remedy = "restore the folder from a copy; nothing in it has been changed"
+    try:  # the other connections would write the log of a damaged database into its file when they are closed
+        with closing(
+            sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=_COMMAND_BUSY_TIMEOUT)
+        ) as connection:
+            ((fault,),) = connection.execute("PRAGMA integrity_check(1)").fetchall()
+    except sqlite3.DatabaseError as error:
+        raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}; {remedy}") from error
+    if fault != "ok":
+        first = " ".join(fault.split())
+        raise DataFolderError(f"the database {folder / FILE_NAME} is damaged ({first}); {remedy}")
 
 
 def own_folder(folder: Path) -> Path:

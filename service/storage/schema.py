@@ -12,8 +12,11 @@ from typing import Any, Literal, NamedTuple
 from service.errors import DataFolderError
 
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
-# does not tell how many rows others have. `size` of a fit is that of its result, which counts as stored bytes.
-_TABLES = """
+# does not tell how many rows others have. `size` of a fit is what it takes on the disk, with or without a
+# result: it counts as stored bytes. `checksum` is that of metrics and result, which lie on pages of their own: if two
+# of those change places, SQLite does not notice.
+ROW_SIZE = 2_000  # bytes that a fit takes with its places in the indexes, without its result
+_TABLES = f"""
     CREATE TABLE measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
         valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
@@ -27,7 +30,7 @@ _TABLES = """
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
         attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
-        result TEXT, size INTEGER NOT NULL DEFAULT 0,
+        result TEXT, checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;
@@ -73,6 +76,11 @@ def create_tables(connection: sqlite3.Connection) -> None:
     if version == VERSION:
         return
     connection.executescript(f"BEGIN IMMEDIATE; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
+
+
+def checksum(metrics: str | None, result: bytes) -> int:
+    """Return the checksum of what a fit has given."""
+    return zlib.crc32(result, zlib.crc32((metrics or "").encode()))
 
 
 class FitKey(NamedTuple):
@@ -143,7 +151,10 @@ class FitRow:
         """Make a row of the values of its `columns`."""
         named = dict(zip((field.name for field in fields(cls)), values, strict=True))
         for name in ("options", "metrics", "error"):
-            named[name] = None if named[name] is None else json.loads(named[name])
+            try:
+                named[name] = None if named[name] is None else json.loads(named[name])
+            except ValueError:
+                raise sqlite3.DatabaseError(f"the {name} of the fit {named['id']} are damaged") from None
         return cls(**named)
 
     @property

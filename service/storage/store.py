@@ -6,6 +6,7 @@ state are written in one transaction. One server at a time may open a data folde
 
 import hashlib
 import json
+import logging
 import sqlite3
 import time
 from collections.abc import Callable, Mapping
@@ -13,13 +14,26 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import dsbrdf
-from service.errors import DataFolderError, MeasurementNotFoundError, ProblemError
+from service.errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from service.storage.blobs import Blobs
 from service.storage.database import Database
-from service.storage.schema import IS_UNFINISHED, UNFINISHED, Caller, FitKey, FitRow, MeasurementRow, Status, columns
+from service.storage.schema import (
+    IS_UNFINISHED,
+    ROW_SIZE,
+    UNFINISHED,
+    Caller,
+    FitKey,
+    FitRow,
+    MeasurementRow,
+    Status,
+    checksum,
+    columns,
+)
 from service.storage.uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
+
+logger = logging.getLogger(__name__)
 
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
@@ -51,18 +65,21 @@ def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
 class Store:
     """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
 
+    `warnings` has a sentence for each thing that was not as it ought to be.
+
     Raises DataFolderError if one has, the folder holds anything else, another release has written it, or the database
     is damaged.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.warnings: list[str] = []
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
         try:
             self.blobs.make_folders()
-            self._remove_orphans()
+            self._match_files_to_rows()
         except sqlite3.DatabaseError as error:
             self.close()
             raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
@@ -104,6 +121,19 @@ class Store:
         query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
         return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
 
+    def measurement_file(self, owner: str, sha256: str) -> Path:
+        """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
+
+        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged.
+        """
+        damage = None if self.measurement(owner, sha256) is None else self.blobs.damage(sha256)
+        if self.measurement(owner, sha256) is None:  # or it has been deleted meanwhile, file and row
+            raise MeasurementNotFoundError(sha256)
+        if damage is not None:
+            logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
+            raise MeasurementDamagedError(damage)
+        return self.blobs.path(sha256)
+
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
         return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before, name)
@@ -115,7 +145,7 @@ class Store:
 
         Raises ProblemError if fits of it are unfinished.
         """
-        with self.database.transaction() as db:
+        with self.blobs.removal() as remove_file, self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
@@ -125,11 +155,8 @@ class Store:
                 )
             delete = f"DELETE FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
-            # If the commit fails, the row stays without its file; if the file went after the commit, the same
-            # file could come in between and be lost. The row is the smaller loss: it is dropped at the start,
-            # or the same file comes again.
             if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
-                self.blobs.remove(sha256)
+                remove_file(sha256)
         return removed
 
     def add_fit(
@@ -189,10 +216,22 @@ class Store:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
         return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
 
+    def fits_of(self, owner: str, measurement: str, limit: int) -> list[str]:
+        """Return the ids of a measurement's fits, newest first."""
+        query = "SELECT id FROM fits WHERE measurement = ? AND owner = ? ORDER BY seq DESC LIMIT ?"
+        return [fit_id for (fit_id,) in self.database.rows(query, measurement, owner, limit)]
+
     def result(self, key: FitKey) -> str | None:
-        """Return the document of a fit that succeeded."""
-        query = f"SELECT result FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
-        return self._one(lambda row: str(row[0]), query, *key)
+        """Return the document of a fit that succeeded; raise ProblemError if it is not what was written."""
+        query = f"SELECT CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
+        rows = self.database.rows(query, *key)
+        if not rows:
+            return None
+        document, metrics, written = rows[0]
+        if checksum(metrics, document) != written:
+            remedy = "delete the fit and ask for it once more"
+            raise ProblemError("fit-without-result", f"The stored result of the fit is damaged; {remedy}.")
+        return str(document, "utf-8")
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""
@@ -205,9 +244,10 @@ class Store:
 
     def complete_fit(self, key: FitKey, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
         """Write a running fit's result and its state; None if it does not run any more."""
-        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?"
-        size = len(document.encode())
-        return self._advance(change, (time.time(), json.dumps(metrics), document, size), key, ("running",))
+        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?, checksum = ?"
+        content, written = document.encode(), json.dumps(metrics)
+        values = (time.time(), written, document, ROW_SIZE + len(content), checksum(written, content))
+        return self._advance(change, values, key, ("running",))
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
         """Write a fit's error and its state; None if it has ended already."""
@@ -278,13 +318,19 @@ class Store:
         )
         return [make(row) for row in rows]
 
-    def _remove_orphans(self) -> None:
-        """Remove what an earlier process was writing when it ended: parts of files, files without row, and so on."""
-        self.blobs.clear_temporary()
-        files = set(self.blobs.all())
-        with self.database.transaction() as db:
-            rows = {sha256 for (sha256,) in db.execute("SELECT DISTINCT sha256 FROM measurements")}
-            for sha256 in rows - files:
-                db.execute("DELETE FROM measurements WHERE sha256 = ?", (sha256,))
-        for sha256 in files - rows:
-            self.blobs.remove(sha256)
+    def _match_files_to_rows(self) -> None:
+        """Set files aside that have no row, and look there for those of rows without a file.
+
+        The database may be an older copy, and files may not be there yet: so neither files nor rows are deleted.
+        """
+        with self.database.transaction() as db:  # `dsbrdf purge` may run too
+            rows = {sha256 for (sha256,) in db.execute("SELECT sha256 FROM measurements NOT INDEXED")}
+            self.blobs.clear_temporary(rows)
+            files = set(self.blobs.all())
+            for sha256 in files - rows:
+                self.blobs.set_aside(sha256)
+            missing = sum(not self.blobs.take_back(sha256) for sha256 in rows - files)
+        if files - rows:
+            self.warnings.append(f"{len(files - rows)} files of measurements have no row; they are in the folder lost")
+        if missing:
+            self.warnings.append(f"the files of {missing} measurements are missing; dsbrdf doctor names the first")

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 import dsbrdf
-from dsbrdf import DSBRDF, decompose
-from dsbrdf.output.report_text import component_document, lobes_document
+from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import to_json
 from service.wire.fit_options import DEFAULTS
+from service.wire.model_document import model_document
 
 FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
@@ -22,11 +22,43 @@ MEASUREMENT: dict[str, Any] = {
     "valid_nodes": 1_005_210,
     "created": _CREATED,
 }
+MEASUREMENT_WITH_FITS: dict[str, Any] = {**MEASUREMENT, "fits": [FIT_ID]}
 MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
 STORED_MODEL: dict[str, Any] = json.loads(to_json(_MODEL))
-COMPONENTS: dict[str, Any] = {"items": [component_document(component) for component in decompose(_MODEL)]}
+COMPONENTS: dict[str, Any] = {
+    "items": [
+        {
+            "label": "specular_lobe",
+            "lobe": {
+                "theta_diff_deg": [0, 30, 60, 75],
+                "height": [[1.2, 1.2, 1.21], [1.25, 1.25, 1.26], [2.9, 2.9, 2.91], [9.6, 9.6, 9.61]],
+                "half_width_deg": [5.7, 5.7, 5.6, 5.4],
+                "tail": [2.1, 2.1, 2.0, 1.9],
+                "elongation": [0.5, 0.6, 0.7, 0.8],
+            },
+            "albedo": [0.041, 0.041, 0.041],
+            "color": [1.0, 1.0, 1.0],
+            "half_width_deg": 5.7,
+            "clarity": 0.82,
+        },
+        {
+            "label": "diffuse",
+            "lobe": {
+                "theta_diff_deg": [0, 30, 60, 75],
+                "height": [[0.11, 0.05, 0.03], [0.11, 0.05, 0.03], [0.1, 0.04, 0.03], [0.08, 0.03, 0.02]],
+                "half_width_deg": [74.0, 74.0, 73.0, 72.0],
+                "tail": [1.1, 1.1, 1.1, 1.1],
+                "elongation": [0.0, 0.0, 0.0, 0.0],
+            },
+            "albedo": [0.33, 0.15, 0.09],
+            "color": [1.0, 0.455, 0.273],
+            "half_width_deg": 74.0,
+            "clarity": 0.93,
+        },
+    ]
+}
 
 _SUMMARY: dict[str, Any] = {
     "id": FIT_ID,
@@ -52,9 +84,11 @@ _SUMMARY: dict[str, Any] = {
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
 }
-FIT: dict[str, Any] = {**_SUMMARY, "warnings": [], "lobes": lobes_document(_MODEL)}
+FIT: dict[str, Any] = {**_SUMMARY, "warnings": [], "components": COMPONENTS["items"], "model": model_document(_MODEL)}
 FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
-CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, "metrics": None, "lobes": None}
+_WITHOUT_RESULT = dict.fromkeys(("metrics", "components", "model"))
+CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, **_WITHOUT_RESULT}
+REMOVED_FIT: dict[str, Any] = {"id": FIT_ID, "status": "cancelled"}
 RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
 
 SUBMISSION: dict[str, Any] = {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}}

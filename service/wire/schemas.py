@@ -7,21 +7,25 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.decomposition import LABELS
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.render import LIGHTINGS
-from dsbrdf.output.export import FORMATS
+from dsbrdf.output.export import FORMATS, GUIDE, PARTS
 from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
 from service.wire.fit_options import OPTIONS_SCHEMA
+from service.wire.model_document import ModelDocument
+from service.wire.values import check_plain
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
 
 Share = Annotated[float, Field(ge=0, le=1)]
+Plain = BeforeValidator(check_plain)
+"""Of numbers in a query or a path, behind their limits: those that only Python reads are none."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
@@ -89,7 +93,7 @@ class DirectionsRequest(_Input):
 class Page(_Input):
     """Which part of a list."""
 
-    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer.")] = 50
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), Plain] = 50
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None
@@ -105,7 +109,9 @@ class Waiting(_Input):
     """How long to wait for a fit."""
 
     wait: Annotated[
-        float, Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s].")
+        float,
+        Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
+        Plain,
     ] = 0.0
 
 
@@ -134,28 +140,45 @@ class FitFault(BaseModel):
     message: str
 
 
-class Lobes(BaseModel):
-    """Parameters of K lobes; control values of splines over theta_diff, or values at the knots where it is linear."""
+class ComponentLobe(BaseModel):
+    """A component's own lobe: its values at some angles, one entry in each list for each angle."""
 
-    theta_diff_deg: Annotated[list[float], Field(description="Knots of amplitude and delta.")]
-    amplitude: Annotated[
-        list[list[list[float]]], Field(description="Height [1/sr] in red, green, blue, shape (3, D, K).")
+    theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
+    height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
+    half_width_deg: Annotated[list[float], Field(description="theta_half of half the height, without elongation.")]
+    tail: Annotated[list[float], Field(description="Exponent kappa: 2 is GGX, smaller is longer, 10 nearly Gaussian.")]
+    elongation: Annotated[
+        list[float], Field(description="0 is round about the half vector, 1 stretched by 1 / cos(theta_diff).")
     ]
-    shape_theta_diff_deg: Annotated[list[float], Field(description="Knots of kappa, gamma and center.")]
-    kappa: Annotated[
-        list[list[list[float]]], Field(description="Scale, shape (C, S, K); C is 1 for all channels, or 3 for each.")
+
+
+class ComponentDocument(BaseModel):
+    """One component of a fit that has light; the values of all components add up to the fit's."""
+
+    label: _Label
+    lobe: ComponentLobe
+    albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
+    color: Annotated[Rgb, Field(description="The albedo over its largest channel.")]
+    half_width_deg: Annotated[
+        float, Field(description="Half width at half maximum of its lobe, median over theta_diff from 0 to 60 degrees.")
     ]
-    gamma: Annotated[list[list[list[float]]], Field(description="Shape, shape (C, S, K).")]
-    center_deg: Annotated[list[list[list[float]]], Field(description="Ring angle, shape (C, S, K).")]
-    elongation_theta_diff_deg: Annotated[list[float], Field(description="Knots of elongation.")]
-    elongation: Annotated[list[list[float]], Field(description="Stretch, 0 for a round lobe, shape (E, K).")]
-    delta: Annotated[list[list[float]], Field(description="Height where theta_half < 1 degree [1/sr], shape (3, B).")]
-    interpolation: Annotated[str, Field(description="`spline` or `linear`.")]
-    lobe: Annotated[str, Field(description="Family of the lobes, `hemi_epd` or `student`.")]
+    clarity: Annotated[
+        Share,
+        Field(
+            description="The share that it has of all light where it shines: near 1, nothing else shines there; at "
+            "0.5, other components shine as brightly, and the split is uncertain."
+        ),
+    ]
+
+
+class ComponentList(BaseModel):
+    """The components of a fit that have light, from narrow to wide."""
+
+    items: list[ComponentDocument]
 
 
 class FitSummary(BaseModel):
-    """A fit without its lobes."""
+    """A fit without its model."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
     name: Name
@@ -173,10 +196,32 @@ class FitSummary(BaseModel):
 
 
 class FitDocument(FitSummary):
-    """A fit: its state, and once it has succeeded its metrics, warnings and lobes."""
+    """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
 
     warnings: Annotated[list[str], Field(description="What to know before the fit is used, one sentence each.")]
-    lobes: Lobes | None
+    components: Annotated[
+        list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
+    ]
+    model: ModelDocument | None
+
+
+class Removal(_Input):
+    """What a DELETE of a fit is to do."""
+
+    only: Annotated[
+        Literal["cancel", "delete"] | None,
+        Field(description="`cancel` refuses a fit that has ended, `delete` one that has not; otherwise what applies."),
+    ] = None
+
+
+class RemovedFit(BaseModel):
+    """What has become of a fit."""
+
+    id: Annotated[str, Field(pattern=FIT_ID)]
+    status: Annotated[
+        Literal["cancelled", "deleted"],
+        Field(description="`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."),
+    ]
 
 
 class FitList(BaseModel):
@@ -195,6 +240,12 @@ class MeasurementDocument(BaseModel):
     created: datetime
 
 
+class MeasurementDetails(MeasurementDocument):
+    """A stored measurement with its fits."""
+
+    fits: Annotated[list[str], Field(description="Ids of its fits, newest first, at most 200 of them.")]
+
+
 class MeasurementList(BaseModel):
     """A page of measurements, newest first."""
 
@@ -205,23 +256,6 @@ class Values(BaseModel):
     """BRDF values, one RGB triple for each point [1/sr]."""
 
     values: list[Rgb]
-
-
-class ComponentDocument(BaseModel):
-    """One component of a fit; the three components' values add up to the fit's."""
-
-    label: _Label
-    lobes: Annotated[list[int], Field(description="Indices of its lobes in the fit.")]
-    parameters: Lobes
-    albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
-    half_width_deg: Annotated[float | None, Field(description="Half width at half maximum; null without lobes.")]
-    margin: Annotated[float | None, Field(description="How clear the label is; null without lobes.")]
-
-
-class ComponentList(BaseModel):
-    """The components of a fit, from narrow to wide."""
-
-    items: list[ComponentDocument]
 
 
 class Progress(BaseModel):
@@ -240,6 +274,12 @@ class Health(BaseModel):
     version: str
 
 
+class Readiness(Health):
+    """The state of a service that can take work."""
+
+    lost_files: Annotated[int, Field(description="Files that were set aside; `dsbrdf doctor` says more.")]
+
+
 class Export(_Input):
     """What to export."""
 
@@ -247,7 +287,13 @@ class Export(_Input):
         Literal[*FORMATS],  # type: ignore[valid-type]
         Field(description="Format of the file; `materialx` takes some seconds."),
     ]
-    component: _Component = None
+    component: Annotated[
+        Literal[*PARTS] | None,  # type: ignore[valid-type]
+        Field(
+            description="One component instead of the whole fit, in a format that holds values or a shader; or "
+            f"`{GUIDE}`, the components' own lobes together as a small model, in any format."
+        ),
+    ] = None
 
 
 class Sphere(_Input):
@@ -257,7 +303,7 @@ class Sphere(_Input):
         Literal[*LIGHTINGS],  # type: ignore[valid-type]
         Field(description="Three lights, or a sky with sun and window."),
     ] = "three_lights"
-    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side.")] = 128
+    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
 
 
 class FitSphere(Sphere):

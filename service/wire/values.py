@@ -1,4 +1,4 @@
-"""Points at which a model is evaluated, and responses with its values.
+"""Points at which a model is evaluated, and what is sent of its values.
 
 Points are half and difference angles, or pairs of directions, as text or arrays. Many points are kept in a temporary
 file, and their values leave as JSON or .npy block by block as the client reads them, so that memory stays small.
@@ -7,25 +7,25 @@ file, and their values leave as JSON or .npy block by block as the client reads 
 import math
 import mmap
 import os
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from json import JSONEncoder
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF, InvalidArgumentError
+from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
+from dsbrdf.model.reflectance import ReflectanceModel
 from service.operations.metrics import Metrics
 
+T = TypeVar("T")
 Array = NDArray[np.float64]
 
 ANGLES = ("theta_half_deg", "theta_diff_deg")
@@ -38,7 +38,6 @@ _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
-_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
 _encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
@@ -54,7 +53,7 @@ class Points:
     def __len__(self) -> int:
         return len(self.theta_half)
 
-    def values(self, model: DSBRDF) -> Array:
+    def values(self, model: ReflectanceModel) -> Array:
         """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
         return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
 
@@ -123,29 +122,28 @@ def from_angles(
     theta_diff_deg: Sequence[float] | Array,
     phi_diff_deg: Sequence[float] | Array | None = None,
 ) -> Points:
-    """Return the points of equally long sequences of angles in degrees; phi_diff is 90 where it is left out."""
-    _check_count(ANGLES, len(theta_half_deg), len(theta_diff_deg))
+    """Return the points of sequences of angles in degrees, equally long or of one; phi_diff is 90 where left out."""
+    columns = [_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg)]
     if phi_diff_deg is None:
-        phi_diff = np.full(len(theta_half_deg), np.pi / 2)
-    else:
-        _check_count((ANGLES[0], PHI_DIFF), len(theta_half_deg), len(phi_diff_deg))
-        phi_diff = np.radians(np.asarray(phi_diff_deg, dtype=float))
-        if not np.isfinite(phi_diff).all():
-            raise InvalidArgumentError(f"{PHI_DIFF} must be a finite number of degrees.")
-    return Points(_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg), phi_diff)
+        theta_half, theta_diff = _broadcast(ANGLES, columns)
+        return Points(theta_half, theta_diff, np.full(len(theta_half), np.pi / 2))
+    phi_diff = np.radians(np.asarray(phi_diff_deg, dtype=float))
+    if not np.isfinite(phi_diff).all():
+        raise InvalidArgumentError(f"{PHI_DIFF} must be a finite number of degrees.")
+    return Points(*_broadcast((*ANGLES, PHI_DIFF), [*columns, phi_diff]))
 
 
 def from_directions(
     omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
 ) -> Points:
-    """Return the points of two equally long sequences of unit vectors, on either side of the horizon."""
-    _check_count(DIRECTIONS, len(omega_in), len(omega_out))
+    """Return the points of two sequences of unit vectors, equally long or of one, on either side of the horizon."""
     for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
         if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
             raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
-    pairs = np.asarray(omega_in, dtype=float).reshape(-1, 3), np.asarray(omega_out, dtype=float).reshape(-1, 3)
-    angles = np.empty((3, len(omega_in)))
-    for start in range(0, len(omega_in), BLOCK):
+    given = [np.asarray(vectors, dtype=float).reshape(-1, 3) for vectors in (omega_in, omega_out)]
+    pairs = _broadcast(DIRECTIONS, given)
+    angles = np.empty((3, len(pairs[0])))
+    for start in range(0, len(pairs[0]), BLOCK):
         block = slice(start, start + BLOCK)
         first, second = (
             check_directions(name, part[block], below_horizon=True)
@@ -206,11 +204,15 @@ def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
     raise InvalidArgumentError(f"The query {fault}; {_CHOICE}.")
 
 
-def _check_count(names: tuple[str, str], first: int, second: int) -> None:
-    if first != second:
-        raise InvalidArgumentError(
-            f"There are {first} values of {names[0]} and {second} of {names[1]}; give as many of one as of the other."
-        )
+def _broadcast(names: Sequence[str], columns: Sequence[Array]) -> Sequence[Array]:
+    """Return columns of one length; of a parameter that is given once, the value counts for all points."""
+    counts = [len(column) for column in columns]
+    if min(counts) == max(counts):
+        return columns
+    if not set(counts) <= {1, max(counts)}:
+        parts = [f"{count} values of {name}" for name, count in zip(names, counts, strict=True) if count != 1]
+        raise InvalidArgumentError(f"There are {' and '.join(parts)}; give as many of each, or one for all.")
+    return [np.broadcast_to(column, (max(counts), *column.shape[1:])) for column in columns]
 
 
 def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
@@ -224,23 +226,29 @@ def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
 
 def _angle(name: str, text: str) -> float:
     try:
-        return _float(text)
+        return number_of(text)
     except ValueError:
         raise InvalidArgumentError(f"{name} must be a number of degrees, not {text[:40]!r}.") from None
 
 
 def _vector(name: str, text: str) -> list[float]:
     try:
-        x, y, z = (_float(part) for part in text.split(","))
+        x, y, z = (number_of(part) for part in text.split(","))
     except ValueError:
         raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
     return [x, y, z]
 
 
-def _float(text: str) -> float:
-    if "_" in text or not text.isascii():  # Python accepts such numbers, other languages do not
-        raise ValueError(text)
-    return float(text)
+def number_of(text: str) -> float:
+    """Return the number that a text is; raise ValueError if only Python takes it for one, such as ``1_0``."""
+    return float(check_plain(text))
+
+
+def check_plain(text: T) -> T:
+    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
+    if isinstance(text, str) and ("_" in text or not text.isascii()):
+        raise ValueError(f"{text[:40]!r} is no number")
+    return text
 
 
 @dataclass(frozen=True)
@@ -253,7 +261,7 @@ class _Form:
     between: bytes = b""
     tail: bytes = b""
 
-    def write(self, model: DSBRDF, points: Points) -> bytes:
+    def write(self, model: ReflectanceModel, points: Points) -> bytes:
         return self.encode(points.values(model))
 
 
@@ -267,40 +275,41 @@ def _npy_form(n_points: int) -> _Form:
 _JSON_FORM = _Form(JSON, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}")
 
 
-async def values_reply(model: DSBRDF, points: Points | StoredPoints, media_type: str, metrics: Metrics) -> Response:
-    """Return the values of a model at some points, as JSON or as a .npy array of shape (n, 3) [1/sr]."""
-    form = _npy_form(len(points)) if media_type == NPY else _JSON_FORM
-    if isinstance(points, StoredPoints):
-        # The length is known beforehand for numbers of equal size, not for their text.
-        headers = {"Content-Length": str(len(form.head) + 24 * len(points))} if media_type == NPY else None
-        return StreamingResponse(_parts(form, model, points, metrics), headers=headers, media_type=media_type)
+@dataclass(frozen=True)
+class ValuesReply:
+    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; how long it takes is noted."""
 
-    def whole() -> Response:
-        with metrics.timing("evaluating"):
-            return Response(form.head + form.write(model, points) + form.tail, media_type=media_type)
+    model: ReflectanceModel
+    media_type: str
+    metrics: Metrics
 
-    if len(points) <= _MAX_INLINE:
-        return whole()
-    return await run_in_threadpool(whole)
+    def whole(self, points: Points) -> bytes:
+        """Return the answer with some points."""
+        form = self._form(len(points))
+        with self.metrics.timing("evaluating"):
+            return form.head + form.write(self.model, points) + form.tail
 
+    def length_of(self, points: StoredPoints) -> dict[str, str]:
+        """Return the header with the answer's length, which is known beforehand for numbers of equal size only."""
+        if self.media_type != NPY:
+            return {}
+        return {"Content-Length": str(len(self._form(len(points)).head) + 24 * len(points))}
 
-async def _parts(form: _Form, model: DSBRDF, points: StoredPoints, metrics: Metrics) -> AsyncIterator[bytes]:
-    """Yield the parts of a long answer, each computed when the one before has been sent; note how long that took."""
-    seconds = 0.0
-
-    def write(start: int) -> bytes:
-        nonlocal seconds
-        begin = perf_counter()
-        part = form.write(model, points.block(start))
-        seconds += perf_counter() - begin
-        return part
-
-    try:
+    def parts(self, points: StoredPoints) -> Iterator[bytes]:
+        """Yield the parts of a long answer, each computed when it is asked for."""
+        form, seconds = self._form(len(points)), 0.0
         before = form.head
-        for start in range(0, len(points), BLOCK):
-            yield before + await run_in_threadpool(write, start)
-            before = form.between
+        try:
+            for start in range(0, len(points), BLOCK):
+                begin = perf_counter()
+                part = before + form.write(self.model, points.block(start))
+                seconds += perf_counter() - begin
+                yield part
+                before = form.between
+        finally:
+            points.close()
+        self.metrics.record_time("evaluating", seconds)
         yield form.tail
-    finally:
-        points.close()
-    metrics.record_time("evaluating", seconds)
+
+    def _form(self, n_points: int) -> _Form:
+        return _npy_form(n_points) if self.media_type == NPY else _JSON_FORM

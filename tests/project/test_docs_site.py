@@ -50,7 +50,7 @@ def test_notebooks_were_run(site: Path) -> None:
 
 
 def test_site_shows_spheres_formulas_and_references(site: Path) -> None:
-    assert (site / "index.html").read_text().count('alt="lit sphere') == 5
+    assert (site / "index.html").read_text().count('alt="lit sphere') == 4
     assert (site / "model.html").read_text().count("<math ") > 20
     assert "dsbrdf fit" in (site / "command_reference.html").read_text()
     assert 'href="#post-v1-fits"' in (site / "http_reference.html").read_text()

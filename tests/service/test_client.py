@@ -43,6 +43,11 @@ def test_client_fit_equals_the_library_bit_for_bit(
             assert fit.report is not None
             assert fit.report.metrics == expected.report.metrics
             assert fit.metrics == asdict(expected.report.metrics)
+        assert_same_bits(fit.components.guide, dsbrdf.decompose(expected).guide)
+        assert fit.components.labels == dsbrdf.decompose(expected).labels
+        for component in fit.components:
+            same = dsbrdf.decompose(expected)[component.label]
+            np.testing.assert_array_equal(component.evaluate(0.1, 0.4), same.evaluate(0.1, 0.4))
         back = client.measurement(fit.measurement)
         np.testing.assert_array_equal(back.stored, plastic.stored)
 
@@ -160,7 +165,10 @@ def test_async_client_gives_what_the_client_gives(server: Server, plastic: dsbrd
                 expected = blocking.get(fit.id)
                 assert_same_bits(await fit.model(), expected.model)
                 assert await fit.report() == expected.report
-                assert vars(fit).keys() - {"_load"} == vars(expected).keys() - {"_load", "_result"}
+                assert (await fit.components()).labels == expected.components.labels
+                assert_same_bits((await fit.components()).guide, expected.components.guide)
+                cached = {"_result", "components"}
+                assert vars(fit).keys() == vars(expected).keys() - cached
             assert of_file.name == "other plastic"
             assert [one.id async for one in client.fits(name="other plastic")] == [of_file.id]
             assert (await client.get(of_file.id)).metrics == of_file.metrics

@@ -128,7 +128,7 @@ TARGETS = [
     ("DELETE", "/v1/fits/{id}"),
     ("DELETE", "/v1/measurements/{id}"),
     ("GET", "/v1/fits/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
-    ("GET", "/v1/fits/@/lobes/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
+    ("GET", "/v1/fits/@/components/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
 ]
 
 PATHS = [
@@ -158,7 +158,7 @@ PATHS = [
     "/v1/fits/@/nothing",
     "/v1/fits/@/export/",
     "/v1/fits/@/events/..",
-    "/v1/fits/@/lobes/",
+    "/v1/fits/@/components/",
     "/.env",
     "/.git/config",
     "/dsbrdf.sqlite",
@@ -234,7 +234,7 @@ QUERIES = [
     "/v1/fits/@/brdf?theta_half_deg=-1e-9&theta_diff_deg=1",
     "/v1/fits/@/brdf?theta_half_deg=1e999&theta_diff_deg=1",
     "/v1/fits/@/brdf?theta_half_deg=__import__('os')&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=1&theta_diff_deg=1&theta_diff_deg=2",
+    "/v1/fits/@/brdf?theta_half_deg=1&theta_half_deg=2&theta_diff_deg=1&theta_diff_deg=2&theta_diff_deg=3",
     "/v1/fits/@/brdf?theta_half_deg=%00&theta_diff_deg=1",
     "/v1/fits/@/brdf?omega_in=0,0,1&theta_diff_deg=1",
     "/v1/fits/@/brdf?omega_in=0,0&omega_out=0,0,1",

@@ -44,7 +44,7 @@ class Target:
         self.limit = UPLOADS * (server.cpu_seconds() - spent)  # seconds of a processor, about one
         self.fit, self.measurement = fit["id"], fit["measurement"]
         # What any work takes once, the largest uploads and batches among it, is no cost of an attack.
-        server.http.get(f"/v1/fits/{self.fit}/lobes")
+        server.http.get(f"/v1/fits/{self.fit}/components")
         self.before = self.contents()
         self.memory = self.peak()
         self.spent = server.cpu_seconds()
@@ -173,7 +173,8 @@ def keep_busy(server: Server, seconds: float) -> None:
 
 
 def test_aborted_requests_are_logged_as_client_errors(target: Target) -> None:
-    paths = ("/v1/fits", f"/v1/fits/{target.fit}/brdf", f"/v1/fits/{target.fit}/lobes/diffuse/brdf", "/v1/measurements")
+    fit = f"/v1/fits/{target.fit}"
+    paths = ("/v1/fits", f"{fit}/brdf", f"{fit}/components/diffuse/brdf", "/v1/measurements")
     types = (JSON, JSON, NPY, MEASUREMENT)
     for path, media_type in zip(paths, types, strict=True):
         head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Request-ID: gone\r\nContent-Type: {media_type}\r\n"

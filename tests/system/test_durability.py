@@ -17,6 +17,7 @@ TIMES = {
     "terminate": 1,
     "uploads": 4,
     "same-file": 4,
+    "restores": 6,
     "disk": 1,
 }
 

@@ -1,6 +1,7 @@
 """Ends and beginnings of the server: nothing accepted is lost, nothing stays behind."""
 
 import os
+import resource
 import signal
 import sqlite3
 from collections.abc import Callable
@@ -10,7 +11,7 @@ import pytest
 
 from tests.support.commands import start_in_vain
 from tests.support.processes import alive, wait_until
-from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, SLOW, Server
 
 
 def submit_some(server: Server, data: bytes, count: int) -> list[str]:
@@ -46,7 +47,7 @@ def test_accepted_fits_finish_after_a_restart(
     for fit_id in fits:
         fit = server.http.get(f"/v1/fits/{fit_id}?wait=60").json()
         assert fit["status"] == "succeeded"
-        assert fit["lobes"] is not None
+        assert fit["components"] is not None
     assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, in_the_way, *fits}
 
 
@@ -152,20 +153,6 @@ def test_open_event_streams_do_not_delay_shutdown(own_server: Callable[..., Serv
     assert server.http.get(f"/v1/fits/{waiting}?wait=60").json()["status"] == "succeeded"
 
 
-def test_files_without_rows_and_rows_without_files_are_removed(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fits=False)
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    server.stop()
-    stray = server.data_dir / "blobs" / "00" / f"{'0' * 64}.binary"
-    stray.parent.mkdir()
-    stray.write_bytes(b"")
-    (server.data_dir / "blobs" / sha256[:2] / f"{sha256}.binary").unlink()
-    server.start()
-    assert not server.files()
-    assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
-    assert server.http.post("/v1/measurements", content=data).status_code == 201
-
-
 def test_second_server_on_the_same_folder_is_refused(server: Server, tmp_path: Path) -> None:
     code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(server.data_dir))
     assert code == 2
@@ -200,3 +187,18 @@ def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
     assert code == 2
     assert "made by another release" in said
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("limit_mb", [200, 1024])
+def test_limit_of_the_whole_service_is_the_limit_of_each_fit(
+    own_server: Callable[..., Server], data: bytes, limit_mb: int
+) -> None:
+    server = own_server()
+    for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
+        resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
+    fit = server.http.post("/v1/fits", params={"n_lobes": 2}, content=data).json()
+    if limit_mb > 1000:  # but less than the service allows
+        assert fit["status"] == "succeeded"
+    else:
+        assert (fit["error"]["origin"], fit["error"]["type"]) == ("compute", "MemoryLimit")
+    assert "Traceback" not in server.log.read_text()

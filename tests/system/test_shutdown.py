@@ -9,12 +9,15 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 import pytest
 
+from tests.support.durability.harness import processes
 from tests.support.processes import alive, children, command, wait_until
 from tests.support.server import ENDLESS, Server
+from tests.support.soak import repeats
 
 SOON = 10.0  # seconds; what is asked for, on a machine that does much else
 
@@ -98,12 +101,13 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
     assert {row["status"] for row in rows} <= {"running", "accepted"}
 
 
-def test_repeated_sigterm_is_harmless(own_server: Callable[..., Server], data: bytes) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_repeated_signal_is_harmless(own_server: Callable[..., Server], data: bytes, number: int) -> None:
     server = own_server(workers="1")
     (fit,) = start_fits(server, data, 1)
     begin = time.monotonic()
     while server.process.poll() is None and time.monotonic() < begin + SOON:
-        server.process.send_signal(signal.SIGTERM)
+        server.process.send_signal(number)
         time.sleep(0.02)
     assert ended(server, begin)[0] == 0
     assert "Traceback" not in server.log.read_text()
@@ -154,3 +158,63 @@ def test_hanging_fork_server_does_not_block_shutdown(own_server: Callable[..., S
     assert "does not end in time" in server.log.read_text()
     server.start()
     assert server.status(fit) in ("accepted", "running", "succeeded")
+
+
+def until_it_takes_ctrl_c(server: Server) -> None:
+    """Wait until the process is past the start of its interpreter, which the service cannot change."""
+
+    def begun() -> bool:
+        lines = Path(f"/proc/{server.process.pid}/status").read_text().splitlines()
+        masks = {
+            name: int(mask, 16)
+            for name, _, mask in (line.partition(":") for line in lines)
+            if name in ("SigIgn", "SigCgt")
+        }
+        # Every interpreter ignores SIGPIPE and catches SIGINT, until it is told otherwise.
+        return bool(masks["SigIgn"] >> (signal.SIGPIPE - 1) & 1) and not masks["SigCgt"] >> (signal.SIGINT - 1) & 1
+
+    wait_until(begun, 20.0)
+
+
+def test_ctrl_c_while_the_service_starts_prints_no_traceback(tmp_path: Path) -> None:
+    starts, longest = repeats(6, 60), 2.0
+    server = Server(tmp_path / "data")
+    server.own_interpreter = True
+    try:
+        for number in range(starts):
+            server.launch()
+            until_it_takes_ctrl_c(server)
+            time.sleep(longest * number / starts)  # no moment is wrong, however fast the machine
+            assert server.stop(signal.SIGINT) in (0, -signal.SIGINT)
+            assert "Traceback" not in server.log.read_text()
+            wait_until(lambda: not processes(server))
+    finally:
+        server.close()
+
+
+def test_sighup_ends_the_service_as_sigterm_does(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(workers="1", shutdown_seconds="1")
+    (fit,) = start_fits(server, data, 1)
+    helpers = server.helpers() | server.workers()
+    with upload_in_progress(server, data) as connection:
+        server.process.send_signal(signal.SIGHUP)
+        assert b"urn:dsbrdf:problem:shutting-down" in connection.makefile("rb").read()
+    assert server.process.wait(timeout=20) == 0
+    wait_until(lambda: not any(map(alive, helpers)))
+    assert "Finished server process" in server.log.read_text()
+    server.start()
+    assert server.status(fit) in ("accepted", "running")
+
+
+def test_service_that_ignores_hangups_goes_on(tmp_path: Path) -> None:
+    server = Server(tmp_path / "data")
+    server.own_interpreter = True
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does it: it is inherited
+    try:
+        server.start()
+        server.process.send_signal(signal.SIGHUP)
+        assert server.http.get("/health/ready").status_code == 200
+        assert server.stop() == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+        server.close()

@@ -1,9 +1,10 @@
-"""Models for other programs: a table of the formats, and one file for each that is not the library's own."""
+"""Models and components for other programs: a table of the formats, and one file for each that is not our own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.brdf_explorer import brdf_explorer_file
@@ -16,15 +17,25 @@ from dsbrdf.output.serialize import to_json, to_npz
 
 __all__ = [
     "FORMATS",
+    "GUIDE",
+    "PARTS",
     "ExportFormat",
     "brdf_explorer_file",
+    "check_holds_component",
     "export_model",
     "glsl_function",
     "materialx_document",
     "merl_table",
     "parameters_csv",
+    "part_of",
     "rgl_bsdf",
 ]
+
+
+GUIDE = "guide"
+"""Name of all components' own lobes together."""
+PARTS = (*LABELS, GUIDE)
+"""Names of parts of a model."""
 
 
 @dataclass(frozen=True)
@@ -39,33 +50,63 @@ class ExportFormat:
         For HTTP.
     encode : callable
         Returns the content of the file for a model and, if there is one, its report.
+    encode_component : callable, optional
+        Returns the content of the file for a component; None where the format holds lobes, which a component has not.
     """
 
     suffix: str
     media_type: str
     encode: Callable[[DSBRDF, FitReport | None], bytes]
+    encode_component: Callable[[Component], bytes] | None = None
 
 
+def _of_values(suffix: str, media_type: str, encode: Callable[[DSBRDF | Component], bytes]) -> ExportFormat:
+    """Return a format that holds values, of a model as well as of a component."""
+    return ExportFormat(suffix, media_type, lambda model, _: encode(model), encode)
+
+
+_BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat("json", "application/json", lambda model, report: to_json(model, report).encode()),
-    "npz": ExportFormat("npz", "application/octet-stream", to_npz),
-    "merl": ExportFormat("binary", "application/octet-stream", lambda model, _: merl_table(model)),
-    "glsl": ExportFormat("glsl", "text/plain; charset=utf-8", lambda model, _: glsl_function(model).encode()),
-    "brdf": ExportFormat("brdf", "text/plain; charset=utf-8", lambda model, _: brdf_explorer_file(model).encode()),
+    "npz": ExportFormat("npz", _BINARY, to_npz),
+    "merl": _of_values("binary", _BINARY, merl_table),
+    "glsl": _of_values("glsl", _TEXT, lambda source: glsl_function(source).encode()),
+    "brdf": _of_values("brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
     "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
-    "bsdf": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model)),
-    "bsdf-spectral": ExportFormat("bsdf", "application/octet-stream", lambda model, _: rgl_bsdf(model, spectral=True)),
+    "bsdf": _of_values("bsdf", _BINARY, rgl_bsdf),
+    "bsdf-spectral": _of_values("bsdf", _BINARY, lambda source: rgl_bsdf(source, spectral=True)),
     "materialx": ExportFormat("mtlx", "application/xml", lambda model, _: materialx_document(model).encode()),
 }
 
 
-def export_model(model: DSBRDF, file_format: str, report: FitReport | None = None) -> bytes:
-    """Return the content of a file with a model.
+def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component:
+    """Return a model's component, its guide or, for None, the model itself.
 
     Parameters
     ----------
     model : DSBRDF
-        A model, or one component of it.
+    part : {"specular_spike", "specular_lobe", "diffuse", "guide"} or None
+
+    Returns
+    -------
+    DSBRDF or Component
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the model has no such component.
+    """
+    if part is None:
+        return model
+    return decompose(model).guide if part == GUIDE else decompose(model)[part]
+
+
+def export_model(source: DSBRDF | Component, file_format: str, report: FitReport | None = None) -> bytes:
+    """Return the content of a file with a model or a component.
+
+    Parameters
+    ----------
+    source : DSBRDF or Component
     file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"}
         ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
         shaders, ``brdf`` the same for Disney's BRDF Explorer, ``csv`` a table of the parameters, ``bsdf`` a file of the
@@ -81,10 +122,24 @@ def export_model(model: DSBRDF, file_format: str, report: FitReport | None = Non
     Raises
     ------
     InvalidArgumentError
-        If the format is unknown, or the values of the model are too large for it.
+        If the format is unknown or cannot hold a component, or the values are too large for it.
     MeasurementFormatError
         If a value of the model cannot be stored in a table.
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
-    return FORMATS[file_format].encode(model, report)
+    if isinstance(source, DSBRDF):
+        return FORMATS[file_format].encode(source, report)
+    return check_holds_component(file_format)(source)
+
+
+def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
+    """Return what writes a component in a format; raise InvalidArgumentError if the format cannot hold one."""
+    encode = FORMATS[file_format].encode_component
+    if encode is None:
+        able = [name for name, kind in FORMATS.items() if kind.encode_component]
+        raise InvalidArgumentError(
+            f"{file_format} cannot hold a component, whose values are a share of the model's: take "
+            f"{', '.join(able[:-1])} or {able[-1]}, or export the guide, which is the components' own lobes together"
+        )
+    return encode

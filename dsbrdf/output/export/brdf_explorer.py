@@ -1,17 +1,18 @@
-"""A model as a ``.brdf`` file for Disney's BRDF Explorer: the GLSL function, and how that program calls it."""
+"""A model or a component as a ``.brdf`` file for Disney's BRDF Explorer: the GLSL function, and how it is called."""
 
+from dsbrdf.fitting.decomposition import Component
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import glsl_function
 
 __all__ = ["brdf_explorer_file"]
 
 
-def brdf_explorer_file(model: DSBRDF) -> str:
+def brdf_explorer_file(source: DSBRDF | Component) -> str:
     """Return an analytic ``.brdf`` file, whose only parameter is a scale.
 
     Parameters
     ----------
-    model : DSBRDF
+    source : DSBRDF or Component
 
     Returns
     -------
@@ -23,12 +24,12 @@ def brdf_explorer_file(model: DSBRDF) -> str:
     InvalidArgumentError
         If a parameter is too large for single precision.
     """
-    return f"analytic\n\n::begin parameters\nfloat scale 0 4 1\n::end parameters\n\n{_shader(model)}"
+    return f"analytic\n\n::begin parameters\nfloat scale 0 4 1\n::end parameters\n\n{_shader(source)}"
 
 
-def _shader(model: DSBRDF) -> str:
+def _shader(source: DSBRDF | Component) -> str:
     return f"""::begin shader
-{glsl_function(model)}
+{glsl_function(source)}
 vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
   mat3 frame = mat3(X, Y, N);
   return scale * dsbrdf(L * frame, V * frame);

@@ -1,4 +1,4 @@
-"""A model as a MERL ``.binary`` table, for programs that read measurements: whole, or in parts as they are computed."""
+"""A model or a component as a MERL ``.binary`` table, for programs that read measurements: whole, or part by part."""
 
 import os
 from collections.abc import Iterator
@@ -10,19 +10,19 @@ import numpy as np
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.merl_validation import HEADER, NODES, SCALE
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import ReflectanceModel
 
 _ROWS = 1  # angles theta_half at a time: what a part is made of
 _PIECE = _ROWS * THETA_DIFF.size * PHI_DIFF.size * 8  # bytes of them in one channel
 _QUARTER = PHI_DIFF.size // 2 + 1  # the model is the same at phi_diff and pi - phi_diff
 
 
-def merl_table(model: DSBRDF) -> bytes:
+def merl_table(model: ReflectanceModel) -> bytes:
     """Return the bytes of a MERL file with the values of a model at every node.
 
     Parameters
     ----------
-    model : DSBRDF
+    model : ReflectanceModel
 
     Returns
     -------
@@ -37,7 +37,7 @@ def merl_table(model: DSBRDF) -> bytes:
     return encode_merl(model.tabulate())
 
 
-def merl_parts(model: DSBRDF, folder: Path) -> Iterator[bytes]:
+def merl_parts(model: ReflectanceModel, folder: Path) -> Iterator[bytes]:
     """Yield the bytes of `merl_table` in parts, each computed when it is asked for, so that little memory is needed.
 
     The channels are in the file one after the other and computed together: green and blue wait in a temporary file
@@ -45,7 +45,7 @@ def merl_parts(model: DSBRDF, folder: Path) -> Iterator[bytes]:
 
     Parameters
     ----------
-    model : DSBRDF
+    model : ReflectanceModel
     folder : Path
         Of the temporary file, which has no name.
 
@@ -61,7 +61,7 @@ def merl_parts(model: DSBRDF, folder: Path) -> Iterator[bytes]:
             yield os.pread(file.fileno(), _PIECE, offset)
 
 
-def _compute(model: DSBRDF, descriptor: int, offset: int) -> bytes:
+def _compute(model: ReflectanceModel, descriptor: int, offset: int) -> bytes:
     """Return the piece of red at an offset in its channel; write those of green and blue to the file."""
     first = offset // _PIECE * _ROWS
     grid = model.evaluate_grid(THETA_HALF[first : first + _ROWS], THETA_DIFF, PHI_DIFF[:_QUARTER])

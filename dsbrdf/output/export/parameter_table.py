@@ -3,7 +3,6 @@
 import numpy as np
 
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
 
@@ -12,7 +11,6 @@ __all__ = ["parameters_csv"]
 _THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
 _COLUMNS = (
     "lobe",
-    "component",
     "channel",
     "theta_diff_deg",
     "amplitude",
@@ -40,19 +38,18 @@ def parameters_csv(model: DSBRDF) -> str:
     found = model.parameters_at(_THETA_DIFF)
     widths = np.degrees(half_width(found["kappa"], found["gamma"], model.lobe))
     lines = [",".join(_COLUMNS)]
-    for component in decompose(model):
-        for lobe in component.lobes:
-            for column, channel in enumerate(CHANNELS):
-                shape = column if found["kappa"].shape[1] == len(CHANNELS) else 0
-                table = (
-                    np.degrees(_THETA_DIFF),
-                    found["amplitude"][:, column, lobe],
-                    found["kappa"][:, shape, lobe],
-                    found["gamma"][:, shape, lobe],
-                    np.degrees(found["center"][:, shape, lobe]),
-                    found["elongation"][:, lobe],
-                    widths[:, shape, lobe],
-                )
-                lead = f"{lobe},{component.label},{channel},"
-                lines += [lead + ",".join(f"{value:.9g}" for value in row) for row in np.stack(table, axis=1).tolist()]
+    for lobe in range(model.n_lobes):
+        for column, channel in enumerate(CHANNELS):
+            shape = column if found["kappa"].shape[1] == len(CHANNELS) else 0
+            table = (
+                np.degrees(_THETA_DIFF),
+                found["amplitude"][:, column, lobe],
+                found["kappa"][:, shape, lobe],
+                found["gamma"][:, shape, lobe],
+                np.degrees(found["center"][:, shape, lobe]),
+                found["elongation"][:, lobe],
+                widths[:, shape, lobe],
+            )
+            lead = f"{lobe},{channel},"
+            lines += [lead + ",".join(f"{value:.9g}" for value in row) for row in np.stack(table, axis=1).tolist()]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""A model or a measurement as an RGL ``.bsdf`` file, which Mitsuba 3 (``measured``) and pbrt-v4 load as it is.
+"""A model, a component or a measurement as an RGL ``.bsdf`` file, for Mitsuba 3 (``measured``) and pbrt-v4.
 
 The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
 the unit square.  The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
@@ -24,7 +24,7 @@ from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.rgl_warp import Warp, bilinear
 from dsbrdf.data.tensor_file import encode_tensors
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export.rgb_spectra import WAVELENGTHS, spectra_of_rgb
 
 __all__ = ["rgl_bsdf"]
@@ -40,12 +40,12 @@ _LEAST = 0.3  # least density of a half vector, as a share of the mean; ``lumina
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
-def rgl_bsdf(source: DSBRDF | Measurement, description: str = "", *, spectral: bool = False) -> bytes:
+def rgl_bsdf(source: ReflectanceModel | Measurement, description: str = "", *, spectral: bool = False) -> bytes:
     """Return the bytes of a ``.bsdf`` file.
 
     Parameters
     ----------
-    source : DSBRDF or Measurement
+    source : ReflectanceModel or Measurement
         A measurement is interpolated.
     description : str, optional
         Stored in the file.

@@ -6,11 +6,14 @@ from io import BytesIO
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from dsbrdf.cli import demo
 from dsbrdf.cli import main as cli
+
+_COMPONENT = re.compile(r"^(\w+) +([\d.]+)°" + r" +([\d.]+)" * 8 + "$", re.MULTILINE)
 
 
 def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -18,7 +21,7 @@ def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: p
     out = capsys.readouterr().out
     assert "201 Created" in out
     assert "200 OK" in out
-    for word in ("specular_spike", "specular_lobe", "diffuse", "kappa", "gamma", "relative_rms", "excess", "male"):
+    for word in ("half width", "clarity", "tail", "elongation", "relative_rms", "excess", "male"):
         assert word in out
     lines = out.splitlines()
     assert len(lines) <= 40
@@ -30,6 +33,13 @@ def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: p
     difference = re.search(r"largest difference between their sum and the fit: (\S+)", out)
     assert difference is not None
     assert float(difference[1]) < 1e-12
+    found = {row[0]: [float(word) for word in row[1:]] for row in _COMPONENT.findall(out)}
+    assert list(found) == ["specular_spike", "diffuse"]
+    width, _, *albedo = found["specular_spike"][:5]
+    assert width == pytest.approx(np.degrees(np.arctan(0.06 * np.sqrt(np.sqrt(2.0) - 1.0))), rel=0.1)
+    assert albedo == pytest.approx([np.mean(albedo)] * 3, rel=0.03)  # a clear coat: its highlight is neutral
+    paint = np.array([0.42, 0.08, 0.05])
+    assert found["diffuse"][5:8] == pytest.approx(paint / paint.max(), abs=0.03)
     image = imread(BytesIO((tmp_path / "out/demo.png").read_bytes()), format="png")
     assert min(image.shape[:2]) > 800
     assert image[..., :3].std() > 0.05

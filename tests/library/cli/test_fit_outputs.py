@@ -60,7 +60,7 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
 def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), "--plot", *QUICK]) == 0
     out = capsys.readouterr().out
-    assert "component       lobes" in out
+    assert "component       half width" in out
     assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
     assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
     assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1

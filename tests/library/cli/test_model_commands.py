@@ -14,8 +14,8 @@ import pytest
 import dsbrdf
 from dsbrdf.cli import main as cli
 from dsbrdf.cli import model_commands
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.decomposition import LABELS
 from dsbrdf.output.serialize import from_json, from_npz, load
 from tests.support.command_line import FEW_LOBES, Capture, document, exit_code, sentence
 
@@ -94,7 +94,9 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
     assert cli.main(command) == 0
     whole = np.array(document(capsys)["values"])
     total = np.zeros_like(whole)
-    for label in LABELS:
+    labels = dsbrdf.decompose(load(model_file)).labels
+    assert len(labels) == 2
+    for label in labels:
         assert cli.main([*command, "--component", label]) == 0
         total += document(capsys)["values"]
     np.testing.assert_allclose(total, whole, rtol=1e-12)
@@ -119,7 +121,7 @@ def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
         (["--omega-in", "0,1", "--omega-out", "0,0,1"], "a direction must be three numbers x,y,z, not '0,1'"),
         (
             ["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"],
-            "--component: must be specular_spike or specular_lobe or diffuse",
+            "--component: must be specular_spike or specular_lobe or diffuse or guide",
         ),
     ],
 )
@@ -133,18 +135,80 @@ def test_invalid_points_are_refused_in_one_sentence(
 def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> None:
     assert cli.main(["decompose", str(model_file), "--json"]) == 0
     items = document(capsys)["items"]
+    assert cli.main(["decompose", str(model_file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
     for item, component in zip(items, dsbrdf.decompose(load(model_file)), strict=True):
-        assert item["label"] == component.label
-        assert item["lobes"] == list(component.lobes)
+        assert (item["label"], item["clarity"]) == (component.label, component.clarity)
         assert item["albedo"] == component.albedo.tolist()
-        for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
-            assert item["parameters"][name] == getattr(component.model, name).tolist()
-        if component.half_width is not None:
-            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
-    assert cli.main(["decompose", str(model_file), "--channel", "blue"]) == 0
-    out = capsys.readouterr().out
-    assert "blue channel" in out
-    assert all(label in out for label in LABELS)
+        assert item["color"] == pytest.approx(component.albedo / component.albedo.max())
+        lobe = item["lobe"]
+        angles = np.radians(lobe["theta_diff_deg"])
+        np.testing.assert_allclose(lobe["height"], component.lobe.evaluate(0.0, angles), rtol=1e-9)
+        half = component.lobe.evaluate(np.radians(lobe["half_width_deg"][0]), 0.0)
+        np.testing.assert_allclose(half, np.array(lobe["height"][0]) / 2.0, rtol=1e-9)
+        assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
+        own = next(number for number, line in enumerate(lines) if line.startswith(f"{component.label:<18}height red"))
+        shown = [lobe["height"][lobe["theta_diff_deg"].index(angle)] for angle in (0, 30, 60, 80)]
+        printed = [[float(word) for word in line.split()[-4:]] for line in lines[own : own + 3]]
+        np.testing.assert_allclose(printed, np.transpose(shown), rtol=1e-3)
+
+
+def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    saved, exported = tmp_path / "guide.json", tmp_path / "guide.npz"
+    assert cli.main(["decompose", str(model_file), "-o", str(saved)]) == 0
+    assert cli.main(["export", str(model_file), "--component", "guide", "-o", str(exported)]) == 0
+    guide = load(saved)
+    assert guide == load(exported) == dsbrdf.decompose(load(model_file)).guide
+    np.testing.assert_allclose(guide.evaluate(0.2, 0.5), load(model_file).evaluate(0.2, 0.5), rtol=0.2)
+    capsys.readouterr()
+    assert cli.main(["decompose", str(model_file), "-o", str(tmp_path / "guide.txt")]) == 2
+    assert "must end in .json or .npz" in sentence(capsys)
+
+
+@pytest.mark.parametrize("command", [["eval", "--theta-half", "0", "--theta-diff", "0"], ["export", "-o", "a.binary"]])
+def test_an_absent_component_is_named_with_the_file(
+    command: list[str], model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    there = dsbrdf.decompose(load(model_file)).labels
+    (absent,) = set(LABELS) - set(there)
+    assert cli.main([*command, str(model_file), "--component", absent]) == 2
+    assert (
+        sentence(capsys)
+        == f"dsbrdf: {model_file}: this model has no component {absent}: it has {' and '.join(there)}\n"
+    )
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_component_in_a_format_of_lobes_is_refused(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "diffuse.json"
+    assert cli.main(["export", str(model_file), "--component", "diffuse", "-o", str(output)]) == 2
+    assert sentence(capsys).startswith("dsbrdf: json cannot hold a component")
+    assert not output.exists()
+
+
+def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    black = tmp_path / "black.json"
+    dsbrdf.save(load(model_file).select((), with_delta=False), black)
+    assert cli.main(["decompose", str(black)]) == 0
+    assert capsys.readouterr().out.strip() == "The model has no light, and so no components."
+
+
+def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path, capsys: Capture) -> None:
+    assert cli.main(["show", str(model_file)]) == 0
+    assert "kappa" not in capsys.readouterr().out
+    assert cli.main(["show", str(model_file), "--lobes", "--channel", "blue"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith("blue channel"))
+    height, width, kappa = (
+        [float(word.strip("°")) for word in line.split()[-4:]] for line in lines[start + 1 : start + 4]
+    )
+    angles = np.radians([0.0, 30.0, 60.0, 80.0])
+    first = load(model_file).select((0,), with_delta=False)
+    np.testing.assert_allclose(height, first.evaluate(0.0, angles)[:, 2], rtol=1e-3)
+    half = first.evaluate(np.radians(width[0]), 0.0)[2]
+    assert half == pytest.approx(height[0] / 2.0, rel=1e-2)
+    np.testing.assert_allclose(kappa, first.parameters_at(angles)["kappa"][:, 0, 0], rtol=1e-3)
 
 
 def test_show_prints_the_report_of_the_fit(
@@ -160,8 +224,8 @@ def test_show_prints_the_report_of_the_fit(
     answer = document(capsys)
     result = dsbrdf.load_result(model_file)
     assert answer["metrics"] == asdict(result.report.metrics)
-    assert answer["lobes"]["amplitude"] == result.model.amplitude.tolist()
-    assert [component["label"] for component in answer["components"]] == list(LABELS)
+    assert answer["model"]["amplitude"] == result.model.amplitude.tolist()
+    assert [component["label"] for component in answer["components"]] == list(dsbrdf.decompose(result).labels)
     dsbrdf.save(result.model, tmp_path / "plain.npz")
     assert cli.main(["show", str(tmp_path / "plain.npz")]) == 0
     shown = capsys.readouterr().out.splitlines()
@@ -186,7 +250,7 @@ def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) ->
     assert cli.main(command) == 0
     assert document(capsys) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
     measurement = dsbrdf.read_merl(table)
-    part = dsbrdf.decompose(load(model_file)).diffuse
+    part = dsbrdf.decompose(load(model_file))["diffuse"]
     # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees
     expected = part.evaluate(np.radians(10.0), np.radians(20.0))
     np.testing.assert_allclose(measurement.values[:, 30, 20, 90], expected, rtol=1e-12)

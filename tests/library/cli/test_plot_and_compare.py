@@ -39,13 +39,15 @@ def test_plot_with_the_measurement_draws_its_profiles(
 ) -> None:
     drawn: list[str] = []
 
-    def overview(data: Profiles, model: DSBRDF) -> Figure:
-        drawn.append(data.name)
+    def overview(data: Profiles, model: DSBRDF, *, model_lobes: bool) -> Figure:
+        drawn.append(f"{data.name}, lobes {model_lobes}")
         return parameters_figure(model)
 
     monkeypatch.setattr(plot_command, "overview_figure", overview)
-    assert cli.main(["plot", str(model_file), str(plastic_file), "-o", str(tmp_path / "figure.png")]) == 0
-    assert drawn == ["plastic"]
+    command = ["plot", str(model_file), str(plastic_file), "-o", str(tmp_path / "figure.png")]
+    assert cli.main(command) == 0
+    assert cli.main([*command, "--lobes"]) == 0
+    assert drawn == ["plastic, lobes False", "plastic, lobes True"]
 
 
 def test_compare_a_measurement_with_its_fit(

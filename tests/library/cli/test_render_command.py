@@ -9,6 +9,7 @@ from PIL import Image
 
 from dsbrdf.cli.main import main
 from dsbrdf.data.merl import read_merl
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import render_sphere
 from dsbrdf.output.serialize import save
@@ -41,12 +42,16 @@ def test_picture_is_that_of_the_library(
 def test_a_component_has_the_exposure_of_the_whole(
     model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    found, output = decompose(MODEL), tmp_path / "a.png"
     factors = []
-    for options in ([], ["--component", "diffuse"]):
-        command = ["render", str(model_file), "-o", str(tmp_path / "a.png"), "--size", "32", "--json", *options]
-        assert main(command) == 0
+    for options, part in (([], MODEL), (["diffuse"], found["diffuse"]), (["guide"], found.guide)):
+        component = ["--component", *options] if options else []
+        assert main(["render", str(model_file), "-o", str(output), "--size", "32", "--json", *component]) == 0
         factors.append(json.loads(capsys.readouterr().out)["exposure"])
-    assert factors[0] == factors[1]
+        with Image.open(output) as image:
+            expected = displayed(render_sphere(part, size=32), factors[0])
+            assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+    assert factors[0] == factors[1] == factors[2]
 
 
 def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,12 +71,13 @@ def test_measurement_and_fit_are_compared_under_a_panorama(
     command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
     assert main([*command, "--size", "24"]) == 0
     words = capsys.readouterr().out
-    assert "measured, fit, difference x 4, specular spike, specular lobe, diffuse" in words
+    labels = decompose(MODEL).labels
+    assert f"measured, fit, difference x 4, {', '.join(labels).replace('_', ' ')}\n" in words
     assert main([*command, "--size", "24", "--json"]) == 0
     about = json.loads(capsys.readouterr().out)
     assert f"PSNR {about['psnr']:.1f} dB" in words
     with Image.open(output) as image:
-        assert image.size == (6 * 24, 24)
+        assert image.size == ((3 + len(labels)) * 24, 24)
 
 
 @pytest.mark.parametrize(
@@ -121,6 +127,15 @@ def test_bad_input_is_one_sentence(
     assert words in message
     assert message.count("\n") == 1
     assert not any(tmp_path.iterdir())
+
+
+def test_an_absent_component_is_named_with_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, output = tmp_path / "matte.json", tmp_path / "a.png"
+    save(MODEL.select((2,), with_delta=False), model)
+    assert main(["render", str(model), "-o", str(output), "--component", "specular_spike"]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"dsbrdf: {model}: this model has no component specular_spike: it has ")
+    assert not output.exists()
 
 
 @pytest.mark.parametrize("option", [["--lighting", "moon"], ["--component", "shine"], ["--size", "big"]])

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from dsbrdf import extras
@@ -18,13 +19,14 @@ from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.sphere_panels import compare_spheres
+from tests.support.mixtures import mixture
 
 Fitted = tuple[Profiles, DSBRDF]
 
@@ -32,17 +34,24 @@ Fitted = tuple[Profiles, DSBRDF]
 @pytest.fixture(scope="module")
 def fitted(plastic: Measurement) -> Fitted:
     summary = profiles(plastic)
-    # A delta term and two lobes of one component: what a picture must not lose.
+    # A delta term and several lobes: what a picture must not lose.
     model = fit(summary, FitOptions(n_lobes=3, method="paper")).model
     return summary, replace(model, delta=np.full_like(model.delta, 0.25))
+
+
+@pytest.fixture(scope="module")
+def paint_model() -> DSBRDF:
+    return mixture(2, 0)
+
+
+def y_of(line: Line2D) -> NDArray[np.float64]:
+    return np.asarray(line.get_ydata(), float)
 
 
 def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Angles [rad] and values of every line with this label."""
     return [
-        (np.radians(np.asarray(line.get_xdata(), float)), np.asarray(line.get_ydata(), float))
-        for line in ax.lines
-        if line.get_label() == label
+        (np.radians(np.asarray(line.get_xdata(), float)), y_of(line)) for line in ax.lines if line.get_label() == label
     ]
 
 
@@ -87,35 +96,68 @@ def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measur
         assert np.interp(theta_half, angles, values) == pytest.approx(expected, rel=5e-3)
 
 
-def test_parameters_figure_draws_every_lobe(elongated: DSBRDF) -> None:
-    amplitudes, widths, elongations = parameters_figure(elongated, title="paint").axes
-    n_lobes = elongated.n_lobes
-    assert (len(amplitudes.lines), len(widths.lines), len(elongations.lines)) == (3 * n_lobes, n_lobes, n_lobes)
-    at = np.radians(np.asarray(amplitudes.lines[0].get_xdata(), float))
-    drawn = np.sort([np.asarray(line.get_ydata(), float) for line in amplitudes.lines], axis=0)
-    expected = elongated.parameters_at(at)["amplitude"].reshape(at.size, -1)
-    np.testing.assert_allclose(drawn, np.sort(expected, axis=1).T, rtol=1e-9)
-    heights = sorted(float(np.asarray(line.get_ydata(), float)[0]) for line in elongations.lines)
-    assert heights == [-0.5, 0.5, 1.5]
-    labels = [str(line.get_label()) for line in widths.lines]
-    for component in decompose(elongated):
-        for lobe in component.lobes:
-            (line,) = [line for line in widths.lines if str(line.get_label()).startswith(f"{lobe}: ")]
-            assert component.label.replace("_", " ") in str(line.get_label())
-            assert np.median(np.asarray(line.get_ydata(), float)) > 0.0
-    assert len(set(labels)) == n_lobes
+def test_parameters_figure_draws_the_own_lobe_of_each_component(paint_model: DSBRDF) -> None:
+    heights, widths, tails, elongations = parameters_figure(paint_model, title="paint").axes
+    components = list(decompose(paint_model))
+    assert [line.get_label() for line in widths.lines] == [part.label.replace("_", " ") for part in components]
+    for number, component in enumerate(components):
+        at = np.radians(np.asarray(widths.lines[number].get_xdata(), float))
+        lobe = component.lobe.evaluate(0.0, at)  # theta_half = 0: the lobe's height
+        drawn = [y_of(line) for line in heights.lines[3 * number : 3 * number + 3]]
+        np.testing.assert_allclose(drawn, lobe.T, rtol=1e-9)
+        at_half = np.radians(y_of(widths.lines[number])[0])
+        np.testing.assert_allclose(component.lobe.evaluate(at_half, 0.0), lobe[0] / 2.0)  # no elongation at 0
+        np.testing.assert_allclose(y_of(tails.lines[number]), component.parameters_at(at).tail)
+        np.testing.assert_allclose(y_of(elongations.lines[number]), component.parameters_at(at).elongation)
 
 
-def test_drawn_lobes_sum_to_the_fit(fitted: Fitted) -> None:
+def test_parameters_figure_draws_the_lobes_of_the_model_on_request(elongated: DSBRDF) -> None:
+    heights, widths, kappas, elongations = parameters_figure(elongated, model_lobes=True).axes
+    at = np.radians(np.asarray(heights.lines[0].get_xdata(), float))
+    drawn = np.sort([y_of(line) for line in heights.lines], axis=0)
+    expected = elongated.parameters_at(at)
+    np.testing.assert_allclose(drawn, np.sort(expected["amplitude"].reshape(at.size, -1), axis=1).T, rtol=1e-9)
+    assert sorted(float(y_of(line)[0]) for line in elongations.lines) == [-0.5, 0.5, 1.5]
+    np.testing.assert_allclose([y_of(line) for line in kappas.lines], expected["kappa"][:, 1].T)
+    assert [line.get_label() for line in widths.lines] == ["lobe 0", "lobe 1", "lobe 2"]
+
+
+@pytest.mark.parametrize("model_lobes", [False, True])
+def test_drawn_parts_sum_to_the_fit(fitted: Fitted, model_lobes: bool) -> None:
     summary, model = fitted
-    figure = lobes_figure(summary, model, theta_diff=[0.0], channel="green")
+    figure = lobes_figure(summary, model, theta_diff=[0.0], channel="green", model_lobes=model_lobes)
     ax = figure.axes[0]
-    ((_, total),) = lines_of(ax, "fit, all lobes")
-    labels = [str(line.get_label()) for line in ax.lines]
-    lobes = [label for label in labels if "half width" in label or label == "delta term"]
-    assert len(lobes) == len(set(lobes)) == model.n_lobes + 1
-    parts = [values for label in lobes for _, values in lines_of(ax, label)]
-    np.testing.assert_allclose(np.sum(parts, axis=0), total, rtol=1e-9, atol=1e-12)
+    ((_, total),) = lines_of(ax, "fit")
+    named = [str(line.get_label()) for line in ax.lines]
+    parts = [label for label in named if "half width" in label or label == "delta term"]
+    assert len(parts) == len(set(parts)) == (model.n_lobes + 1 if model_lobes else len(decompose(model)))
+    values = [values for label in parts for _, values in lines_of(ax, label)]
+    np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
+
+
+def test_own_lobes_are_drawn_dashed_below_the_components(fitted: Fitted, paint_model: DSBRDF) -> None:
+    ax = lobes_figure(fitted[0], paint_model, theta_diff=[0.0]).axes[0]
+    dashed = [line for line in ax.lines if line.get_linestyle() == "--"]
+    for line, component in zip(dashed, decompose(paint_model), strict=True):
+        angles = np.radians(np.abs(np.asarray(line.get_xdata(), float))).clip(max=np.pi / 2)
+        np.testing.assert_allclose(y_of(line), component.lobe.evaluate(angles, 0.0)[:, 0], rtol=1e-9)
+        (named,) = [other for other in ax.lines if str(other.get_label()).startswith(component.label.replace("_", " "))]
+        assert named.get_color() == line.get_color()
+
+
+def test_what_cannot_be_seen_is_not_in_the_legend(fitted: Fitted) -> None:
+    summary, model = fitted
+    dark = model.amplitude.copy()
+    dark[..., 0] = 0.0
+    figure = lobes_figure(summary, replace(model, amplitude=dark), model_lobes=True)
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [label[:6] for label in shown] == ["measur", "fit", "lobe 1", "lobe 2", "delta "]
+
+
+def test_a_black_model_is_drawn(fitted: Fitted) -> None:
+    black = fitted[1].select((), with_delta=False)
+    for figure in (overview_figure(fitted[0], black), parameters_figure(black)):
+        assert encode_figure(figure, dpi=20).startswith(b"\x89PNG")
 
 
 def test_axis_limits_contain_all_data(fitted: Fitted) -> None:
@@ -124,7 +166,7 @@ def test_axis_limits_contain_all_data(fitted: Fitted) -> None:
         low, high = ax.get_ylim()
         for line in ax.lines:
             if "measured" in str(line.get_label()):
-                values = np.asarray(line.get_ydata(), float)
+                values = y_of(line)
                 assert low < values.min() < values.max() < high
 
 
@@ -203,9 +245,9 @@ def test_figures_are_independent_objects(fitted: Fitted) -> None:
 def test_overview_ends_with_spheres(fitted: Fitted) -> None:
     spheres = compare_spheres(fitted[1], fitted[1], size=16)
     figure = overview_figure(*fitted, spheres=spheres)
-    assert [ax.get_title() for ax in figure.axes[-6:]] == list(spheres.panels)
-    assert len(figure.axes) == len(overview_figure(*fitted).axes) + 6
-    shown = figure.axes[-5].images[0].get_array()
+    panels = figure.axes[len(overview_figure(*fitted).axes) :]
+    assert [ax.get_title() for ax in panels] == list(spheres.panels)
+    shown = panels[1].images[0].get_array()
     assert shown is not None
     np.testing.assert_array_equal(shown[..., :3], spheres.panels["fit"])
     assert set(np.unique(shown[..., 3])) == {0.0, 1.0}

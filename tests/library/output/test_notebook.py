@@ -46,6 +46,10 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
     assert thumbnail(html) == thumbnail(two_lobe_fit.model._repr_html_())
     assert thumbnail(html).startswith(b"\x89PNG")
     assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in html
+    for component in dsbrdf.decompose(two_lobe_fit):
+        red, green, blue = component.albedo
+        width = np.degrees(component.half_width)
+        assert f"half width {width:.1f}°, albedo {red:.4f}, {green:.4f}, {blue:.4f}</td>" in html
     assert "<li>less than &lt;1 %&gt;</li>" in html
     assert warned.report._repr_html_() in html
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
@@ -66,8 +70,8 @@ def test_notebook_shows_a_model_without_lobes() -> None:
 def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit: FitResult) -> None:
     parameters, fitted = two_lobe_fit.plot(), two_lobe_fit.plot(plastic)
     assert isinstance(parameters, matplotlib.figure.Figure)
-    assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [3, 8]
-    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 3
+    assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [4, 8]
+    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 4
     assert parameters._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import render_sphere, sphere_likeness
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, side_by_side
@@ -20,10 +21,19 @@ def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> No
     difference = np.minimum(DIFFERENCE_GAIN * np.abs(seen - compared), 1.0)
     np.testing.assert_allclose(found.panels["difference x 4"], difference)
     assert (found.psnr, found.ssim) == sphere_likeness(measured, fitted)
-    assert list(found.panels)[3:] == ["specular spike", "specular lobe", "diffuse"]
+    assert list(found.panels)[3:] == [component.label.replace("_", " ") for component in decompose(MODEL)]
     picture = side_by_side(found.panels)
-    assert picture.shape == (24, 6 * 24, 3)
+    assert picture.shape == (24, len(found.panels) * 24, 3)
     np.testing.assert_array_equal(picture[:, 24:48], compared)
+
+
+def test_panels_of_components_add_up_to_the_fit() -> None:
+    panels = compare_spheres(MODEL, MODEL, size=24, factor=0.002).panels
+    radiance = [np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in panels.values()]
+    _, whole, _, *parts = radiance
+    assert len(parts) >= 2
+    assert whole.max() < 1.0  # nothing is clipped
+    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
 
 
 def test_a_model_equals_itself() -> None:

@@ -11,9 +11,9 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
 from dsbrdf.paper import figure1, figure2, figure3, figure4, figure5
@@ -101,9 +101,11 @@ def test_figure_3_tells_colour_and_share_of_each_part(lines_of: MakeLines, quick
     assert shares.sum() == pytest.approx(1.0, rel=1e-4)
     second = paper.select((1,), with_delta=False).albedo(angle)
     assert shares[1] == pytest.approx(second.sum() / whole.sum())
-    diffuse = decompose(default).diffuse.model.albedo(angle)
-    assert [float(lines[5][f"albedo_{name}"]) for name in ("red", "green", "blue")] == pytest.approx(diffuse)
-    assert float(lines[5]["saturation"]) == pytest.approx(1.0 - diffuse.min() / diffuse.max())
+    found = decompose(default)
+    assert [line["part"] for line in lines[3:]] == [label.replace("_", " ") for label in found.labels]
+    diffuse = found["diffuse"].directional_albedo(angle)
+    assert [float(lines[-1][f"albedo_{name}"]) for name in ("red", "green", "blue")] == pytest.approx(diffuse)
+    assert float(lines[-1]["saturation"]) == pytest.approx(1.0 - diffuse.min() / diffuse.max())
     assert column(lines[3:], "share_of_albedo").sum() == pytest.approx(1.0, rel=1e-4)
 
 

@@ -227,7 +227,7 @@ def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callab
 def test_foreign_host_header_is_refused_on_loopback(server: Server, host: str) -> None:
     for value in (host, f"{host}:{server.http.base_url.port}"):
         answer = server.http.get("/v1/fits", headers={"Host": value})
-        assert "127.0.0.1" in assert_problem(answer, 401, "unauthorized")
+        assert "127.0.0.1" in assert_problem(answer, 421, "misdirected")
 
 
 @pytest.mark.parametrize(
@@ -242,8 +242,27 @@ def test_local_host_headers_are_accepted(server: Server, host: str) -> None:
 def test_cross_origin_requests_are_refused(server: Server, data: bytes, origin: str) -> None:
     before = server.files()
     answer = server.http.post("/v1/measurements", content=data[:100], headers={"Origin": origin})
-    assert "other sites" in assert_problem(answer, 401, "unauthorized")
+    assert "other sites" in assert_problem(answer, 403, "foreign-origin")
     assert server.files() == before
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+@pytest.mark.parametrize(("method", "path"), [("GET", "/v1/fits"), ("GET", "/"), ("POST", "/v1/fits")])
+def test_request_of_a_page_of_another_site_is_refused(server: Server, site: str, method: str, path: str) -> None:
+    answer = server.http.request(method, path, headers={"Sec-Fetch-Site": site})
+    assert "other sites" in assert_problem(answer, 403, "foreign-origin")
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        {"Sec-Fetch-Site": "none"},
+        {"Sec-Fetch-Site": "same-origin"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"},  # a link
+    ],
+)
+def test_page_that_a_person_opens_is_answered(server: Server, sent: dict[str, str]) -> None:
+    assert server.http.get("/", headers=sent).status_code == 200
 
 
 def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:

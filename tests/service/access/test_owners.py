@@ -31,21 +31,24 @@ POINTS = {"theta_half_deg": [1.0], "theta_diff_deg": [2.0]}
 
 def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield every way to ask for something by its name: method, path and arguments."""
-    paths = ["", "/events", "/lobes", "/brdf?theta_half_deg=1&theta_diff_deg=2", "/brdf", "/brdf?theta_half_deg=x"]
-    paths += ["?wait=0.1", "?wait=x", "/brdf?omega_in=0,0,1&omega_out=0,0,1", "/figures/lobes.png"]
+    paths = ["", "/events", "/components", "/brdf?theta_half_deg=1&theta_diff_deg=2", "/brdf", "/brdf?theta_half_deg=x"]
+    paths += ["?wait=0.1", "?wait=x", "/brdf?omega_in=0,0,1&omega_out=0,0,1", "/figures/components.png"]
     for label in ("specular_spike", "specular_lobe", "diffuse", "no_label"):
-        paths += [f"/lobes/{label}/brdf?theta_half_deg=1&theta_diff_deg=2", f"/export?format=json&component={label}"]
+        paths += [
+            f"/components/{label}/brdf?theta_half_deg=1&theta_diff_deg=2",
+            f"/export?format=json&component={label}",
+        ]
     paths += [f"/export?format={name}" for name in ("json", "npz", "merl", "glsl", "none")]
     for path in paths:
         for method in ("GET", "HEAD", "DELETE", "PUT"):
             if (method, path) not in (("DELETE", ""), ("DELETE", "?wait=0.1"), ("DELETE", "?wait=x")):
                 yield method, f"/v1/fits/{fit}{path}", {}
     for tag in (*tags.values(), "*"):
-        for path in ("", "/lobes"):
+        for path in ("", "/components"):
             yield "GET", f"/v1/fits/{fit}{path}", {"headers": {"If-None-Match": tag}}
         yield "GET", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
         yield "HEAD", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
-    for path in ("/brdf", "/lobes/diffuse/brdf", "/lobes/no_label/brdf"):
+    for path in ("/brdf", "/components/diffuse/brdf", "/components/no_label/brdf"):
         yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS}
         yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS, "headers": {"Accept": "application/x-npy"}}
         yield "POST", f"/v1/fits/{fit}{path}", {"content": b"nonsense", "headers": JSON}
@@ -69,7 +72,7 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
     fit, sha256 = fitted.json()["id"], fitted.json()["measurement"]
     tags = {
         path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"]
-        for path in (f"fits/{fit}", f"fits/{fit}/lobes", f"measurements/{sha256}")
+        for path in (f"fits/{fit}", f"fits/{fit}/components", f"measurements/{sha256}")
     }
     asked = 0
     for (method, path, arguments), (_, other, _) in zip(
@@ -111,11 +114,11 @@ def test_upload_of_a_file_that_another_owner_has_is_created(guarded: Guarded, da
     fits = [server.http.post("/v1/fits", json=document, headers=who) for who in (alice, bob)]
     assert [answer.status_code for answer in fits] == [201, 201]  # computed for each
     assert fits[0].json()["id"] == fits[1].json()["id"]
-    assert fits[0].json()["lobes"] == fits[1].json()["lobes"]
+    assert fits[0].json()["components"] == fits[1].json()["components"]
     assert fits[0].json()["created"] != fits[1].json()["created"]
     fit = f"/v1/fits/{fits[0].json()['id']}"
 
-    assert server.http.delete(fit, headers=alice).status_code == 204
+    assert server.http.delete(fit, headers=alice).json()["status"] == "deleted"
     assert_problem(server.http.get(fit, headers=alice), 404, "not-found")
     query = "/brdf?theta_half_deg=1&theta_diff_deg=2"
     assert_problem(server.http.get(fit + query, headers=alice), 404, "not-found")
@@ -168,7 +171,7 @@ def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) 
         answer = server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
         assert answer.status_code == 201
     fit = f"/v1/fits/{answer.json()['id']}"
-    assert server.http.delete(fit).status_code == 204
+    assert server.http.delete(fit).json()["status"] == "deleted"
     assert server.http.get(fit).status_code == 404
     assert [item["id"] for item in server.http.get("/v1/fits", headers=key).json()["items"]] == [answer.json()["id"]]
     assert server.http.get(fit, headers=key).json()["status"] == "succeeded"

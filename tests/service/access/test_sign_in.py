@@ -1,8 +1,13 @@
 """Signing in on the page: the key in a cookie, which serves pages of the service itself and nobody else."""
 
+import asyncio
+from pathlib import Path
+
 import httpx
 import pytest
 
+from service.routes import page
+from tests.support.application import application
 from tests.support.guarded import Guarded
 from tests.support.server import assert_problem
 
@@ -56,7 +61,7 @@ def test_cookie_changes_nothing_for_pages_of_other_sites(guarded: Guarded, origi
     headers = {**cookie_of(guarded), **sent}
     for method, path in (("POST", "/v1/fits"), ("DELETE", f"/v1/fits/{'0' * 32}")):
         answer = guarded.server.http.request(method, path, headers=headers, content=b"")
-        assert "pages of the service itself" in assert_problem(answer, 401, "unauthorized")
+        assert "pages of the service itself" in assert_problem(answer, 403, "foreign-origin")
 
 
 @pytest.mark.parametrize("sent", [{"Sec-Fetch-Site": "same-origin"}, {"Origin": "own"}])
@@ -85,11 +90,22 @@ def test_sign_in_leads_to_pages_of_the_service_only(guarded: Guarded, wanted: st
 
 def test_sign_in_from_another_site_or_with_a_wrong_key_sets_nothing(guarded: Guarded) -> None:
     wrong = guarded.server.http.post("/sign-in", content="key=x", headers={**FORM, "Origin": address_of(guarded)})
-    for answer in (sign_in(guarded, "http://elsewhere.example"), wrong):
-        assert answer.status_code == 401
+    for answer, status in ((sign_in(guarded, "http://elsewhere.example"), 403), (wrong, 401)):
+        assert answer.status_code == status
         assert "set-cookie" not in answer.headers
         assert 'role="alert"' in answer.text
         assert key_of(guarded) not in answer.text
+
+
+def test_form_that_does_not_arrive_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        monkeypatch.setattr(page, "_FORM_SECONDS", 0.05)
+        async with application(tmp_path, monkeypatch) as running:
+            answer = await running.ask("/sign-in", "", "POST", b"key=x", stalled=True).end()
+            assert answer.status == 408
+            assert b"longer than the 0.05 s" in answer.body
+
+    asyncio.run(check())
 
 
 def test_sign_out_removes_the_cookie(guarded: Guarded) -> None:
@@ -97,6 +113,13 @@ def test_sign_out_removes_the_cookie(guarded: Guarded) -> None:
     assert answer.status_code == 303
     assert 'dsbrdf_key=""; ' in answer.headers["set-cookie"]
     assert "Max-Age=0" in answer.headers["set-cookie"]
+
+
+@pytest.mark.parametrize("sent", [{"Sec-Fetch-Site": "cross-site"}, {"Origin": "http://elsewhere.example"}])
+def test_page_of_another_site_does_not_sign_out(guarded: Guarded, sent: dict[str, str]) -> None:
+    answer = guarded.server.http.post("/sign-out", headers={**cookie_of(guarded), **sent})
+    assert_problem(answer, 403, "foreign-origin")
+    assert "set-cookie" not in answer.headers
 
 
 def test_page_without_a_key_asks_for_it_and_the_api_answers_as_ever(guarded: Guarded) -> None:

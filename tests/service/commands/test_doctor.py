@@ -58,7 +58,7 @@ def test_healthy_installation_passes_beside_a_running_server(own_server: Callabl
     server.http.post("/v1/measurements", content=data)
     code, findings = examine(server.data_dir)
     assert (code, wrong(findings)) == (0, {})
-    assert set(findings) == {"database", "measurements"}
+    assert set(findings) == {"database", "measurements", "lost files"}
     assert findings["measurements"]["detail"].startswith("1 ")
     assert server.http.get("/health/ready").status_code == 200
 
@@ -66,7 +66,11 @@ def test_healthy_installation_passes_beside_a_running_server(own_server: Callabl
 def test_text_output_has_one_line_per_check(folder: Path) -> None:
     done = run_main(doctor.main, "--data-dir", str(folder))
     assert done.returncode == 0
-    assert [line.split()[:2] for line in done.stdout.splitlines()] == [["ok", "database:"], ["ok", "measurements:"]]
+    assert [line.split(":")[0].split(maxsplit=1) for line in done.stdout.splitlines()] == [
+        ["ok", "database"],
+        ["ok", "measurements"],
+        ["ok", "lost files"],
+    ]
 
 
 def test_missing_folder_is_refused_and_not_created(tmp_path: Path) -> None:

@@ -203,11 +203,43 @@ def test_caller_cannot_take_all_places(own_server: Callable[..., Server], data: 
     server.http.delete(path, headers=alice)
 
 
+def test_slow_sign_ins_take_no_place_from_a_key(own_server: Callable[..., Server]) -> None:
+    server = own_server(fits=False, require_keys="true", limit_concurrency="8")
+    header = new_key(server, "a key")[1]
+    head = b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\nkey="
+    with ExitStack() as stack:
+        slow = [stack.enter_context(connect(server, head)) for _ in range(12)]
+        slow[-1].settimeout(20)
+        assert b" 429 " in slow[-1].recv(100)
+        assert [server.http.get("/v1/fits", headers=header).status_code for _ in range(10)] == [200] * 10
+        assert server.http.get("/health/live").status_code == 200
+
+
 def test_target_in_absolute_form_names_the_host(impatient: Server) -> None:
-    for target, status in (("http://localhost/v1/fits", b"200"), ("http://evil.example/v1/fits", b"401")):
+    for target, status in (("http://localhost/v1/fits", b"200"), ("http://evil.example/v1/fits", b"421")):
         request = f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
         with connect(impatient, request.encode()) as connection:
             assert rest(connection).split()[1] == status
+
+
+@pytest.mark.parametrize("garbage", [b"\0" * 99, b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\nZ"])
+@pytest.mark.parametrize("early", [True, False])
+def test_garbage_behind_requests_is_refused_when_they_are_answered(
+    impatient: Server, data: bytes, garbage: bytes, early: bool
+) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    requests = f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    requests += b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
+    with connect(impatient, requests + garbage if early else requests) as connection:
+        answer = connection.recv(1000)
+        if not early:
+            connection.sendall(garbage)
+        head, _, received = (answer + rest(connection)).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 ")
+    assert received[: len(data)] == data
+    second, _, refused = received[len(data) :].partition(b'{"status":"live"')
+    assert second.startswith(b"HTTP/1.1 200 ")
+    assert problem(refused[refused.index(b"HTTP/1.1 400") :]) == (400, "bad-request")
 
 
 @pytest.mark.parametrize("hosts", ["", "Host: a\r\nHost: a\r\n"])
@@ -233,7 +265,7 @@ def test_requests_over_the_concurrency_limit_without_keys_are_refused(impatient:
             assert client.get("/health/live").status_code == 200
     finally:
         for name in (last, fit):
-            wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 204, 404))  # noqa: B023
+            wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 404))  # noqa: B023
     wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
 
 

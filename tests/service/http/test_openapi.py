@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
 from pydantic import BaseModel
 
 import service
@@ -50,8 +51,8 @@ def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None
         "GET /v1/fits/{fit_id}/events",
         "GET /v1/fits/{fit_id}/brdf",
         "POST /v1/fits/{fit_id}/brdf",
-        "GET /v1/fits/{fit_id}/lobes",
-        "GET /v1/fits/{fit_id}/lobes/{label}/brdf",
+        "GET /v1/fits/{fit_id}/components",
+        "GET /v1/fits/{fit_id}/components/{label}/brdf",
         "GET /v1/fits/{fit_id}/export",
         "POST /v1/measurements",
         "GET /v1/measurements",
@@ -61,6 +62,10 @@ def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None
         "GET /health/live",
         "GET /health/ready",
     }
+
+
+def test_document_is_valid(document: dict[str, Any]) -> None:
+    OpenAPIV31SpecValidator(document).validate()
 
 
 def test_every_reference_resolves(document: dict[str, Any]) -> None:
@@ -115,7 +120,7 @@ def is_valid(model: type[BaseModel], example: object) -> bool:
 def test_operations_document_their_problems(document: dict[str, Any]) -> None:
     paths = document["paths"]
     assert {"400", "404", "413", "415", "422", "500", "503", "507"} <= set(paths["/v1/fits"]["post"]["responses"])
-    assert {"404", "409", "500"} <= set(paths["/v1/fits/{fit_id}/lobes"]["get"]["responses"])
+    assert {"404", "409", "500"} <= set(paths["/v1/fits/{fit_id}/components"]["get"]["responses"])
     for name, operation in operations(document):
         assert "500" in operation["responses"], name
     for _, media_type, entry in media(document):

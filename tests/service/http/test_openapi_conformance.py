@@ -24,8 +24,9 @@ CALLERS = {"a key": (1, 1000), **({"nobody": (200, 2000)} if SOAK else {})}
 SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "1", "queue_limit": "100000", "workers": "1"}
 
 # What a document cannot say, so that a request may conform to it and yet be refused with 422: that two parameters
-# exclude each other, are as long as each other, or are unit vectors; that knots increase; what a MERL file holds, and
-# (400) that a body is encoded as its header says.
+# exclude each other, are as long as each other, or are unit vectors; that knots increase; which formats hold a
+# component; what a MERL file holds, and (400) that a body is encoded as its header says. Of the components, a fit has
+# those that have light (404).
 CONFIG = """
 headers = {{ {header} }}
 continue-on-failure = true
@@ -76,8 +77,8 @@ include-operation-id = ["get_values", "get_component_values", "post_values", "po
 parameters = {{ "path.fit_id" = "{fit}" }}
 
 [[operations]]
-include-operation-id = ["get_values", "get_component_values", "post_values", "post_component_values"]
-checks.positive_data_acceptance.expected-statuses = ["2xx", "422"]
+include-operation-id = ["get_values", "get_component_values", "post_values", "post_component_values", "export_fit"]
+checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
 
 [[operations]]
 include-operation-id = ["submit_fit", "upload_measurement"]

@@ -320,27 +320,31 @@ def test_shutdown_does_not_count_as_an_attempt(tmp_path: Path, broken_off: bool)
     race(tmp_path, story)
 
 
-def test_fit_that_always_crashes_the_service_fails_at_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_FORGIVEN", 2)
-    monkeypatch.setattr(jobs_module, "_INTERRUPTIONS_ALLOWED", 4)
-    monkeypatch.setattr(jobs_module, "_FIRST_DELAY", 0.1)
+DELAYS = ((1, None), (8, None), (9, 2.0), (12, 16.0), (13, 30.0), (99, 30.0), (100, "fails"))
+
+
+@pytest.mark.parametrize(("interruptions", "delay"), DELAYS)
+def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interruptions: int, delay: float | str | None
+) -> None:
+    delays: list[float] = []
+    sleep = asyncio.sleep
+
+    async def record(seconds: float) -> None:
+        delays.extend([seconds] if seconds >= 1.0 else [])
+        await sleep(0.0 if seconds >= 1.0 else seconds)
 
     async def story(place: Race) -> None:
         key = await place.submit()
         await place.until_run(1)
-        waited = []
-        for interruptions in (1, 2, 3):
-            await place.break_off()
-            begin = place.loop.time()
-            await place.jobs.start()
-            await place.until_run(interruptions + 1)
-            waited.append(place.loop.time() - begin)
-        assert waited[2] >= 0.2  # there is a service that can be asked to cancel it
+        with place.store.database.transaction() as db:
+            db.execute("UPDATE fits SET interruptions = ?", (interruptions - 1,))
         await place.break_off()
-        await place.jobs.start()
+        monkeypatch.setattr(asyncio, "sleep", record)
+        await place.jobs.start()  # which counts one more
         row = await place.end(key)
-        assert row.error is not None
-        assert (row.error["origin"], row.error["type"]) == ("system", "ServiceInterrupted")
-        assert place.engine.runs == 4
+        assert (row.error or {}).get("type") == ("ServiceInterrupted" if delay == "fails" else None)
+        assert place.engine.runs == (1 if delay == "fails" else 2)
+        assert delays == ([delay] if isinstance(delay, float) else [])
 
     race(tmp_path, story)

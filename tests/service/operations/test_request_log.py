@@ -5,6 +5,7 @@ import re
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -71,6 +72,14 @@ def test_request_is_logged_in_one_line(watched: Server) -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", line["time"])
 
 
+def test_line_is_short_however_long_the_path_is(watched: Server) -> None:
+    for path in ("/" + "x" * 60_000, "/v1/fits/" + "%01" * 20_000):
+        assert watched.http.get(path, headers={"X-Request-ID": "long-path"}).status_code in (404, 400)
+    for line in lines_of(watched, "long-path", 2):
+        assert line["path"].endswith(" characters)")
+        assert len(json.dumps(line)) < 5000
+
+
 def test_successful_reads_are_logged_only_on_request(watched: Server, own_server: Callable[..., Server]) -> None:
     talkative = own_server(fits=False, access_log="true")
     for server, expected in ((watched, 0), (talkative, 1)):
@@ -99,11 +108,15 @@ def test_api_key_is_never_logged(watched: Server) -> None:
     watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
     watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
     watched.http.get(f"/v1/{KEY}", headers={"X-Request-ID": KEY})
-    assert len(lines_of(watched, "with-key", 2)) == 2
+    watched.http.get(f"/v1/x{KEY}/_{KEY}", headers=headers)
+    for length in range(440, 500, 3):  # cut somewhere in the key
+        watched.http.get(f"/v1/{'x' * length}{KEY}{KEY}", headers=headers)
+    assert len(lines_of(watched, "with-key", 23)) == 23
     text = watched.log.read_text()
     assert "dsbrdf_0123456789ab_" in text  # whose key it was may be told
     assert SECRET not in text
     assert SECRET[-8:] not in text
+    assert SECRET[:3] not in text
 
 
 def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, sha256: str) -> None:
@@ -134,26 +147,29 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
         "/v1/fits", params=QUICK, content=data, headers={"Content-Type": "application/octet-stream"}
     ).json()["id"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
-        database.execute("UPDATE fits SET metrics = 'no JSON'")
+        database.execute("UPDATE fits SET options = '[]'")
     answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
     assert_problem(answer, 500, "internal")
     assert answer.headers["x-request-id"] == "broken"
     told = lines_of(server, "broken")
     assert [line["level"] for line in told] == ["error", "error"]
     (with_reason,) = [line for line in told if "exception" in line]
-    assert "JSONDecodeError" in with_reason["exception"]
+    assert "ValidationError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
 
-def test_output_of_fit_processes_is_in_the_log(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fit_attempts="1")
+def test_output_of_fit_processes_is_in_the_log(
+    own_server: Callable[..., Server], data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault = "from dsbrdf.engines import fit_steps\nfit_steps.map_merl = open\n"  # which gets the sha256 as a mode
+    (tmp_path / "sitecustomize.py").write_text(fault)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    server = own_server(own_interpreter=True, fit_attempts="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    for path in server.files():
-        path.unlink()
     document = {"measurement": sha256, "options": {"method": "paper"}}
-    fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "unreadable"}).json()
+    fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "faulty"}).json()
     assert fit["status"] == "failed"
-    (told,) = [line for line in lines_of(server, "unreadable") if "exception" in line]
+    (told,) = [line for line in lines_of(server, "faulty") if "exception" in line]
     assert told["logger"] == "dsbrdf.engines.fit_steps"
     assert told["fit"] == fit["id"]
-    assert "FileNotFoundError" in told["exception"]
+    assert "ValueError: invalid mode" in told["exception"]

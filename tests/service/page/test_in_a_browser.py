@@ -10,6 +10,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
@@ -87,7 +89,7 @@ def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded
         page.wait_for_url("**/fits/*")
         expect(page.locator(PAINTED)).to_have_count(1)
         expect(page.get_by_role("heading", name="plastic")).to_be_visible()
-        expect(page.get_by_text(f"{number} lobe", exact=False).first).to_be_visible()
+        expect(page.locator("#model-lobes")).to_contain_text(f"The model has {number} lobe")
         page.get_by_role("link", name="Fits").click()
     sent = [(method, kind) for method, url, kind in visitor.requests if method in ("HEAD", "POST")]
     assert sent == [("HEAD", ""), ("POST", "application/octet-stream"), ("HEAD", ""), ("POST", "application/json")]
@@ -150,20 +152,51 @@ def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit
     assert parts[-1][..., :3].max() == 0.0
 
 
+def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: Site, tmp_path: Path) -> None:
+    paint = {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10)}
+    file = tmp_path / "red.binary"
+    write_merl(file, synthetic_measurement(**paint, specular=(0.04,) * 3, noise=0.02))  # type: ignore[arg-type]
+    fit = site.submit(file.read_bytes(), "red paint")
+    page = visit(f"/fits/{fit}").page
+    page.locator(PAINTED).wait_for()
+    shown = pixels(page)[..., :3]
+    boxes = {label: page.locator(f'[data-component="{label}"]') for label in ("specular_spike", "diffuse")}
+    expect(page.locator("[data-component]")).to_have_count(len(boxes))
+    ground = repaint(page, boxes["specular_spike"].uncheck)[..., :3]
+    repaint(page, boxes["specular_spike"].check)
+    highlight = repaint(page, boxes["diffuse"].uncheck)[..., :3]
+    bright = highlight.max(axis=2) > 0.3
+    assert np.ptp(highlight[bright], axis=1).max() < 0.03  # neutral
+    peak = highlight.min(axis=2) > 0.9
+    assert peak.any()
+    assert shown[peak].min() > 0.9
+    assert ground[peak].max() < 0.8  # gone with the specular component
+    # The ground is that of the paint without its highlight, and nothing is left or missing where that was.
+    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
+    bare = synthetic_measurement(**paint, specular=(0.0,) * 3)  # type: ignore[arg-type]
+    expected = displayed(0.96 * render_sphere(bare, size=len(ground)), factor)
+    normals, mask = sphere_normals(len(ground))
+    facing = np.zeros_like(mask)
+    facing[mask] = normals[:, 2] > 0.85  # farther out, what has no highlight at normal incidence has one
+    assert (bright & facing).sum() > 50
+    assert np.abs(ground - expected)[bright & facing].max() < 0.03
+
+
 def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) -> None:
     page = visit(f"/fits/{site.fits['glossy']}").page
     curves, points = page.locator("#plot .curve"), page.locator("#plot .point")
-    expect(curves).to_have_count(3)
+    components = page.locator("[data-component]").count()
+    assert components > 1
+    expect(curves).to_have_count(3 + 3 * components)
     expect(points).to_have_count(3)
+    expect(page.locator("#plot-legend li")).to_have_count(6 + components)
     before = curves.first.get_attribute("d")
     page.get_by_label("theta_diff in degrees").fill("60")
     expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("theta_diff 60 degrees, log"))
     assert curves.first.get_attribute("d") != before
-    page.get_by_label("green").check()
-    fit = site.http.get(f"/v1/fits/{site.fits['glossy']}", headers=site.header).json()
-    lobes = len(fit["lobes"]["kappa"][0][0])
-    expect(page.locator("#legend li")).to_have_count(lobes + 2)  # measured, and the fit
-    expect(page.locator("#legend")).to_contain_text("half width")
+    page.locator("#profiles").get_by_label("green").check()
+    expect(page.locator("#plot-legend li")).to_have_count(components + 2)  # measured, and the fit
+    expect(page.locator("#plot-legend")).to_contain_text("diffuse")
     page.locator("#profiles").get_by_label("linear").check()
     expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
     page.get_by_label("the peak").check()
@@ -173,7 +206,8 @@ def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) ->
 def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> None:
     page = visit(f"/fits/{site.fits['glossy']}").page
     curves = page.locator("#polar-plot .curve")
-    expect(curves).to_have_count(3)
+    components = page.locator("[data-component]").count()
+    expect(curves).to_have_count(3 + 3 * components)
     expect(page.locator("#polar-plot .point")).to_have_count(3)
     before = curves.first.get_attribute("d")
     page.get_by_label("theta_in in degrees").fill("70")
@@ -181,7 +215,13 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
     assert curves.first.get_attribute("d") != before
     page.locator("#polar").get_by_label("linear").check()
     expect(page.locator("#polar-plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
-    for picture in page.locator(".drawn img").all():
+    page.locator("#polar").get_by_label("blue").check()
+    expect(curves).to_have_count(1 + components)
+    expect(page.locator("#polar-plot-legend")).to_contain_text("diffuse")
+    assert page.locator(".components img").count() == components
+    page.locator("#model-lobes summary").click()
+    assert page.locator("#model-lobes img").count() == 1
+    for picture in page.locator(".drawn img, .components img").all():
         picture.scroll_into_view_if_needed()
         expect(picture).to_have_js_property("complete", value=True)
         assert picture.evaluate("image => image.naturalWidth") > 100
@@ -212,6 +252,7 @@ def test_picture_of_the_service_stands_where_webgl_is_missing(visit: Visit, site
     expect(picture).to_be_visible()
     assert picture.evaluate("image => image.naturalWidth") == 256
     expect(page.locator("canvas")).to_be_hidden()
+    expect(page.locator(".toggles")).to_be_hidden()
     expect(page.locator("#pictures img")).to_have_count(3)
 
 
@@ -232,6 +273,7 @@ def test_list_is_searched_and_two_fits_are_compared(visit: Visit, site: Site) ->
     button.click()
     expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
     expect(page.locator(PAINTED)).to_have_count(2)
+    expect(page.locator("table.components")).to_have_count(2)
     painted = page.locator("canvas").nth(1)
     before = painted.get_attribute("data-painted") or ""
     page.locator("canvas").first.click()
@@ -247,6 +289,8 @@ def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site) -> None:
         page.goto(path)
         if glossy in path:
             page.locator(PAINTED).first.wait_for()
+            for folded in page.locator("main details").all():
+                folded.locator("summary").click()
         for scheme, rules in schemes:
             page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
             found = Axe().run(page, options=rules)

@@ -1,4 +1,4 @@
-"""Values and components over HTTP are the library's."""
+"""Values over HTTP are the library's."""
 
 import io
 from typing import Any
@@ -10,8 +10,6 @@ import pytest
 import dsbrdf
 from dsbrdf.output.serialize import from_json
 from tests.support.server import Server, assert_problem
-
-LABELS = ("specular_spike", "specular_lobe", "diffuse")
 
 
 @pytest.fixture(scope="session")
@@ -64,6 +62,21 @@ def test_several_points_equal_the_library(server: Server, fitted: str, model: ds
         server.http.get(f"/v1/fits/{fitted}/brdf", params=query),
         model.evaluate(np.radians(theta_half), np.radians(theta_diff)),
     )
+
+
+def test_what_is_given_once_counts_for_all_points(server: Server, elongated: str) -> None:
+    model = from_json(server.http.get(f"/v1/fits/{elongated}/export?format=json").text)[0]
+    url, theta_half, phi_diff = f"/v1/fits/{elongated}/brdf", [0, 10, 20], [5, 25, 85]
+    expected = model.evaluate(np.radians(theta_half), np.radians(30), np.radians(phi_diff))
+    query = {"theta_half_deg": theta_half, "theta_diff_deg": [30], "phi_diff_deg": phi_diff}
+    close(server.http.get(url, params=query), expected)
+    close(server.http.post(url, json=query), expected)
+    two = server.http.get(f"{url}?theta_half_deg=0&theta_half_deg=10&theta_diff_deg=30")
+    close(two, model.evaluate(np.radians([0, 10]), np.radians(30)))
+    omega_in, omega_out = directions(4, 0), directions(1, 1)
+    expected = model.evaluate_directions(omega_in, omega_out)
+    close(server.http.get(url, params={"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}), expected)
+    close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
 
 
 def test_values_depend_on_phi_diff(server: Server, elongated: str) -> None:
@@ -220,29 +233,3 @@ def test_empty_batch_has_no_values(server: Server, fitted: str) -> None:
 def test_unsupported_media_types_are_refused(server: Server, fitted: str) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=b"1 2", headers={"Content-Type": "text/csv"})
     assert "application/x-npy" in assert_problem(answer, 415, "unsupported-media-type")
-
-
-def test_components_equal_the_library_and_sum_to_the_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    items = server.http.get(f"/v1/fits/{fitted}/lobes").json()["items"]
-    assert [item["label"] for item in items] == list(LABELS)
-    for item, component in zip(items, dsbrdf.decompose(model), strict=True):
-        assert item["lobes"] == list(component.lobes)
-        np.testing.assert_allclose(item["albedo"], component.albedo, rtol=1e-12)
-        assert item["margin"] == component.margin
-        if component.half_width is None:
-            assert item["half_width_deg"] is None
-        else:
-            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
-        for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
-            assert item["parameters"][name] == getattr(component.model, name).tolist()
-
-    document = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
-    whole = np.array(server.http.post(f"/v1/fits/{fitted}/brdf", json=document).json()["values"])
-    parts = [
-        server.http.post(f"/v1/fits/{fitted}/lobes/{label}/brdf", json=document).json()["values"] for label in LABELS
-    ]
-    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
-    one = server.http.get(f"/v1/fits/{fitted}/lobes/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20")
-    np.testing.assert_allclose(one.json()["values"][0], parts[2][2], rtol=1e-12)
-    for url in (f"/v1/fits/{fitted}/lobes/spike/brdf", f"/v1/fits/{fitted}/lobes/4/brdf"):
-        assert_problem(server.http.get(url), 404, "not-found")

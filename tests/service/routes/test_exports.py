@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import FORMATS, export_model, merl_table
+from dsbrdf.output.export import FORMATS, export_model, merl_table, part_of
 from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json, from_npz
 from tests.support.models import assert_same_bits
@@ -41,20 +41,36 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     table = parse_merl(server.http.get(url, params={"format": "merl"}).content)
     np.testing.assert_allclose(table.values[:, 10, 20, 30], model.evaluate(*np.radians([10 / 9, 20, 30])))
 
-    part = from_json(server.http.get(url, params={"format": "json", "component": "diffuse"}).text)[0]
-    assert part == dsbrdf.decompose(model).diffuse.model
 
-
-@pytest.mark.parametrize("file_format", ["glsl", "brdf", "csv", "bsdf"])
+@pytest.mark.parametrize(
+    ("file_format", "component"),
+    [
+        ("glsl", "diffuse"),
+        ("brdf", "diffuse"),
+        ("bsdf", "diffuse"),
+        ("merl", "diffuse"),
+        ("csv", None),
+        ("csv", "guide"),
+    ],
+)
 def test_formats_of_other_programs_are_those_of_the_library(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str, component: str | None
 ) -> None:
-    query = {"format": file_format, "component": "diffuse"}
+    query = {"format": file_format} | ({} if component is None else {"component": component})
     answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
     kind = FORMATS[file_format]
-    assert answer.content == export_model(dsbrdf.decompose(model).diffuse.model, file_format)
+    expected = part_of(model, component)
+    assert answer.content == export_model(expected, file_format)
     assert answer.headers["content-type"] == kind.media_type
-    assert f"-diffuse.{kind.suffix}" in answer.headers["content-disposition"]
+    assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
+
+
+@pytest.mark.parametrize("file_format", ["json", "npz", "csv", "materialx"])
+def test_formats_of_lobes_refuse_a_component(server: Server, fitted: str, file_format: str) -> None:
+    query = {"format": file_format, "component": "diffuse"}
+    detail = assert_problem(server.http.get(f"/v1/fits/{fitted}/export", params=query), 422, "invalid-argument")
+    assert "guide" in detail
+    assert "merl" in detail
 
 
 def test_the_openapi_document_lists_every_format(server: Server) -> None:

@@ -15,7 +15,7 @@ from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.serialize import from_json
 from service.http import problems
-from tests.support.server import Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 
 @pytest.mark.parametrize("component", [None, "diffuse"])
@@ -55,6 +55,7 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     ("figure", "media_type", "start"),
     [
         ("profiles.png", "image/png", b"\x89PNG"),
+        ("components.svg", "image/svg+xml", b"<?xml"),
         ("lobes.svg", "image/svg+xml", b"<?xml"),
         ("parameters.svg", "image/svg+xml", b"<?xml"),
         ("residual.png", "image/png", b"\x89PNG"),
@@ -69,11 +70,28 @@ def test_figures_are_drawn(server: Server, fitted: str, figure: str, media_type:
     assert "'hue'" in assert_problem(server.http.get(url, params={"hue": "1"}), 422, "invalid-argument")
 
 
+def test_the_figure_of_components_names_them_and_that_of_lobes_does_not(server: Server, fitted: str) -> None:
+    def texts(figure: str) -> str:
+        return server.http.get(f"/v1/fits/{fitted}/figures/{figure}.svg").text
+
+    assert "components of the fit" in texts("components")
+    assert "components of the fit" not in texts("lobes")
+
+
 def test_a_figure_with_one_tag_has_the_same_bytes(server: Server, fitted: str) -> None:
     url = f"/v1/fits/{fitted}/figures/residual.svg"
     first, second = server.http.get(url), server.http.get(url)
     assert first.headers["etag"] == second.headers["etag"]
     assert first.content == second.content
+
+
+@pytest.mark.parametrize("name", ["$$", "$x_{$"])
+def test_name_of_a_fit_is_no_formula(server: Server, data: bytes, name: str) -> None:
+    kind = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
+    query = {**QUICK, "em_iterations": 5, "name": name}
+    fit = server.http.post("/v1/fits", params=query, content=data, headers=kind).json()["id"]
+    for figure in ("profiles", "lobes", "parameters", "residual"):
+        assert server.http.get(f"/v1/fits/{fit}/figures/{figure}.svg").status_code == 200
 
 
 @pytest.mark.parametrize("figure", ["profiles.pdf", "spectrum.png", "sphere.svg"])

@@ -71,7 +71,7 @@ def test_unknown_resources_are_not_found(server: Server) -> None:
         f"/v1/fits/{'0' * 32}",
         "/v1/fits/nonsense",
         f"/v1/fits/{'0' * 32}/brdf?theta_half_deg=1&theta_diff_deg=1",
-        f"/v1/fits/{'0' * 32}/lobes",
+        f"/v1/fits/{'0' * 32}/components",
         f"/v1/fits/{'0' * 32}/export?format=json",
         f"/v1/fits/{'A' * 32}",
         "/v1/fits/..%2f..%2fetc%2fpasswd",
@@ -98,6 +98,10 @@ def test_content_types_are_checked(server: Server, data: bytes) -> None:
     for path in ("/v1/fits", "/v1/measurements"):
         answer = server.http.post(path, content=data, headers={"Content-Type": "text/plain"})
         assert "application/octet-stream" in assert_problem(answer, 415, "unsupported-media-type")
+        answer = server.http.post(path, files={"file": b"x"})
+        detail = assert_problem(answer, 415, "unsupported-media-type")
+        assert "application/octet-stream" in detail
+        assert "--data-binary @FILE" in detail
         assert "application/octet-stream" in answer.headers["accept-post"]
 
 

@@ -42,11 +42,10 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert fit["metrics"] == asdict(expected.report.metrics)
     assert fit["warnings"] == list(expected.report.warnings)
     assert any("before they converged" in sentence for sentence in fit["warnings"])
-    lobes = fit["lobes"]
-    for name in ("amplitude", "kappa", "gamma", "elongation", "delta"):
-        np.testing.assert_array_equal(lobes[name], getattr(expected.model, name))
-    np.testing.assert_allclose(np.radians(lobes["theta_diff_deg"]), expected.model.theta_diff, atol=1e-11)
-    np.testing.assert_allclose(np.radians(lobes["center_deg"]), expected.model.center, atol=1e-11)
+    own = fit["model"]
+    np.testing.assert_array_equal(own["amplitude"]["control_values"], expected.model.amplitude)
+    np.testing.assert_allclose(np.radians(own["amplitude"]["knots_deg"]), expected.model.theta_diff, atol=1e-11)
+    assert [component["label"] for component in fit["components"]] == list(dsbrdf.decompose(expected).labels)
 
 
 def test_default_options_are_those_of_the_library(server: Server, stored: str) -> None:
@@ -105,7 +104,7 @@ def test_request_without_wait_gets_202_and_a_location(server: Server, stored: st
     assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
     assert int(answer.headers["retry-after"]) >= 1
     assert fit["status"] in ("accepted", "running")
-    assert fit["lobes"] is None
+    assert fit["components"] is None
     assert fit["metrics"] is None
     assert fit["warnings"] == []
 
@@ -144,7 +143,7 @@ def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> Non
     assert fit["error"]["origin"] == "input"
     assert fit["error"]["type"] == "FitError"
     assert fit["error"]["message"]
-    assert fit["lobes"] is None
+    assert fit["components"] is None
     again = server.submit(stored, **options)
     assert again.status_code == 200
     assert again.json() == fit
@@ -196,10 +195,28 @@ def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, sto
     points = {"theta_half_deg": 1, "theta_diff_deg": 1}
     assert server.http.get(f"{url}/brdf", params=points).status_code == 200
     deleted = server.http.delete(url)
-    assert (deleted.status_code, deleted.content) == (204, b"")
+    assert (deleted.status_code, deleted.json()) == (200, {"id": fit_id, "status": "deleted"})
     for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
         assert_problem(gone, 404, "not-found")
     assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
+
+
+def test_client_cancels_or_deletes_only(server: Server, stored: str) -> None:
+    fit_id = server.submit(stored, prefer="respond-async", mask=0.15, **ENDLESS).json()["id"]
+    url = f"/v1/fits/{fit_id}"
+    assert_problem(server.http.delete(url, params={"only": "delete"}), 409, "fit-not-finished")
+    assert server.status(fit_id) in ("accepted", "running")
+    cancelled = server.http.delete(url, params={"only": "cancel"})
+    assert (cancelled.status_code, cancelled.json()) == (200, {"id": fit_id, "status": "cancelled"})
+    detail = assert_problem(server.http.delete(url, params={"only": "cancel"}), 409, "fit-ended")
+    assert detail == "The fit has ended as cancelled, there is nothing to cancel; only=delete deletes it."
+    assert server.status(fit_id) == "cancelled"
+    for wrong in ("both", ""):
+        assert_problem(server.http.delete(url, params={"only": wrong}), 422, "invalid-argument")
+    deleted = server.http.delete(url, params={"only": "delete"})
+    assert deleted.json() == {"id": fit_id, "status": "deleted"}
+    for only in ("cancel", "delete"):
+        assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:

@@ -24,7 +24,10 @@ def npy(array: Any) -> bytes:
         ("omega_out=0,0,1", ["has omega_out;", "omega_in"]),
         ("theta_half_deg=1&theta_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["theta_diff_deg and omega_in"]),
         ("theta_half_deg=1&omega_out=0,0,1", ["has theta_half_deg and omega_out;"]),
-        ("theta_half_deg=1&theta_half_deg=2&theta_diff_deg=1", ["2 values of theta_half_deg", "1 of theta_diff_deg"]),
+        (
+            "&".join(["theta_half_deg=1"] * 2 + ["theta_diff_deg=1"] * 3),
+            ["2 values of theta_half_deg", "3 values of theta_diff_deg", "one for all"],
+        ),
         ("theta_half=1&theta_diff=1", ["'theta_half'", "theta_half_deg"]),
         ("theta_half_deg=x&theta_diff_deg=1", ["theta_half_deg", "'x'"]),
         ("theta_half_deg=&theta_diff_deg=1", ["theta_half_deg"]),
@@ -41,14 +44,18 @@ def npy(array: Any) -> bytes:
         ("phi_diff_deg=1", ["theta_half_deg", "omega_in"]),
         ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["has phi_diff_deg and omega_in"]),
         ("phi_diff_deg=1&theta_half_deg=1", ["has phi_diff_deg and theta_half_deg;"]),
-        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=1&phi_diff_deg=2", ["2 of phi_diff_deg"]),
+        (
+            "&".join(["theta_half_deg=1"] * 3 + ["theta_diff_deg=1", "phi_diff_deg=1", "phi_diff_deg=2"]),
+            ["2 values of phi_diff_deg"],
+        ),
+        ("theta_half_deg=1_0&theta_diff_deg=1", ["theta_half_deg", "'1_0'"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
         ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "NaN"]),
     ],
 )
 def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
-    for path in ("brdf", "lobes/diffuse/brdf"):
+    for path in ("brdf", "components/diffuse/brdf"):
         answer = server.http.get(f"/v1/fits/{fitted}/{path}?{query}")
         detail = assert_problem(answer, 422, "invalid-argument")
         for word in words:
@@ -102,14 +109,15 @@ def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None
         b"7",
         b'{"theta_half_deg": [1]}',
         b'{"theta_half_deg": 1, "theta_diff_deg": 1}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [1, 2, 3], "theta_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": []}',
         b'{"theta_half_deg": [NaN], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [null], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": ["1"], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
         b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2, 3], "phi_diff_deg": [1, 2]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": ["1"]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "omega_in": [[0, 0, 1]], "omega_out": [[0, 0, 1]]}',

@@ -75,3 +75,26 @@ def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbr
     points = {"theta_half_deg": 1, "theta_diff_deg": 1}
     assert server.http.get(f"/v1/fits/{fit_id}/brdf", params=points).status_code == 200
     assert_problem(server.submit(sha256, n_lobes=2), 404, "not-found")
+
+
+def test_measurement_has_a_document_with_its_fits(server: Server, matte: dsbrdf.Measurement) -> None:
+    content = encode_merl(matte)[:-1] + b"\xc1"
+    uploaded = server.http.post("/v1/measurements", params={"name": "paint"}, content=content).json()
+    url, headers = f"/v1/measurements/{uploaded['sha256']}", {"Accept": "application/json"}
+    assert server.http.get(url, headers=headers).json() == {**uploaded, "fits": []}
+    fits = [server.submit(uploaded["sha256"], n_lobes=n).json()["id"] for n in (1, 2)]
+    answer = server.http.get(url, headers=headers)
+    assert answer.json() == {**uploaded, "fits": fits[::-1]}
+    assert answer.json().keys() >= {"name", "size", "created"}
+    head = server.http.head(url, headers=headers)
+    for name in ("content-type", "content-length", "etag"):
+        assert head.headers[name] == answer.headers[name]
+    assert server.http.get(url, headers={**headers, "If-None-Match": answer.headers["etag"]}).status_code == 304
+    file = server.http.get(url, headers={"Accept": "application/octet-stream, application/json;q=0.5"})
+    assert file.content == content
+    assert file.headers["etag"] != answer.headers["etag"]
+    for either in (answer, file):
+        assert "Accept" in either.headers["vary"]
+    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}", headers=headers), 404, "not-found")
+    server.http.delete(url)
+    assert_problem(server.http.get(url, headers=headers), 404, "not-found")

@@ -2,6 +2,7 @@
 
 import re
 from html import unescape
+from typing import Any
 from urllib.parse import parse_qsl
 
 import httpx
@@ -79,13 +80,16 @@ def test_fit_that_goes_on_says_how_far_it_is(server: Server, stored: str) -> Non
     server.http.delete(f"/v1/fits/{fit}")
 
 
-def test_profile_has_the_measurement_and_lobes_that_add_up(server: Server, fitted: str) -> None:
+def assert_components_add_up(curves: dict[str, Any]) -> None:
+    parts = [component["values"] for component in curves["components"]]
+    assert len(parts) > 1
+    assert np.sum(parts, axis=0) == pytest.approx(np.array(curves["fit"]), rel=2e-3, abs=1e-9)
+
+
+def test_profile_has_the_measurement_and_components_that_add_up(server: Server, fitted: str) -> None:
     profile = server.http.get(f"/fits/{fitted}/profiles/30").json()
     assert profile["theta_diff_deg"] == 30.0
-    for c in range(3):
-        for k in range(0, len(profile["theta_half_deg"]), 20):
-            total = sum(lobe["values"][c][k] for lobe in profile["lobes"])
-            assert abs(total - profile["fit"][c][k]) <= 2e-3 * abs(profile["fit"][c][k]) + 1e-9
+    assert_components_add_up(profile)
     peak, fit = profile["measured"][1][1], profile["fit"][1]
     assert 0.5 * peak < max(fit) < 2.0 * peak
     assert_problem(server.http.get(f"/fits/{fitted}/profiles/90"), 404)
@@ -103,8 +107,46 @@ def test_plane_of_incidence_has_the_measurement_and_the_fit(server: Server, fitt
     # Towards the light theta_diff is 0.
     back = model.evaluate(np.radians(40), 0.0)
     assert [channel[49] for channel in polar["fit"]] == pytest.approx(back, rel=1e-3)
+    assert_components_add_up(polar)
+    diffuse = dsbrdf.decompose(model)["diffuse"].evaluate(0.0, np.radians(40))
+    assert polar["components"][-1]["label"] == "diffuse"
+    assert [channel[129] for channel in polar["components"][-1]["values"]] == pytest.approx(diffuse, rel=1e-3)
     for angle in (3, 90):
         assert_problem(server.http.get(f"/fits/{fitted}/polar/{angle}"), 404)
+
+
+def test_table_of_components_says_what_the_api_says(server: Server, fitted: str) -> None:
+    text = page_at(server, f"/fits/{fitted}").text
+    rows = {
+        name: [re.findall(r"<span>([^<]*)</span>", cell) for cell in cells.split("<td>")[1:]]
+        for name, cells in re.findall(r'<tr><th scope="row">([^<]+)</th>\s*(<td>.*?)</tr>', text, re.DOTALL)
+        if "<span>" in cells
+    }
+    components = server.http.get(f"/v1/fits/{fitted}/components").json()["items"]
+    assert re.findall(r'<th scope="col" class="(\w+)">', text) == [component["label"] for component in components]
+    for index, component in enumerate(components):
+        shown = {name: [float(number.rstrip("°")) for number in cells[index]] for name, cells in rows.items()}
+        assert shown == {
+            "colour": pytest.approx(component["color"], abs=0.005),
+            "half width": pytest.approx([component["half_width_deg"]], rel=0.005),
+            "tail": pytest.approx([component["lobe"]["tail"][0]], rel=0.05),
+            "height in 1/sr": pytest.approx(component["lobe"]["height"][0], rel=0.005),
+            "albedo": pytest.approx(component["albedo"], abs=0.0005),
+            "clarity": pytest.approx([component["clarity"]], abs=0.005),
+        }
+
+
+def test_models_own_lobes_are_counted_and_folded(server: Server, fitted: str) -> None:
+    text = page_at(server, f"/fits/{fitted}").text
+    model, _ = from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)
+    before, folded = text.split('<details id="model-lobes">')
+    assert "lobe 0" not in before
+    counts = re.search(r"The model has (\d+) lobes?(?: \+ (\d+) ring lobes?)?, (\d+) numbers", folded)
+    assert counts is not None
+    assert int(counts[1]) + int(counts[2] or 0) == model.n_lobes
+    assert int(counts[3]) == model.n_numbers
+    height = ", ".join(f"{value:.3g}" for value in model.parameters_at(np.radians(30.0))["amplitude"][:, 0])
+    assert f"<td>30°</td><td>{height}</td>" in folded
 
 
 def test_measured_and_fitted_have_pictures(server: Server, fitted: str) -> None:

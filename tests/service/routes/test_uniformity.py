@@ -2,13 +2,14 @@
 
 import asyncio
 from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 
 import pytest
 
 from tests.service.jobs.test_jobs import Race
 from tests.support.guarded import Guarded, new_key
-from tests.support.server import Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 
 def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, fitted: str) -> None:
@@ -19,8 +20,8 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
         "/v1/measurements",
         fit,
         f"{fit}/brdf?{point}",
-        f"{fit}/lobes",
-        f"{fit}/lobes/diffuse/brdf?{point}",
+        f"{fit}/components",
+        f"{fit}/components/diffuse/brdf?{point}",
     ]
     paths += [f"{fit}/export?format=json", f"{fit}/export?format=merl", f"{fit}/events", f"/v1/measurements/{stored}"]
     paths += ["/health/live", "/health/ready", "/metrics", "/docs", "/openapi.json"]
@@ -36,7 +37,7 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
     paths = [f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"]
     requests = [(method, path) for path in paths for method in ("GET", "DELETE")]
-    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "lobes", "export", "brdf")]
+    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "components", "export", "brdf")]
     requests += [("POST", f"/v1/fits/{fitted}/brdf"), ("POST", "/v1/measurements")]
     requests += [
         ("GET", path) for path in ("/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics")
@@ -45,6 +46,32 @@ def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored:
         answer = server.http.request(method, path, params={"nonsense": "1"})
         assert "'nonsense'" in assert_problem(answer, 422, "invalid-argument"), (method, path)
     assert server.http.get(f"/v1/fits/{fitted}").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "/v1/fits?limit=1&limit=2",
+        "/v1/measurements?cursor=1&cursor=1",
+        "/v1/fits/{fit}?wait=0&wait=1",
+        "/v1/fits/{fit}/export?format=csv&format=json",
+        "/v1/fits/{fit}/figures/sphere.png?size=16&size=32",
+    ],
+)
+def test_parameter_that_is_given_twice_is_refused(server: Server, fitted: str, target: str) -> None:
+    detail = assert_problem(server.http.get(target.replace("{fit}", fitted)), 422, "invalid-argument")
+    assert "more than once" in detail
+    assert target.partition("?")[2].partition("=")[0] in detail
+
+
+@pytest.mark.parametrize("number", ["1_0", "%D9%A1%D9%A0"])
+def test_what_only_python_takes_for_a_number_is_none(server: Server, fitted: str, number: str) -> None:
+    fit = f"/v1/fits/{fitted}"
+    for target in ("/v1/fits?limit=", f"{fit}?wait=", f"{fit}/figures/sphere.png?size=", f"{fit}/brdf?theta_half_deg="):
+        detail = assert_problem(server.http.get(f"{target}{number}"), 422, "invalid-argument")
+        assert target.rpartition("?")[2].rstrip("=") in detail
+    for part in ("profiles", "polar"):
+        assert_problem(server.http.get(f"/fits/{fitted}/{part}/{number}"), 404)
 
 
 def test_answer_about_a_measurement_does_not_outlive_it(server: Server, stored: str) -> None:
@@ -58,6 +85,23 @@ def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Cal
     assert server.stop() == 0
     assert "/v1/fits" in server.log.read_text()
     assert "203.0.113.9" not in server.log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [("/brdf", "/brdf"), ("/a/b/", "/a/b"), ("//evil.example", ""), ("/x y", ""), ("x", "")]
+)
+def test_addresses_begin_with_the_prefix_of_the_proxy(
+    server: Server, data: bytes, fitted: str, given: str, expected: str
+) -> None:
+    headers = {"X-Forwarded-Prefix": given}
+    stored = server.http.post("/v1/measurements", content=data, headers=headers)
+    assert stored.headers["location"] == f"{expected}/v1/measurements/{stored.json()['sha256']}"
+    fit = server.http.post("/v1/fits", json={"measurement": stored.json()["sha256"], "options": QUICK}, headers=headers)
+    assert fit.headers["location"] == f"{expected}/v1/fits/{fit.json()['id']}"
+    page = server.http.get("/v1/fits?limit=1", headers=headers)
+    assert page.headers["link"].startswith(f"<{expected}/v1/fits?limit=1&cursor=")
+    code = unescape(server.http.get(f"/fits/{fitted}", headers=headers).text)
+    assert f"curl '{str(server.http.base_url).rstrip('/')}{expected}/v1/fits/{fitted}/brdf?" in code
 
 
 def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> None:

@@ -77,14 +77,14 @@ def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
         await asyncio.sleep(60)
         return {"type": "http.disconnect"}
 
-    response = OpenFileResponse(path, {}, "text/plain")
+    response = OpenFileResponse(path, {}, "text/plain", "0" * 64, pytest.fail)
     path.unlink()
     scope = {"type": "http", "method": "GET", "headers": [(b"range", b"bytes=3-")]}
     asyncio.run(response(scope, receive, send))
     assert sent[0]["status"] == 206
     assert b"".join(message.get("body", b"") for message in sent) == b"tent"
     with pytest.raises(FileNotFoundError):
-        OpenFileResponse(path, {}, "text/plain")
+        OpenFileResponse(path, {}, "text/plain", "0" * 64, pytest.fail)
 
 
 def test_full_disk_is_507_until_there_is_room(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:

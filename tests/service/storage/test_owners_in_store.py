@@ -8,7 +8,7 @@ import pytest
 
 from service.errors import DataFolderError, ProblemError
 from service.storage.database import Database
-from service.storage.schema import Caller, FitKey
+from service.storage.schema import ROW_SIZE, Caller, FitKey
 from service.storage.store import Store, fit_identity
 from service.storage.uploads import Received
 
@@ -79,10 +79,10 @@ def test_stored_bytes_include_results(tmp_path: Path) -> None:
     store.start_fit(first)
     store.complete_fit(first, "é", {})
     with pytest.raises(ProblemError, match="stored"):
-        submit("g", 7)
-    submit("g", 8)
+        submit("g", ROW_SIZE + 7)
+    submit("g", ROW_SIZE + 8)
     assert store.remove_fit(first)
     with pytest.raises(ProblemError):
-        submit("h", 5)
-    submit("h", 6)
+        submit("h", ROW_SIZE + 5)
+    submit("h", ROW_SIZE + 6)
     store.close()

@@ -13,8 +13,9 @@ import pytest
 
 from dsbrdf.data.merl import FILE_SIZE
 from service.errors import ProblemError
-from service.storage.schema import Caller
+from service.storage.schema import Caller, FitKey
 from service.storage.store import Store
+from service.storage.uploads import Received
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem
@@ -108,4 +109,30 @@ def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: 
     for _ in range(2):
         asyncio.run(begin())
     assert list((tmp_path / "tmp").iterdir()) == []
+    store.close()
+
+
+def test_cancelled_fits_count_as_stored_bytes(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    incoming = store.blobs.incoming()
+    received = Received(incoming, incoming.close(), 1)
+    caller = Caller("a", stored_bytes=100_000)
+    store.add_measurement(caller, received)
+
+    def cancel_one_more(number: int) -> FitKey:
+        key = store.add_fit(caller, received.sha256, {"mask": number}, 10)[0].key
+        assert store.cancel_fit(key) is not None
+        return key
+
+    def cancel_until_refused() -> None:
+        for number in range(1000):
+            cancel_one_more(number)
+
+    with pytest.raises(ProblemError, match=r"has stored 0\.1 of 0\.1 MB"):
+        cancel_until_refused()
+    fits = store.fits("a", 1000, None)
+    assert 10 < len(fits) <= 50
+    for row in fits:
+        store.remove_fit(row.key)
+    cancel_one_more(0)  # there is room again
     store.close()

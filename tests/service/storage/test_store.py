@@ -80,5 +80,38 @@ def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:
         sha256 = incoming.close()
         assert store.add_measurement(LOCAL, Received(incoming, sha256, 1))[1] is expected_new
         assert store.blobs.path(sha256).read_bytes() == b"content"
-        store.blobs.remove(sha256)
+        store.blobs.path(sha256).unlink()
+    store.close()
+
+
+def test_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+
+    def insert_and_fail() -> None:
+        with store.database.transaction() as db:
+            db.execute("INSERT INTO keys (id, name, secret_sha256, created) VALUES ('1', 'a', '', 0)")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        insert_and_fail()
+    assert store.database.rows("SELECT * FROM keys") == []
+    store.close()
+    reopened = Store(tmp_path)
+    assert reopened.database.rows("SELECT * FROM keys") == []
+    reopened.close()
+
+
+def test_upload_that_cannot_be_placed_leaves_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    incoming = store.blobs.incoming()
+    received = Received(incoming, incoming.close(), 1)
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store.blobs, "place", fail)
+    with pytest.raises(OSError, match="No space"):
+        store.add_fit(LOCAL, received, OPTIONS, 10)
+    assert store.measurements("", 9, None) == []
+    assert store.fits("", 9, None) == []
     store.close()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.support.durability import concurrency, crashes
+from tests.support.durability import concurrency, crashes, restores
 from tests.support.durability.harness import Harness
 
 
@@ -29,6 +29,11 @@ SERIES = {
     "terminate": Series(20, "SIGTERM: out within 10 s, fits resume", crashes.terminated),
     "uploads": Series(32, "32 uploads, a third vanish: nothing left behind", concurrency.uploads),
     "same-file": Series(50, "50 clients with one file: one blob, one fit", concurrency.same_file),
+    "restores": Series(
+        200,
+        "an older or damaged database, damaged files: no file gone, no wrong byte, one sentence or a working service",
+        restores.restored,
+    ),
     "disk": Series(5, "disk full: 507, nothing lost, recovers", concurrency.full_disk),
 }
 

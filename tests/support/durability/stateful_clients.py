@@ -125,8 +125,9 @@ class StatefulClient:
             return
         before, order.promise = order.promise, "unknown"
         answer = http.delete(f"/v1/fits/{order.id}")
-        self._want(answer, 200, 204, *(() if before in ("kept", "cancelled") else (404,)))
-        order.promise = "cancelled" if answer.status_code == 200 else "gone"
+        self._want(answer, 200, *(() if before in ("kept", "cancelled") else (404,)))
+        cancelled = answer.status_code == 200 and answer.json()["status"] == "cancelled"
+        order.promise = "cancelled" if cancelled else "gone"
 
     def _look(self, http: httpx.Client, order: _Order, wait: float = 0.3) -> str:
         if not order.id:

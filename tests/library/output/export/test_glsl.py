@@ -1,11 +1,14 @@
 """The GLSL function, compiled and run by WebGL 2, against the model in double precision."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import export_model
 from dsbrdf.output.export.glsl import glsl_function
@@ -15,6 +18,12 @@ from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 Array = NDArray[np.float64]
 
+
+def one_lobe(kappa: float, gamma: float, family: str = "hemi_epd") -> DSBRDF:
+    one = np.ones((1, 1, 1))
+    return DSBRDF(np.zeros(1), amplitude=np.full((3, 1, 1), 0.5), kappa=kappa * one, gamma=gamma * one, lobe=family)
+
+
 MODELS = {
     "mixture": mixture(3, 0),
     "elongated rings and cusps": random_model(1),
@@ -22,6 +31,14 @@ MODELS = {
     "paper": papers_model(),
     "one lobe": mixture(1, 4),
 }
+DECOMPOSED = {
+    "three components": mixture(3, 0),
+    "two components": MODELS["elongated rings and cusps"],
+    "diffuse alone": one_lobe(1.5, 1.0),
+    "highlight alone": one_lobe(2.0, 900.0, family="student"),
+    "paper": MODELS["paper"],
+}
+WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 
 
@@ -45,6 +62,13 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     calls = {name: ShaderCall(glsl_function(model), "dsbrdf(a, b)", *pairs) for name, model in MODELS.items()}
     up, down = [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
     below = np.array([up, down]), np.array([down, up])
+    weights = ", ".join(map(str, WEIGHTS.values()))
+    for name, model in DECOMPOSED.items():
+        for component in decompose(model):
+            source = glsl_function(component)
+            calls[f"{name}, {component.label}"] = ShaderCall(source, "dsbrdf(a, b)", *pairs)
+        calls[f"{name}, all"] = ShaderCall(source, "dsbrdf_shown(a, b, vec3(1.0))", *pairs)
+        calls[f"{name}, weights"] = ShaderCall(source, f"dsbrdf_shown(a, b, vec3({weights}))", *pairs)
     calls["below the horizon"] = ShaderCall(glsl_function(MODELS["mixture"]), "dsbrdf(a, b)", *below)
     return evaluate_glsl(calls, tmp_path_factory.mktemp("glsl"))
 
@@ -60,17 +84,37 @@ def test_webgl_gives_the_values_of_the_model(name: str, values: dict[str, Array]
 
 
 @needs_chromium
+@pytest.mark.parametrize("name", DECOMPOSED)
+def test_webgl_divides_the_model_as_the_library_does(name: str, values: dict[str, Array]) -> None:
+    model, angles = DECOMPOSED[name], half_difference(*pairs_of_directions(10_000))
+    components = decompose(model)
+    whole = model.evaluate(*angles)
+    weighted = np.zeros_like(whole)
+    bound = 1e-3 if name == "paper" else 1e-4  # as above
+    for component in components:
+        expected = component.evaluate(*angles)
+        weighted += WEIGHTS[component.label] * expected
+        # Where a component ends, the little that is left is a difference, and has the rounding of the model.
+        level = np.maximum(expected, np.maximum(0.1 * whole, 1e-5))
+        assert np.max(np.abs(values[f"{name}, {component.label}"] - expected) / level) < bound
+    for call, expected in (("all", whole), ("weights", weighted)):
+        error = np.abs(values[f"{name}, {call}"] - expected) / np.maximum(expected, 1e-5)
+        assert error.max() < bound
+
+
+@needs_chromium
 def test_webgl_gives_zero_below_the_horizon(values: dict[str, Array]) -> None:
     assert values["below the horizon"].tolist() == [[0.0] * 3] * 2
 
 
 def test_every_name_begins_with_that_of_the_library() -> None:
-    source = export_model(MODELS["mixture"], "glsl").decode()
-    declared = [
-        line.split("(")[0].split()[-1] for line in source.splitlines() if line.endswith(") {") and line[0] != " "
-    ]
-    assert declared
-    assert all(name.startswith("dsbrdf") for name in declared)
+    for source in (
+        export_model(MODELS["mixture"], "glsl").decode(),
+        glsl_function(decompose(MODELS["mixture"])["diffuse"]),
+    ):
+        declared = re.findall(r"^(?:const )?(?:int|float|vec[234]|struct|dsbrdf_Angles) (\w+)", source, re.MULTILINE)
+        assert len(declared) > 10
+        assert all(name.lower().startswith("dsbrdf") for name in declared)
 
 
 def test_a_parameter_too_large_for_single_precision_is_refused() -> None:
@@ -81,4 +125,6 @@ def test_a_parameter_too_large_for_single_precision_is_refused() -> None:
 
 
 def test_source_is_small() -> None:
-    assert len(export_model(random_model(1, n_lobes=7), "glsl")) < 40_000
+    model = random_model(1, n_lobes=7)
+    assert len(export_model(model, "glsl")) < 40_000
+    assert len(glsl_function(decompose(model)["diffuse"])) < 60_000

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.model.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import export_model
 from tests.support.mixtures import mixture
@@ -26,4 +25,3 @@ def test_rows_are_the_parameters(model: DSBRDF) -> None:
         for name in ("kappa", "gamma"):
             assert float(row[name]) == pytest.approx(found[name][0, shape, lobe], rel=1e-7)
         assert float(row["elongation"]) == pytest.approx(found["elongation"][0, lobe], abs=1e-7)
-        assert lobe in decompose(model)[row["component"]].lobes

@@ -1,0 +1,199 @@
+"""What requests compute: once for all who wait for it, the callers in turns, and only as long as somebody waits.
+
+Every route that computes more than a few values goes through `Computations`: components, exports, figures,
+views, batches.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Coroutine, Hashable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypeVar, get_args
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+
+from dsbrdf.engines.engine import Fault, FitLimits
+from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.errors import InvalidArgumentError
+from service.access.authentication import CALLER_NAME
+from service.errors import HeadOnlyError, ProblemError
+
+T = TypeVar("T")
+
+Place = Literal["short", "medium", "long"]
+"""Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
+
+
+class Run(Protocol):
+    """`Computations.run` for one request and one head."""
+
+    async def __call__(self, key: Hashable, compute: Callable[[], T], /) -> T:
+        """Return what `compute` returns, computed once for all who ask with one key."""
+
+
+@dataclass
+class _Computation:
+    """What is being computed, or waits for its turn, and how many requests wait for it."""
+
+    task: "asyncio.Task[Any]"
+    n_waiting: int = 0
+    can_stop: bool = True
+
+
+class Computations:
+    """Computes one thing at a time in each place; callers take turns there.
+
+    What waits for its turn is forgotten when the last request that waits for it has been given up by its client. What
+    runs in a thread is computed to its end then, what runs in a process is ended with it.
+
+    Parameters
+    ----------
+    limits : FitLimits
+        Of each computation in a process.
+    """
+
+    def __init__(self, limits: FitLimits) -> None:
+        self._slots = {place: FairSlots({place: 1}) for place in get_args(Place)}
+        self._processes = WorkerProcesses(1, limits)
+        self._in_progress: dict[Hashable, _Computation] = {}
+
+    async def run(
+        self, request: Request, key: Hashable, compute: Callable[[], T], head: Mapping[str, str], place: Place = "short"
+    ) -> T:
+        """Return what `compute` returns, which is called in a thread.
+
+        Parameters
+        ----------
+        request : Request
+            Who asks; its body must have been read.
+        key : hashable
+            What is computed, with its owner: requests with one key that come together get one result.
+        compute : callable
+        head : mapping of str to str
+            Headers of the answer, for a HEAD request, which gets nothing else.
+        place : {"short", "medium", "long"}
+            How long it takes.
+
+        Raises
+        ------
+        HeadOnlyError
+            If nothing has to be computed, the request being HEAD.
+        ClientDisconnect
+            If the client has closed the connection.
+        """
+
+        async def in_thread() -> T:
+            async with self._slots[place].slot(caller_of(request)):
+                self._in_progress[key].can_stop = False
+                return await run_in_threadpool(compute)
+
+        return await self._wait(request, key, in_thread, head)
+
+    def for_request(self, request: Request, head: Mapping[str, str], place: Place = "short") -> Run:
+        """Return `run` for a request, to be called by what knows nothing of requests."""
+
+        async def run(key: Hashable, compute: Callable[[], T]) -> T:
+            return await self.run(request, key, compute, head, place)
+
+        return run
+
+    async def run_in_process(
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, head: Mapping[str, str]
+    ) -> Any:
+        """Return what ``step(*arguments, on_progress)`` returns, which is called in a process of its own.
+
+        `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If the arguments do not allow it.
+        ProblemError
+            If it could not be computed; the request's own errors are those of `run`.
+        """
+
+        async def in_process() -> Any:
+            async with self._slots["long"].slot(caller_of(request)):
+                return await self._processes.run(step, *arguments, on_progress=lambda _: None)
+
+        found = await self._wait(request, key, in_process, head)
+        if isinstance(found, Fault):
+            raise _error_of(found)
+        return found
+
+    def stream(self, request: Request, parts: Iterator[T], head: Mapping[str, str]) -> AsyncIterator[T]:
+        """Return the parts of a long answer, each computed in a turn of its own; who reads slowly holds up nobody.
+
+        Raises HeadOnlyError as `run` does.
+        """
+        if request.method == "HEAD":
+            raise HeadOnlyError(head)
+        return self._parts(caller_of(request), parts)
+
+    async def _parts(self, caller: str, parts: Iterator[T]) -> AsyncIterator[T]:
+        while True:
+            async with self._slots["short"].slot(caller):
+                part = await run_in_threadpool(next, parts, None)
+            if part is None:
+                return
+            yield part
+
+    async def close(self) -> None:
+        """Give up what is being computed."""
+        tasks = [computation.task for computation in self._in_progress.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._processes.close()
+
+    async def _wait(
+        self, request: Request, key: Hashable, compute: Callable[[], Coroutine[Any, Any, T]], head: Mapping[str, str]
+    ) -> T:
+        """Return the result of `compute`, or of what is being computed with this key already."""
+        if request.method == "HEAD":
+            raise HeadOnlyError(head)
+        computation = self._in_progress.get(key)
+        if computation is None:
+            computation = self._in_progress[key] = _Computation(asyncio.create_task(compute()))
+            computation.task.add_done_callback(lambda task: self._forget(key, task))
+        computation.n_waiting += 1
+        gone = asyncio.create_task(departure(request))
+        try:
+            await asyncio.wait((computation.task, gone), return_when=asyncio.FIRST_COMPLETED)
+            if not computation.task.done():
+                raise ClientDisconnect
+            result: T = computation.task.result()
+            return result
+        finally:
+            gone.cancel()
+            computation.n_waiting -= 1
+            if not computation.n_waiting and computation.can_stop and not computation.task.done():
+                self._forget(key, computation.task)  # who asks now begins anew
+                computation.task.cancel()
+
+    def _forget(self, key: Hashable, task: "asyncio.Task[Any]") -> None:
+        if key in self._in_progress and self._in_progress[key].task is task:
+            del self._in_progress[key]
+        if task.done() and not task.cancelled():
+            task.exception()  # perhaps nobody waits for it any more
+
+
+def caller_of(request: Request) -> str:
+    """Return who takes turns: the key of a request, or its address."""
+    name: str = request.scope[CALLER_NAME]
+    return name
+
+
+async def departure(request: Request) -> None:
+    """Return when the client has closed the connection."""
+    with suppress(ProblemError):  # of a body that is not read and arrives too slowly
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+
+
+def _error_of(fault: Fault) -> Exception:
+    if fault.origin == "input":
+        return InvalidArgumentError(fault.message)
+    return ProblemError("internal", f"The answer could not be computed ({fault.type}); ask for it again.")

@@ -1,0 +1,195 @@
+"""What requests compute: nothing for clients that have left, nothing twice, and the keys take turns."""
+
+import asyncio
+import json
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+import dsbrdf
+from service.jobs import results
+from service.jobs.results import FitViews
+from service.routes import brdf, figures, fits
+from tests.support.application import FIT, Blocked, application
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server
+
+_ANGLES = "theta_half_deg=10&theta_diff_deg=30"
+FIT_PATH = f"/v1/fits/{FIT}"
+EXPORT, SPHERE = f"{FIT_PATH}/export?format=bsdf", f"{FIT_PATH}/figures/sphere.png?size=16"
+VIEW = [f"/fits/{FIT}/{part}" for part in ("view", "profiles/0", "polar/45")]
+COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
+OF_COMPONENTS = [
+    FIT_PATH,
+    f"{FIT_PATH}/components",
+    f"{FIT_PATH}/components/diffuse/brdf?{_ANGLES}",
+    f"{FIT_PATH}/export?format=json&component=guide",
+    f"{SPHERE}&component=diffuse",
+    f"/fits/{FIT}",
+]
+LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "targets"),
+    [
+        (fits, "export_model", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
+        (figures, "_sphere", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
+        (FitViews, "_make", [*VIEW, *VIEW]),
+    ],
+)
+def test_what_nobody_waits_for_is_not_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: object, name: str, targets: list[str]
+) -> None:
+    async def check() -> None:
+        blocked = Blocked(getattr(place, name))
+        monkeypatch.setattr(place, name, lambda *arguments, **named: blocked(*arguments, **named))
+        async with application(tmp_path, monkeypatch) as running:
+            key = running.new_key()
+            asked = [running.ask(target, key) for target in targets]
+            await blocked.until_called()
+            await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
+            blocked.may_return.set()
+            again = await running.ask(targets[-1], key).end()
+            assert again.status == 200
+            assert len(blocked.calls) <= 2
+
+    asyncio.run(check())
+
+
+def test_view_of_a_page_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        blocked = Blocked(FitViews._make)
+        monkeypatch.setattr(FitViews, "_make", lambda *arguments: blocked(*arguments))
+        async with application(tmp_path, monkeypatch) as running:
+            key = running.new_key()
+            asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
+            await blocked.until_called()
+            blocked.may_return.set()
+            assert [(await one.end()).status for one in asked] == [200] * 4
+            assert len(blocked.calls) == 1
+
+    asyncio.run(check())
+
+
+def test_components_are_computed_once_and_not_on_the_event_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def check() -> None:
+        threads: list[threading.Thread] = []
+
+        def decompose(model: dsbrdf.DSBRDF) -> dsbrdf.Decomposition:
+            threads.append(threading.current_thread())
+            return dsbrdf.decompose(model)
+
+        blocked = Blocked(decompose)
+        monkeypatch.setattr(results, "decompose", blocked)
+        async with application(tmp_path, monkeypatch) as running:
+            key = running.new_key()
+            asked = [running.ask(target, key) for target in OF_COMPONENTS]
+            batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
+            await blocked.until_called()
+            blocked.may_return.set()
+            assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
+        assert len(threads) == 1
+        assert threads[0] is not threading.main_thread()
+
+    asyncio.run(check())
+
+
+def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        blocked = Blocked(figures._sphere)
+        monkeypatch.setattr(figures, "_sphere", blocked)
+        async with application(tmp_path, monkeypatch) as running:
+            alice, bob = running.new_key(), running.new_key()
+            first, second, others = (running.ask(SPHERE, key) for key in (alice, alice, bob))
+            await blocked.until_called()
+            await first.leave()
+            blocked.may_return.set()
+            await asyncio.gather(second.end(), others.end())
+            assert second.body == others.body != b""
+            assert len(blocked.calls) == 2  # of one fit of each key
+
+    asyncio.run(check())
+
+
+def test_keys_take_turns_with_long_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        blocked = Blocked(brdf._from_json)
+        monkeypatch.setattr(brdf, "_from_json", blocked)
+        async with application(tmp_path, monkeypatch) as running:
+            alice, bob = running.new_key(), running.new_key()
+            of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
+            await blocked.until_called()
+            of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
+            await asyncio.sleep(0.05)  # until it waits, too; if it does not, the test passes
+            blocked.may_return.set()
+            await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
+            assert [one.status for one in of_alice] == [200] * 6
+            bodies = [arguments[0] for arguments in blocked.calls]
+            assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
+
+    asyncio.run(check())
+
+
+@pytest.mark.parametrize(
+    "target",
+    [EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS],
+)
+def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str) -> None:
+    async def check() -> None:
+        async with application(tmp_path, monkeypatch) as running:
+            key, computed = running.new_key(), []
+
+            def compute(*_: object) -> bytes:
+                computed.append(1)
+                return b""
+
+            with monkeypatch.context() as patch:
+                patch.setattr(fits, "export_model", compute)
+                patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
+                patch.setattr(figures, "_sphere", compute)
+                patch.setattr(FitViews, "_make", compute)
+                patch.setattr(results, "decompose", compute)
+                head = await running.ask(target, key, "HEAD").end()
+            get = await running.ask(target, key).end()
+            assert (head.status, head.body, computed) == (200, b"", [])
+            assert get.status == 200
+            assert head.headers["content-type"] == get.headers["content-type"]
+
+    asyncio.run(check())
+
+
+def test_head_of_an_export_that_is_refused_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        async with application(tmp_path, monkeypatch) as running:
+            target = f"{FIT_PATH}/export?format=json&component=diffuse"
+            assert (await running.ask(target, running.new_key(), "HEAD").end()).status == 422
+
+    asyncio.run(check())
+
+
+@pytest.mark.parametrize("n_requests", [1, 2])
+def test_process_of_an_export_ends_when_its_client_leaves(
+    own_server: Callable[..., Server], data: bytes, n_requests: int
+) -> None:
+    server = own_server(require_keys="false", workers="1")
+    fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
+    wait_until(lambda: not server.workers())
+    url = server.http.base_url
+    with closing(socket.create_connection((url.host, url.port or 80), timeout=60)) as connection:
+        request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+        connection.sendall(n_requests * request)
+        wait_until(lambda: bool(server.workers()), 20.0)
+        (worker,) = server.workers()
+    wait_until(lambda: worker not in server.workers())
+    assert server.http.head(f"/v1/fits/{fit}/export?format=materialx").headers["content-type"] == "application/xml"
+    assert not server.workers()
+    answer = server.http.get(f"/v1/fits/{fit}/export?format=materialx")
+    assert answer.text.startswith("<?xml")
+    assert '"level": "error"' not in server.log.read_text()

@@ -1,0 +1,52 @@
+"""Models that are kept in memory, and the ones that are not."""
+
+import asyncio
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf import DSBRDF
+from dsbrdf.output.serialize import to_json
+from service.errors import FitNotFoundError
+from service.jobs.results import ModelCache
+from service.storage.schema import Caller, FitKey
+from service.storage.store import Store
+from service.storage.uploads import Received
+
+PATIENCE = 60.0  # seconds
+
+
+def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    incoming = store.blobs.incoming()
+    key = store.add_fit(Caller(), Received(incoming, incoming.close(), 1), {}, 1)[0].key
+    store.start_fit(key)
+    model = DSBRDF(np.zeros(1), np.ones((3, 1, 1)), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
+    store.complete_fit(key, to_json(model), {})
+    read, deleted, result = threading.Event(), threading.Event(), store.result
+
+    def read_slowly(key: FitKey) -> str | None:
+        document = result(key)
+        read.set()
+        assert deleted.wait(PATIENCE)
+        return document
+
+    monkeypatch.setattr(store, "result", read_slowly)
+    models = ModelCache(store, 8)
+
+    async def story() -> None:
+        reading = asyncio.create_task(models.get(key))
+        async with asyncio.timeout(PATIENCE):
+            while not read.is_set():
+                await asyncio.sleep(0.001)
+        assert store.remove_fit(key)
+        models.forget(key)
+        deleted.set()
+        assert np.array_equal((await reading).model.kappa, model.kappa)  # it was there when it was asked for
+        with pytest.raises(FitNotFoundError):
+            await models.get(key)
+
+    asyncio.run(story())
+    store.close()

@@ -1,0 +1,170 @@
+"""Components over HTTP: readable, adding up to the fit, absent without light."""
+
+import asyncio
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.output.serialize import from_json, to_json
+from service.errors import ProblemError
+from service.jobs.results import ModelCache
+from service.storage.schema import FitKey
+from tests.support.models import assert_same_bits
+from tests.support.server import Server, assert_problem
+
+T = TypeVar("T")
+POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
+
+
+@pytest.fixture(scope="session")
+def model(server: Server, fitted: str) -> dsbrdf.DSBRDF:
+    """The model of the fit, without loss."""
+    return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
+
+
+@pytest.fixture(scope="session")
+def absent(model: dsbrdf.DSBRDF) -> str:
+    """The label of a component that the fit does not have."""
+    return next(label for label in LABELS if label not in dsbrdf.decompose(model).labels)
+
+
+def items_of(server: Server, fit: str) -> list[dict[str, Any]]:
+    items: list[dict[str, Any]] = server.http.get(f"/v1/fits/{fit}/components").json()["items"]
+    return items
+
+
+def test_components_are_those_of_the_library(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    decomposition = dsbrdf.decompose(model)
+    items = items_of(server, fitted)
+    assert [item["label"] for item in items] == list(decomposition.labels)
+    for item, component in zip(items, decomposition, strict=True):
+        np.testing.assert_allclose(item["albedo"], component.directional_albedo(0.0), rtol=1e-9)
+        np.testing.assert_allclose(item["color"], component.albedo / component.albedo.max(), rtol=1e-12)
+        assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
+        assert item["clarity"] == pytest.approx(component.clarity, rel=1e-12)
+
+
+def test_a_components_lobe_is_read_as_values_at_the_stated_angles(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF
+) -> None:
+    for item, component in zip(items_of(server, fitted), dsbrdf.decompose(model), strict=True):
+        lobe = item["lobe"]
+        theta_diff, elongation = np.radians(lobe["theta_diff_deg"]), np.array(lobe["elongation"])
+        assert {len(values) for values in lobe.values()} == {theta_diff.size}
+        np.testing.assert_allclose(lobe["height"], component.lobe.evaluate(0.0, theta_diff), rtol=1e-9)
+        stretch = np.cos(theta_diff) ** elongation
+        neither_way = np.arccos(np.sqrt(stretch / (1.0 + stretch)))  # phi_diff where the elongation does not show
+        half_width = np.radians(lobe["half_width_deg"])
+        at_half = component.lobe.evaluate_unmasked(half_width, theta_diff, neither_way)
+        np.testing.assert_allclose(at_half, 0.5 * np.array(lobe["height"]), rtol=1e-3)  # held near the horizon
+
+
+def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    url = f"/v1/fits/{fitted}"
+    decomposition = dsbrdf.decompose(model)
+    parts = []
+    for component in decomposition:
+        values = server.http.post(f"{url}/components/{component.label}/brdf", json=POINTS).json()["values"]
+        expected = component.evaluate(np.radians(POINTS["theta_half_deg"]), np.radians(POINTS["theta_diff_deg"]))
+        np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-15)
+        parts.append(values)
+    whole = server.http.post(f"{url}/brdf", json=POINTS).json()["values"]
+    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
+    one = server.http.get(f"{url}/components/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20").json()["values"]
+    np.testing.assert_allclose(one[0], parts[-1][2], rtol=1e-12)
+
+
+def test_a_component_without_light_is_not_found(server: Server, fitted: str, model: dsbrdf.DSBRDF, absent: str) -> None:
+    there = " and ".join(dsbrdf.decompose(model).labels)
+    url = f"/v1/fits/{fitted}"
+    point = {"theta_half_deg": 5, "theta_diff_deg": 20}
+    for answer in (
+        server.http.get(f"{url}/components/{absent}/brdf", params=point),
+        server.http.post(f"{url}/components/{absent}/brdf", json=POINTS),
+        server.http.get(f"{url}/export", params={"format": "merl", "component": absent}),
+        server.http.get(f"{url}/figures/sphere.png", params={"component": absent}),
+    ):
+        detail = assert_problem(answer, 404, "not-found")
+        assert detail == f"The fit has no component {absent}: it has {there}."
+
+
+@pytest.mark.parametrize("label", ["spike", "4", "guide", "specular%20lobe"])
+def test_an_unknown_label_is_an_invalid_argument(server: Server, fitted: str, label: str) -> None:
+    url = f"/v1/fits/{fitted}/components/{label}/brdf"
+    for answer in (server.http.get(url, params={"theta_half_deg": 5, "theta_diff_deg": 20}), server.http.post(url)):
+        detail = assert_problem(answer, 422, "invalid-argument")
+        assert "specular_spike, specular_lobe, diffuse" in detail
+
+
+def test_the_fits_document_leads_with_the_components(server: Server, fitted: str) -> None:
+    fit = server.http.get(f"/v1/fits/{fitted}").json()
+    assert fit["components"] == items_of(server, fitted)
+    assert list(fit).index("components") < list(fit).index("model")
+
+
+def test_the_own_parameters_of_a_model_say_what_they_are(server: Server, fitted: str, stored: str) -> None:
+    spline = server.submit(stored, method="global", n_lobes=1, ring_lobes=0).json()["id"]
+    for fit, interpolation in ((fitted, "linear"), (spline, "spline")):
+        model = from_json(server.http.get(f"/v1/fits/{fit}/export?format=json").text)[0]
+        own = server.http.get(f"/v1/fits/{fit}").json()["model"]
+        assert (own["interpolation"], own["lobe_family"]) == (interpolation, model.lobe)
+        restored = dsbrdf.DSBRDF(
+            theta_diff=np.radians(own["amplitude"]["knots_deg"]),
+            amplitude=own["amplitude"]["control_values"],
+            kappa=own["shape"]["control_values"]["kappa"],
+            gamma=own["shape"]["control_values"]["gamma"],
+            center=np.radians(own["shape"]["control_values"]["center_deg"]),
+            elongation=own["elongation"]["control_values"],
+            shape_theta_diff=np.radians(own["shape"]["knots_deg"]),
+            elongation_theta_diff=np.radians(own["elongation"]["knots_deg"]),
+            delta=own["delta"]["values_at_knots"],
+            interpolation=own["interpolation"],
+            lobe=own["lobe_family"],
+        )
+        theta_half, theta_diff = np.radians([[0.0], [3.0], [20.0], [60.0]]), np.radians([0.0, 17.0, 44.0, 83.0])
+        expected = model.evaluate(theta_half, theta_diff)
+        np.testing.assert_allclose(restored.evaluate(theta_half, theta_diff), expected, rtol=1e-8)
+
+
+def test_the_guide_is_exported_as_a_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params={"format": "json", "component": "guide"})
+    guide, report = from_json(answer.text)
+    assert_same_bits(guide, dsbrdf.decompose(model).guide)
+    assert report is None
+    assert guide.n_lobes == len(items_of(server, fitted))
+    assert "-guide.json" in answer.headers["content-disposition"]
+
+
+class _Results:
+    """A store that has one result, as its name says."""
+
+    def __init__(self, model: dsbrdf.DSBRDF) -> None:
+        self._text = to_json(model)
+
+    def result(self, _: FitKey) -> str:
+        return self._text
+
+
+async def _at_once(_: Hashable, compute: Callable[[], T]) -> T:
+    return compute()
+
+
+def black() -> dsbrdf.DSBRDF:
+    shape = np.ones((1, 1, 1))
+    return dsbrdf.DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), shape, shape, interpolation="linear")
+
+
+def test_a_black_fit_has_no_components() -> None:
+    async def check() -> None:
+        models = ModelCache(_Results(black()), 1)  # type: ignore[arg-type]
+        key = FitKey("", "0" * 32)
+        assert await models.components(key, _at_once) == []
+        with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
+            await models.component(key, "diffuse", _at_once)
+        assert raised.value.kind == "not-found"
+
+    asyncio.run(check())

@@ -1,0 +1,195 @@
+"""Data folders that were put back from copies, or damaged: no file goes, and nothing wrong is served."""
+
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from service.__main__ import main
+from service.access.keys import KeyLimits, add_key
+from service.commands import doctor
+from service.commands.doctor import CHECKS
+from service.commands.purge import purge
+from service.errors import CheckFailedError, DataFolderError
+from service.storage.database import FILE_NAME
+from service.storage.schema import Caller
+from service.storage.store import Store
+from service.storage.uploads import Received
+from tests.support.commands import run_main
+from tests.support.guarded import new_key
+from tests.support.server import QUICK, Server, assert_problem
+
+LOCAL = Caller()
+
+
+def receive(store: Store, content: bytes) -> Received:
+    incoming = store.blobs.incoming()
+    incoming.write(content)
+    return Received(incoming, incoming.close(), 1)
+
+
+def add(store: Store, content: bytes, caller: Caller = LOCAL) -> str:
+    return store.add_measurement(caller, receive(store, content))[0].sha256
+
+
+def stored(folder: Path) -> set[bytes]:
+    """The contents of all files of measurements, wherever they are."""
+    return {path.read_bytes() for path in folder.rglob("*") if path.is_file() and not path.name.startswith(FILE_NAME)}
+
+
+def harm_page(folder: Path, name: str, content: bytes = b"") -> None:
+    """Replace the first page of a table or an index, by zeros or by what is given."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as db:
+        db.execute("PRAGMA journal_mode = DELETE")  # all of it is in the one file
+        (page,) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (name,)).fetchone()
+        (size,) = db.execute("PRAGMA page_size").fetchone()
+    with (folder / FILE_NAME).open("r+b") as file:
+        file.seek((page - 1) * size)
+        file.write(content.ljust(size, b"\0"))
+
+
+def test_older_database_loses_no_file_and_an_upload_takes_it_back(
+    own_server: Callable[..., Server], data: bytes, tmp_path: Path
+) -> None:
+    server = own_server(fits=False)
+    server.stop()
+    older = shutil.copy(server.data_dir / FILE_NAME, tmp_path / "older")
+    sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
+    server.stop()
+    shutil.copy(older, server.data_dir / FILE_NAME)
+    server.start()
+    assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
+    assert stored(server.data_dir) == {data}
+    assert "1 files of measurements have no row; they are in the folder lost" in server.log.read_text()
+    assert server.http.get("/health/ready").json()["lost_files"] == 1
+    with pytest.raises(CheckFailedError, match="1 files have no row"):
+        CHECKS["lost files"](server.data_dir)
+    assert run_main(doctor.main, "--data-dir", str(server.data_dir)).returncode == 1
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
+    assert server.http.get(f"/v1/measurements/{sha256}").content == data
+    assert server.http.get("/health/ready").json()["lost_files"] == 0
+    assert list((server.data_dir / "lost").iterdir()) == []
+
+
+def test_row_keeps_waiting_for_its_file(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    sha256 = add(store, b"content")
+    store.close()
+    (tmp_path / "blobs").rename(tmp_path / "later")  # the database came back before the measurements
+    store = Store(tmp_path)
+    assert store.measurement("", sha256) is not None
+    assert store.warnings == ["the files of 1 measurements are missing; dsbrdf doctor names the first"]
+    store.close()
+    (tmp_path / "blobs").rmdir()
+    (tmp_path / "later").rename(tmp_path / "blobs")
+    store = Store(tmp_path)
+    assert (store.warnings, store.blobs.damage(sha256)) == ([], None)
+    store.close()
+
+
+def test_row_takes_its_file_back(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    contents = {add(store, content): content for content in (b"first", b"second")}
+    store.close()
+    copy = shutil.copy(tmp_path / FILE_NAME, tmp_path / "copy")
+    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as db, db:
+        db.execute("DELETE FROM measurements")  # as in an older database
+    store = Store(tmp_path)
+    assert store.blobs.n_lost() == 2
+    store.close()
+    shutil.copy(copy, tmp_path / FILE_NAME)
+    store = Store(tmp_path)
+    assert (store.warnings, store.blobs.n_lost()) == ([], 0)
+    assert {sha256: store.blobs.path(sha256).read_bytes() for sha256 in contents} == contents
+    store.close()
+
+
+def test_upload_in_the_place_of_other_bytes_keeps_them(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    first, second = add(store, b"first"), add(store, b"second")
+    store.blobs.path(second).replace(store.blobs.path(first))
+    assert add(store, b"first") == first
+    assert stored(tmp_path) == {b"first", b"second"}
+    assert store.blobs.damage(first) is None
+    store.close()
+
+
+EMPTY_TABLE, EMPTY_INDEX = (bytes([kind, 0, 0, 0, 0, 16, 0, 0]) for kind in (13, 10))  # a valid page without rows
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        *((name, content) for name in ("measurements", "fits", "keys") for content in (b"", EMPTY_TABLE)),
+        *(("measurements_by_sha256", content) for content in (b"", EMPTY_INDEX)),
+    ],
+)
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_damaged_table_or_index_is_refused_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: bytes, host: str
+) -> None:
+    monkeypatch.setattr("service.__main__._run", lambda *_: 0)  # it must not come to that
+    store = Store(tmp_path)
+    store.add_fit(LOCAL, receive(store, b"content"), {}, 10)
+    add_key(store.database, "someone", KeyLimits())
+    store.close()
+    harm_page(tmp_path, name, content)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    refused = run_main(main, "--host", host, "--port", "0", "--data-dir", str(tmp_path))
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "restore the folder from a copy" in refused.stderr
+    with pytest.raises(DataFolderError, match="restore the folder from a copy"):
+        purge(tmp_path, 1e12)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+    assert stored(tmp_path) == {b"content"}
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_deletion_that_a_kill_breaks_off_is_undone_or_done(tmp_path: Path, committed: bool) -> None:
+    store = Store(tmp_path)
+    sha256 = add(store, b"content")
+    removed = store.blobs.temporary / f"removed-{sha256}-0123abcd"
+    store.blobs.path(sha256).rename(removed)
+    if committed:
+        with store.database.transaction() as db:
+            db.execute("DELETE FROM measurements")
+    store.close()
+    store = Store(tmp_path)
+    assert not removed.exists()
+    assert (store.warnings, store.blobs.n_lost()) == ([], 0)
+    assert store.blobs.path(sha256).exists() is not committed
+    store.close()
+
+
+def test_deletion_that_cannot_be_committed_keeps_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    transaction = store.database.transaction
+
+    @contextmanager
+    def broken_off() -> Iterator[sqlite3.Connection]:
+        with transaction() as db:
+            yield db
+            raise sqlite3.OperationalError("database or disk is full")
+
+    sha256 = add(store, b"content")
+    monkeypatch.setattr(store.database, "transaction", broken_off)
+    with pytest.raises(sqlite3.OperationalError, match="full"):
+        store.remove_measurement("", sha256)
+    monkeypatch.undo()
+    assert store.blobs.damage(sha256) is None
+    assert store.remove_measurement("", sha256)
+    assert not stored(tmp_path)
+    store.close()
+
+
+def test_file_of_a_fit_and_of_a_key_is_not_touched_by_a_start(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(require_keys="true")
+    _, header = new_key(server, "someone")
+    fit = server.http.post("/v1/fits", params=QUICK, content=data, headers=header).json()
+    server.stop()
+    server.start()
+    assert server.http.get(f"/v1/measurements/{fit['measurement']}", headers=header).content == data
+    assert server.http.get("/health/ready").json()["lost_files"] == 0

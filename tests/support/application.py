@@ -1,0 +1,152 @@
+"""The application in this process, with one finished fit: for tests that stop a computation and look at who waits."""
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+from starlette.types import Message
+
+import dsbrdf
+from dsbrdf.engines import local
+from dsbrdf.output.serialize import to_json
+from service.access.keys import KeyLimits, add_key
+from service.app import create_app
+from service.settings import Settings
+from service.storage.schema import checksum
+from service.storage.store import Store
+from service.wire.fit_options import to_wire
+from tests.support.random_models import random_model
+
+FIT = "a" * 32
+_PATIENCE = 60.0  # seconds
+
+
+@dataclass
+class Exchange:
+    """A request that can be given up, and what has been answered."""
+
+    task: "asyncio.Task[None]"
+    gone: asyncio.Event
+    messages: list[Message]
+
+    async def leave(self) -> None:
+        """Close the connection, and wait until the application has seen it."""
+        self.gone.set()
+        await self.end()
+
+    async def end(self) -> "Exchange":
+        done, _ = await asyncio.wait([self.task], timeout=_PATIENCE)
+        assert done, "there is no answer"
+        return self
+
+    @property
+    def status(self) -> int:
+        status: int = self.messages[0]["status"]
+        return status
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {name.decode().lower(): value.decode() for name, value in self.messages[0]["headers"]}
+
+    @property
+    def body(self) -> bytes:
+        return b"".join(message.get("body", b"") for message in self.messages[1:])
+
+
+@dataclass
+class Blocked:
+    """A function that notes its calls and returns when it may."""
+
+    function: Callable[..., Any]
+    calls: list[tuple[Any, ...]] = field(default_factory=list)
+    may_return: threading.Event = field(default_factory=threading.Event)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        self.calls.append(arguments)
+        assert self.may_return.wait(_PATIENCE)
+        return self.function(*arguments, **named)
+
+    async def until_called(self, times: int = 1) -> None:
+        async with asyncio.timeout(_PATIENCE):
+            while len(self.calls) < times:
+                await asyncio.sleep(0.005)
+
+
+class Application:
+    """A started application whose keys have a finished fit each."""
+
+    def __init__(self, app: FastAPI, store: Store) -> None:
+        self.app, self.store = app, store
+
+    def new_key(self) -> str:
+        """Return a key that has the fit `FIT`."""
+        row, key = add_key(self.store.database, "a key", KeyLimits())
+        self.add_fit(row.id)
+        self.app.state.keys.load(self.store.database)
+        return key
+
+    def add_fit(self, owner: str) -> None:
+        document = to_json(random_model(), None)
+        written = checksum(None, document.encode())
+        values = (owner, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
+        with self.store.database.transaction() as db:
+            db.execute(
+                "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created, result,"
+                " checksum) VALUES (1, ?, ?, ?, ?, '1', '1', 'succeeded', ?, ?, ?)",
+                values,
+            )
+
+    def ask(self, target: str, key: str, method: str = "GET", body: bytes = b"", *, stalled: bool = False) -> Exchange:
+        """Begin a request; a stalled one never sends the last byte of its body."""
+        path, _, query = target.partition("?")
+        headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
+        if body:
+            headers.append((b"content-length", str(len(body) + stalled).encode()))
+            headers.append((b"content-type", b"application/json"))
+        scope: dict[str, Any] = {
+            "type": "http",
+            "asgi": {"spec_version": "2.3"},
+            "http_version": "1.1",
+            "method": method,
+            "scheme": "http",
+            "path": path,
+            "raw_path": path.encode(),
+            "root_path": "",
+            "query_string": query.encode(),
+            "headers": headers,
+            "client": ("127.0.0.1", 1),
+            "server": ("127.0.0.1", 80),
+            "state": {},
+        }
+        messages: list[Message] = []
+        gone, unsent = asyncio.Event(), [body]
+
+        async def receive() -> Message:
+            if unsent:
+                return {"type": "http.request", "body": unsent.pop(), "more_body": stalled}
+            await gone.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: Message) -> None:
+            if not gone.is_set():
+                messages.append(message)
+
+        return Exchange(asyncio.create_task(self.app(scope, receive, send)), gone, messages)
+
+
+@asynccontextmanager
+async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> AsyncIterator[Application]:
+    """Run the application during the block, without processes for fits."""
+    monkeypatch.setattr(local, "start_fork_server", lambda: None)
+    store = Store(folder)
+    app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
+    async with app.router.lifespan_context(app):
+        yield Application(app, store)
