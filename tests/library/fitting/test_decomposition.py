@@ -1,0 +1,178 @@
+"""Components sum to the model, are right where the truth is known, and stay where they are."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+import dsbrdf
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import LABELS, Component, decompose
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import FAMILIES
+
+Array = NDArray[np.float64]
+
+KNOTS = np.radians([0.0, 30.0, 60.0, 85.0])
+ROUGHNESS, RED, COAT = 0.06, (0.40, 0.16, 0.10), (0.04, 0.04, 0.04)
+
+
+def random_model(seed: int, n_lobes: int, family: str = "hemi_epd") -> DSBRDF:
+    random = np.random.default_rng(seed)
+    shape = (1, 6, n_lobes)
+    return DSBRDF(
+        KNOTS,
+        np.exp(random.uniform(-4.0, 5.0, (3, 6, n_lobes))),
+        random.uniform(0.01, 8.0, shape),
+        np.exp(random.uniform(-2.0, 9.0, n_lobes) + random.normal(0.0, 0.3, shape)),
+        random.uniform(-0.1, 1.0, shape) * (random.uniform(size=n_lobes) < 0.3),
+        random.uniform(-0.5, 1.5, (1, n_lobes)),
+        delta=random.uniform(0.0, 5.0, (3, 4)),
+        lobe=family,
+    )
+
+
+def student_model(*lobes: tuple[float, tuple[float, float, float]]) -> DSBRDF:
+    """Round lobes of GGX's tails with these half widths [degrees] and heights [1/sr] at every theta_diff."""
+    widths, heights = np.array([width for width, _ in lobes]), np.array([height for _, height in lobes])
+    gamma = (np.sqrt(2.0) - 1.0) / np.tan(np.radians(widths)) ** 2
+    return DSBRDF(
+        np.zeros(1), heights.T[:, np.newaxis], np.full((1, 1, widths.size), 2.0), gamma[None, None], lobe="student"
+    )
+
+
+def diffuse_albedo(albedo: float, reflectance: float) -> float:
+    """Albedo at normal incidence of the diffuse term of `dsbrdf.data.synthetic`, by SciPy."""
+    falls = quad(lambda cosine: cosine * (1.0 - (1.0 - cosine / 2.0) ** 5), 0.0, 1.0)[0]
+    return 2.0 * np.pi * albedo * (1.0 - reflectance) * 28.0 / (23.0 * np.pi) * (1.0 - 0.5**5) * falls
+
+
+def present(component: Component | None) -> Component:
+    assert component is not None
+    return component
+
+
+@pytest.fixture(scope="module")
+def paint() -> Measurement:
+    return synthetic_measurement(roughness=ROUGHNESS, diffuse=RED, specular=COAT, noise=0.02)
+
+
+@pytest.fixture(scope="module")
+def paint_model(paint: Measurement) -> DSBRDF:
+    return dsbrdf.fit(dsbrdf.profiles(paint)).model
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("n_lobes", [0, 1, 3, 8])
+def test_components_sum_to_the_model(n_lobes: int, family: str) -> None:
+    random = np.random.default_rng(n_lobes)
+    theta_half = np.concatenate([random.uniform(0.0, np.pi / 2, 500), np.radians([0.0, 0.5, 1.0])])
+    theta_diff, phi_diff = random.uniform(0.0, np.pi / 2, 503), random.uniform(0.0, 3.2, 503)
+    for seed in range(3):
+        model = random_model(seed, n_lobes, family)
+        whole = model.evaluate(theta_half, theta_diff, phi_diff)
+        parts = [component.evaluate(theta_half, theta_diff, phi_diff) for component in decompose(model)]
+        np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12, atol=1e-300)
+        assert min(part.min() for part in parts) >= 0.0
+        albedo = np.sum([component.albedo for component in decompose(model)], axis=0)
+        np.testing.assert_allclose(albedo, model.albedo(0.0), rtol=1e-9)
+
+
+def test_values_on_a_grid_and_of_directions_are_those_at_angles(paint_model: DSBRDF) -> None:
+    half, diff, phi = THETA_HALF[[0, 9, 40]], THETA_DIFF[[0, 45]], PHI_DIFF[[0, 30, 90]]
+    omega_in, omega_out = np.array([0.6, 0.0, 0.8]), np.array([-0.48, 0.36, 0.8])
+    sums = np.zeros(3)
+    for component in decompose(paint_model):
+        grid = np.stack(list(component.evaluate_grid(half, diff, phi)))
+        angles = half[:, None, None], diff[:, None], phi
+        np.testing.assert_allclose(np.moveaxis(grid, 1, -1), component.evaluate(*angles), rtol=1e-12)
+        sums += component.evaluate_directions(omega_in, omega_out)
+    np.testing.assert_allclose(sums, paint_model.evaluate_directions(omega_in, omega_out), rtol=1e-12)
+
+
+def test_red_paint_has_a_neutral_highlight_on_a_red_ground(paint_model: DSBRDF) -> None:
+    parts = decompose(paint_model)
+    assert parts.labels == ("specular_spike", "diffuse")
+    spike, diffuse = present(parts.specular_spike), present(parts.diffuse)
+    np.testing.assert_allclose(spike.color, 1.0, atol=0.05)
+    assert spike.half_width == pytest.approx(np.arctan(ROUGHNESS * np.sqrt(np.sqrt(2.0) - 1.0)), rel=0.1)
+    truth = [diffuse_albedo(albedo, reflectance) for albedo, reflectance in zip(RED, COAT, strict=True)]
+    np.testing.assert_allclose(diffuse.albedo, truth, rtol=0.06)
+    np.testing.assert_allclose(diffuse.color, np.divide(truth, max(truth)), atol=0.03)
+
+
+@pytest.mark.parametrize("theta_diff", [0.0, 30.0, 45.0])
+def test_diffuse_part_has_no_dent_under_the_highlight(paint_model: DSBRDF, theta_diff: float) -> None:
+    diffuse = present(decompose(paint_model).diffuse)
+    under = diffuse.evaluate(np.radians(np.linspace(0.0, 12.0, 49)), np.radians(theta_diff))
+    around = diffuse.evaluate(np.radians(np.linspace(8.0, 40.0, 65)), np.radians(theta_diff)).max(axis=0)
+    np.testing.assert_allclose(under / around, 1.0, atol=0.15)
+
+
+def test_components_stay_when_the_data_hardly_change(paint: Measurement, paint_model: DSBRDF) -> None:
+    nearer = dsbrdf.fit(dsbrdf.profiles(paint, horizon_cutoff=np.radians(76.0)), horizon_cutoff=np.radians(76.0))
+    for before, after in zip(decompose(paint_model), decompose(nearer), strict=True):
+        assert before.label == after.label
+        np.testing.assert_allclose(after.albedo, before.albedo, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("lobes", "labels"),
+    [
+        ([(1.0, (50.0, 45.0, 40.0)), (60.0, (0.1, 0.2, 0.3))], ("specular_spike", "diffuse")),
+        ([(9.0, (2.0, 2.0, 2.0)), (60.0, (0.1, 0.2, 0.3))], ("specular_lobe", "diffuse")),
+        ([(0.5, (400.0,) * 3), (8.0, (3.0,) * 3), (60.0, (0.1, 0.2, 0.3))], LABELS),
+        ([(60.0, (0.1, 0.2, 0.3))], ("diffuse",)),
+    ],
+    ids=["spike", "lobe", "both", "matte"],
+)
+def test_known_lobes_get_their_labels_and_come_back(lobes: Any, labels: tuple[str, ...]) -> None:
+    parts = decompose(student_model(*lobes))
+    assert parts.labels == labels
+    for component, (width, height) in zip(parts, lobes, strict=True):
+        at = component.parameters_at(np.radians([0.0, 30.0]))
+        np.testing.assert_allclose(np.degrees(at.half_width), width, rtol=0.15)
+        np.testing.assert_allclose(at.height, [height, height], rtol=0.15)
+        own = student_model((width, height))
+        np.testing.assert_allclose(component.albedo, own.albedo(0.0), rtol=0.12)
+        assert 0.0 < component.clarity <= 1.0
+
+
+def test_black_model_has_no_components() -> None:
+    one = np.ones((1, 1, 1))
+    parts = decompose(DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), one, one, interpolation="linear"))
+    assert (list(parts), len(parts), parts.labels, parts.guide.n_lobes) == ([], 0, (), 0)
+    with pytest.raises(InvalidArgumentError, match="no component diffuse: it has no light"):
+        parts["diffuse"]
+
+
+def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
+    parts = decompose(paint_model)
+    assert parts.specular_lobe is None
+    with pytest.raises(InvalidArgumentError, match="no component specular_lobe: it has specular_spike and diffuse"):
+        parts["specular_lobe"]
+    with pytest.raises(
+        InvalidArgumentError, match="must be one of specular_spike, specular_lobe, diffuse, not 'gloss'"
+    ):
+        parts["gloss"]
+
+
+def test_guide_is_a_model_of_70_or_105_numbers(paint_model: DSBRDF) -> None:
+    guide = decompose(paint_model).guide
+    assert (guide.n_lobes, guide.lobe, guide.n_numbers) == (2, "student", 70)
+    angles = np.radians([0.0, 2.0, 10.0, 40.0]), np.radians(30.0)
+    lobes = sum(component.lobe.evaluate(*angles) for component in decompose(paint_model))
+    np.testing.assert_allclose(guide.evaluate(*angles), lobes, rtol=1e-12)
+    np.testing.assert_allclose(guide.evaluate(*angles), paint_model.evaluate(*angles), rtol=0.2)
+
+
+def test_clarity_is_the_share_of_light_where_a_component_shines() -> None:
+    parts = decompose(student_model((1.0, (80.0,) * 3), (60.0, (0.05,) * 3)))
+    faint = decompose(student_model((1.0, (0.2,) * 3), (60.0, (0.3,) * 3)))
+    assert present(parts.specular_spike).clarity > 0.9 > 0.6 > present(faint.specular_spike).clarity
+    assert present(faint.diffuse).clarity > 0.95
