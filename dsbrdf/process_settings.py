@@ -4,7 +4,13 @@ import ctypes
 import os
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 ONE_BLAS_THREAD = {
     "OPENBLAS_NUM_THREADS": "1",
@@ -15,7 +21,10 @@ ONE_BLAS_THREAD = {
 """Environment variables that limit BLAS to one thread; they count when NumPy is imported, not later.
 
 The matrices of a fit are so small that several threads are slower than one, on a busy machine up to ten times.
+`one_blas_thread` does the same in a process that has NumPy already.
 """
+_blas_lock = threading.Lock()
+_blas_limits: list[Any] = []  # the limit, which knows how many threads there were, then an entry for each computation
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
 
@@ -23,6 +32,33 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for t
 def core_count() -> int:
     """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Make a function compute with one BLAS thread; the last of those that run at once puts the number back."""
+
+    @wraps(compute)
+    def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        with _blas_lock:
+            if not _blas_limits:
+                _blas_limits.append(_blas().limit(limits=1, user_api="blas"))
+            _blas_limits.append(None)
+        try:
+            return compute(*args, **kwargs)
+        finally:
+            with _blas_lock:
+                _blas_limits.pop()
+                if len(_blas_limits) == 1:
+                    _blas_limits.pop().restore_original_limits()
+
+    return limited
+
+
+@cache
+def _blas() -> Any:
+    from threadpoolctl import ThreadpoolController  # not before something is computed: commands have to start at once
+
+    return ThreadpoolController()
 
 
 def end_with_parent() -> None:

@@ -25,6 +25,7 @@ from dsbrdf.model.albedo import directional_albedo, half_vector_rule
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
+from dsbrdf.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
@@ -263,6 +264,7 @@ def decompose(model: "DSBRDF | FitResult") -> Decomposition:
 
 
 @lru_cache(maxsize=32)
+@one_blas_thread
 def _decompose(model: DSBRDF) -> Decomposition:
     data = guide_data(model)
     if data.signal == 0.0:

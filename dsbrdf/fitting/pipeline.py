@@ -24,6 +24,7 @@ from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.process_settings import one_blas_thread
 from dsbrdf.version import versions
 
 __all__ = ["add_sample_metrics", "fit", "profiles_for"]
@@ -34,6 +35,7 @@ _MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of mor
 _EXACT_ROUNDS = 3  # fits of scattered samples where they are
 
 
+@one_blas_thread
 def fit(
     measurement: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | NDArray[np.float64],
     options: FitOptions | None = None,
@@ -74,7 +76,7 @@ def fit(
     Warns
     -----
     ConvergenceWarning
-        If slices stopped at the bound on the iterations; the report says which.  Its `warnings` have this one too.
+        If the fit, or slices of it, stopped at the bound on the iterations.  The report's `warnings` have this one too.
     """
     options = _options(options, choices)
     measurement = _measurement(measurement)
@@ -92,7 +94,8 @@ def fit(
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
     if not np.all(result.report.slices.converged):
-        warnings.warn(convergence_sentence(result.report.slices), ConvergenceWarning, stacklevel=2)
+        sentence = convergence_sentence(result.report.slices, in_slices=options.method == "paper")
+        warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
     return result
 
 
@@ -111,7 +114,7 @@ def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, cl
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
     clock.lap("albedo")
     report = FitReport(
-        warnings=fit_warnings(model, data, slices, albedo),
+        warnings=fit_warnings(model, data, slices, albedo, in_slices=options.method == "paper"),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),

@@ -66,7 +66,7 @@ def test_library_imports_load_only_numpy_and_scipy() -> None:
 def test_library_module_imports_only_allowed_packages(path: Path) -> None:
     tree = ast.parse(path.read_text())
     assert "service" not in imported_roots(list(ast.walk(tree)))
-    allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy"}
+    allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy", "threadpoolctl"}
     if path.parent == COMMAND_LINE and module_name(path) not in LIGHT_COMMANDS:
         allowed |= {"cyclopts", "rich"}
     assert imported_roots(list(tree.body)) <= allowed

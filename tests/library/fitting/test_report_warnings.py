@@ -13,11 +13,11 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import DirectionalAlbedo, Slices
-from dsbrdf.fitting.report_warnings import accuracy_warnings, fit_warnings
-from dsbrdf.model.decomposition import decompose
+from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.soak import repeats
 
@@ -80,22 +80,21 @@ def test_model_that_reflects_more_than_it_receives(matte: Measurement, data: Pro
     assert fit_warnings(lobes(50.0, heights=(0.1,)), data, CONVERGED, MODERATE) == ()
 
 
-def test_border_between_lobes_of_similar_width(data: Profiles) -> None:
-    model = lobes(2.0, 2.6, 3.4, 4.4, 60.0, heights=(50.0, 50.0, 50.0, 50.0, 0.1))
-    margin = decompose(model).specular_lobe.margin
-    assert margin == pytest.approx(0.2, abs=0.01)
+def test_component_that_shines_where_others_do(data: Profiles) -> None:
+    model = lobes(18.0, 60.0, heights=(0.01, 0.1))
+    component = next(iter(decompose(model)))
     (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
-    assert found.startswith("The split into components is uncertain: the specular ")
-    assert "by only 15% from the border" in found  # 2**0.2
-    faint = lobes(2.0, 2.6, 3.4, 4.4, 60.0, heights=(0.1, 0.1, 0.1, 0.1, 0.1))  # where nobody sees it
-    assert fit_warnings(faint, data, CONVERGED, MODERATE) == ()
-    assert fit_warnings(lobes(1.0, 8.0, 60.0, heights=(99.0, 9.0, 0.1)), data, CONVERGED, MODERATE) == ()
-
-
-def test_component_without_energy(data: Profiles) -> None:
-    (found,) = fit_warnings(lobes(1.0, 60.0, heights=(0.001, 0.1)), data, CONVERGED, MODERATE)
-    assert found.startswith("The specular spike has lobes but less than 0.01% of the light at every angle:")
+    assert component.clarity < 0.1
+    assert found.startswith("The split into components is uncertain: where the specular lobe shines, which has ")
+    assert f"only {component.clarity:.0%} of all light is its own" in found
     assert fit_warnings(lobes(1.0, 60.0, heights=(10.0, 0.1)), data, CONVERGED, MODERATE) == ()
+    assert fit_warnings(lobes(60.0, heights=(0.1,)), data, CONVERGED, MODERATE) == ()
+
+
+def test_global_fit_that_stopped_early_speaks_of_no_slices() -> None:
+    stopped = Slices.from_arrays(np.zeros(8), True, False, 300, False)
+    assert convergence_sentence(stopped, in_slices=False).startswith("The fit stopped at the bound of 300 iterations")
+    assert convergence_sentence(stopped, in_slices=True).startswith("24 slices stopped at the bound of 300 iterations")
 
 
 def test_noisy_measurement() -> None:
