@@ -32,7 +32,7 @@ def changes_of(measurement: Measurement) -> dict[str, tuple[Measurement, FitOpti
     """The changed measurements, and the options that they are fitted with."""
     random = np.random.default_rng(0)
     noisy = measurement.values * (1.0 + NOISE * random.standard_normal(measurement.values.shape))
-    noisy = np.where(measurement.valid, np.maximum(noisy, 0.0), -1.0)
+    noisy = np.where(measurement.values >= 0.0, np.maximum(noisy, 0.0), -1.0)
     thinned = measurement.valid.copy()
     thinned[:, 1::2] = False
     return {

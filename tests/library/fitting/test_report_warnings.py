@@ -81,7 +81,7 @@ def test_model_that_reflects_more_than_it_receives(matte: Measurement, data: Pro
 
 
 def test_component_that_shines_where_others_do(data: Profiles) -> None:
-    model = lobes(18.0, 60.0, heights=(0.01, 0.1))
+    model = lobes(20.0, 70.0, heights=(0.017, 0.4))
     component = next(iter(decompose(model)))
     (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
     assert component.clarity < 0.1
