@@ -197,8 +197,8 @@ def _show_metrics(report: FitReport | None) -> None:
     """Print how many lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
-    tried = [f"{step.n_lobes}+{step.ring_lobes}{'' if step.pays else ' no'}" for step in report.growth]
-    _print("", f"lobes + ring lobes tried on held-out rows: {', '.join(tried)}")
+    tried = [f"{step.n_lobes}{'' if step.pays else ' no'}" for step in report.growth]
+    _print("", f"numbers of lobes tried on held-out rows: {', '.join(tried)}")
     _print(*textwrap.wrap(metrics_line(report.metrics), 100))
 
 

@@ -105,11 +105,10 @@ def _row(lead: str, name: str, values: Iterable[float], unit: str) -> str:
 
 
 def lobes_phrase(model: DSBRDF) -> str:
-    """Return the numbers of lobes and ring lobes in words, such as ``3 lobes + 1 ring lobe``."""
+    """Return the number of lobes in words, such as ``4 lobes (1 ring)``."""
     rings = int(np.count_nonzero(model.is_ring))
-    centered = model.n_lobes - rings
-    words = f"{centered} {'lobe' if centered == 1 else 'lobes'}"
-    return words if rings == 0 else f"{words} + {rings} {'ring lobe' if rings == 1 else 'ring lobes'}"
+    words = f"{model.n_lobes} {'lobe' if model.n_lobes == 1 else 'lobes'}"
+    return words if rings == 0 else f"{words} ({rings} {'ring' if rings == 1 else 'rings'})"
 
 
 def growth_table(report: FitReport) -> list[str]:
@@ -117,7 +116,7 @@ def growth_table(report: FitReport) -> list[str]:
 
     The error is the weighted squared error on samples that no lobe was fitted to, as a share of their squared signal.
     """
-    lines = [f"{'lobes tried':<14}{'ring lobes':>10}{'error held out':>18}"] if report.growth else []
+    lines = [f"{'lobes tried':<14}{'rings':>10}{'error held out':>18}"] if report.growth else []
     for step in report.growth:
         verdict = "kept" if step.pays else "does not pay"
         lines.append(f"{step.n_lobes:<14}{step.ring_lobes:>10}{step.error:>18.3g}   {verdict}")

@@ -5,14 +5,15 @@ from typing import Any
 
 from dsbrdf import FitOptions
 
-_LOBES = 8  # as many as there may be, of either kind
-_KNOTS = range(81)  # one every degree
+_LOBES, _RINGS = 8, 7  # as many as there may be
+_KNOTS = range(90)  # one every degree
 
-OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_LOBES - 1, knots=tuple(map(math.radians, _KNOTS)))
+OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_RINGS, knots=tuple(map(math.radians, _KNOTS)), robust=True)
 ON_THE_WIRE: dict[str, Any] = {
     "method": "global",
     "n_lobes": _LOBES,
-    "ring_lobes": _LOBES,
+    "ring_lobes": _RINGS,
     "knots_deg": [*_KNOTS],
+    "robust": True,
 }
-FLAGS = ("--n-lobes", str(_LOBES), "--ring-lobes", str(_LOBES), "--knots", ",".join(map(str, _KNOTS)))
+FLAGS = ("--n-lobes", str(_LOBES), "--ring-lobes", str(_RINGS), "--knots", ",".join(map(str, _KNOTS)), "--robust")

@@ -96,8 +96,8 @@ def test_every_warning_is_shown_once(plastic_file: Path, tmp_path: Path, capsys:
 
 
 def test_ring_lobe_is_printed_with_its_center(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--n-lobes", "1", "--ring-lobes", "1", "-o", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.startswith("plastic: 1 lobe + 1 ring lobe; ")
+    assert cli.main(["fit", str(plastic_file), "--n-lobes", "2", "--ring-lobes", "1", "-o", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith("plastic: 2 lobes (1 ring); ")
     assert cli.main(["show", str(tmp_path / "plastic.json"), "--lobes"]) == 0
     out = capsys.readouterr().out
     (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
