@@ -235,7 +235,7 @@ def test_warning_only_where_the_bound_on_iterations_was_met(
         result = fit(plastic_profiles, ONE)
     assert np.all(result.report.slices.converged)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
-    with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 1 iterations"):
+    with pytest.warns(ConvergenceWarning, match="^The fit stopped at the bound of 1 iterations"):
         result = fit(plastic_profiles, ONE)
     assert not np.any(result.report.slices.converged)
     assert np.all(np.array(result.report.slices.iterations) == 1)
