@@ -39,7 +39,7 @@ KNOTS = {
 }
 """Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
 _SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
-TOLERANCE = 5e-4
+TOLERANCE = 1e-3
 MAX_ITERATIONS = 300
 _ROUNDS, _ROBUST_ROUNDS = 2, 3
 _EXPECTED_TRIES = 16
