@@ -39,7 +39,8 @@ def test_plain_content_has_lists_and_the_names_of_the_attributes(result: FitResu
 
 
 def test_repr_is_one_short_line(result: FitResult) -> None:
-    assert repr(result.report) == f"<FitReport: no metrics, {result.model.n_numbers} numbers, 0 warnings>"
+    calm = replace(result.report, warnings=())
+    assert repr(calm) == f"<FitReport: no metrics, {result.model.n_numbers} numbers, 0 warnings>"
     known = replace(result.report, metrics=Metrics(relative_rms=0.0123456))
     assert repr(known).startswith("<FitReport: relative_rms 0.01235, ")
 
