@@ -2,8 +2,8 @@
 
 After a single lobe come those of the `guide`: one highlight and one diffuse lobe.  A new lobe is looked for where the
 current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, and the
-one that explains most is fitted together with all the others.  Lobes about the normal and ring lobes compete, but a
-ring has to explain clearly more: what lies about the normal is easier to read.  All channels get the same new lobe.
+one that explains most is fitted together with all the others.  Lobes about the normal and ring lobes compete on the
+same terms.  All channels get the same new lobe.
 
 Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
 lower the error there.  Growth ends at once where the residual looks like noise, that is where neighbouring samples of
@@ -45,7 +45,6 @@ _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the lobes of the guide
-_RING_GAIN = 1.2  # times what the best lobe about the normal explains
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _START_SMOOTHING = 3e-2
 _ITERATIONS, _FEW_LOBES, _TOLERANCE = 12, 3, 1e-3
@@ -205,7 +204,6 @@ def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) 
         residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
     gain, amplitude = _project(data, residual, np.stack(list(curves.values())))
     candidates = list(curves)
-    gain *= [1.0 if candidate.is_ring else _RING_GAIN for candidate in candidates]
     # Where several do equally well, as on a single column, the widest assumes least.
     best = max(np.flatnonzero(gain >= (1.0 - 1e-9) * gain.max()).tolist(), key=lambda i: candidates[i].width)
     return _append(data, mixture, candidates[best], amplitude[:, :, best])
