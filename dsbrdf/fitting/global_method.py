@@ -45,9 +45,9 @@ _ROUNDS, _ROBUST_ROUNDS = 2, 3
 _EXPECTED_TRIES = 16
 _SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [84, 86, 88, 89]]))
-_SEARCH_COLUMNS = np.unique(np.concatenate([[1], np.arange(3, 8), np.arange(9, 32), np.arange(32, 90, 5)]))
+_SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
-_HELD_OUT_COLUMNS = np.concatenate([np.arange(2, 32, 2), np.arange(34, 90, 5)])
+_HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
 _QUARTER = PHI_DIFF.size // 2 + 1
 _SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]

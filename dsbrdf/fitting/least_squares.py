@@ -24,7 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.linalg.lapack import dposv as posv
+from scipy.linalg.lapack import dpotrf as potrf
+from scipy.linalg.lapack import dpotrs as potrs
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
@@ -338,33 +339,39 @@ def _step(
 ) -> Array:
     """Damped Gauss-Newton step within the limits of the structure.
 
-    Unknowns that a limit stops short are given the step that is left to them, and the others are solved for anew: else
-    these would answer to steps that are not made.
+    Unknowns that a limit stops short are given the step that is left to them, and the others are solved for anew, as
+    under a constraint, with the same factor: else these would answer to steps that are not made.
     """
     # First those that stand at a limit and are pushed outwards.
     pushed = structure.limit(unknowns - _SMALLEST_CHANGE * np.sign(gradient))
     free = np.abs(pushed - unknowns) > 0.5 * _SMALLEST_CHANGE
     if fixed is not None:
         free &= ~fixed
-    scale = np.diag(matrix)
-    damped = matrix + np.diag(damping * (scale + 1e-12 * scale.max()))
+    index = np.flatnonzero(free)
     step = np.zeros_like(gradient)
+    if not index.size:
+        return step
+    scale = np.diag(matrix)
+    damped = matrix[np.ix_(index, index)]
+    damped[np.diag_indices(index.size)] += damping * (scale[index] + 1e-12 * scale.max())
+    factor, failed = potrf(damped, overwrite_a=True)
+    if failed:  # singular to rounding: no step, so that the damping grows
+        return step
+    solved = unlimited = potrs(factor, -gradient[index])[0]
+    stopped = np.zeros(index.size, bool)
     for _ in range(_LIMIT_PASSES):
-        index = np.flatnonzero(free)
-        if not index.size:
+        wanted = np.zeros_like(gradient)
+        wanted[index] = np.clip(solved, -_LARGEST_STEP, _LARGEST_STEP)
+        step = structure.limit(unknowns + wanted) - unknowns
+        newly = ~stopped & (np.abs(step[index] - solved) > _SMALLEST_CHANGE)
+        if not newly.any():
             break
-        slope = (gradient + matrix @ step)[index]
-        _, solved, failed = posv(damped[np.ix_(index, index)], -slope, overwrite_a=True)
-        if failed:  # singular to rounding: no step, so that the damping grows
-            return np.zeros_like(gradient)
-        wanted = np.where(free, 0.0, step)
-        wanted[index] = solved
-        step = structure.limit(unknowns + np.clip(wanted, -_LARGEST_STEP, _LARGEST_STEP)) - unknowns
-        stopped = free & (np.abs(step - wanted) > _SMALLEST_CHANGE)
-        if not stopped.any():
-            break
-        free &= ~stopped
-        step = np.where(free, 0.0, step)
+        stopped |= newly
+        places = np.flatnonzero(stopped)
+        response = potrs(factor, np.eye(index.size)[:, places])[0]
+        held = step[index][places]
+        solved = unlimited + response @ np.linalg.solve(response[places], held - unlimited[places])
+        solved[places] = held  # to the last bit: an unknown at its bound stays there
     return step
 
 

@@ -12,6 +12,7 @@ phi_diff deviate independently.  A mixture of lobes about the normal that gets t
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -27,11 +28,11 @@ Array = NDArray[np.float64]
 
 MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
-PAYS = 0.06
+PAYS = 0.02
 """Share of the error on the rows held out by which a lobe has to lower it."""
 NEGLIGIBLE = 1e-5
 """... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
-NOISE_CORRELATION = 0.25
+NOISE_CORRELATION = 0.1
 """Correlation of neighbouring residuals below which they count as noise: 0 for noise of single samples, above 0.3 as a
 rule where a mixture misses the shape of a material."""
 _DEGREE = np.pi / 180.0
@@ -47,7 +48,8 @@ _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the lobes of the guide
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _START_SMOOTHING = 3e-2
-_ITERATIONS, _FEW_LOBES, _TOLERANCE = 12, 3, 1e-3
+_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 9, 1e-3
+_MOST_PLAIN_LOBES = 3  # that are tried in the place of rings
 _LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
 _NEARLY_NOISE = 0.9  # correlation below which a mixture is fitted on before it is judged
 _LAST_ITERATIONS, _LAST_TOLERANCE = 20, 2e-2
@@ -118,11 +120,12 @@ def grow(
         on_try()
         allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in kinds}
         must = n_lobes != "auto" or (ring_lobes != "auto" and mixture.structure.n_rings < ring_lobes)
-        mixture = _with_next_lobe(fitted, mixture, allowed)
+        least = 0.0 if must else PAYS * error + NEGLIGIBLE * signal
+        mixture = _with_next_lobe(fitted, held_out, mixture, allowed, error - least)
         if n_lobes == ring_lobes == "auto":
             mixture, only_noise = _prefer_plain(fitted, mixture)
         new_error, structure = _error(held_out, mixture), mixture.structure
-        pays = must or error - new_error > PAYS * error + NEGLIGIBLE * signal
+        pays = must or error - new_error > least
         steps.append(GrowthStep(structure.n_lobes, structure.n_rings, new_error / signal, pays))
         only_noise = only_noise and pays
         if pays:
@@ -132,22 +135,29 @@ def grow(
     return best, steps
 
 
-def _with_next_lobe(data: FitData, mixture: Mixture, curves: dict["_Candidate", Array]) -> Mixture:
+def _with_next_lobe(
+    fitted: FitData, held_out: FitData, mixture: Mixture, curves: dict["_Candidate", Array], goal: float
+) -> Mixture:
     """Add a lobe and fit all; in the place of a single lobe, those of the guide unless two others are better."""
-    found = _fit(data, _add_best(data, mixture, curves))
-    few_columns = data.theta_half.shape[-1] < _FEWEST_COLUMNS
+    start = _add_best(fitted, mixture, curves)
+    found = _fit(fitted, start)
+    if _error(held_out, found) > goal:
+        found = min((found, _minimize(fitted, start, _ITERATIONS)), key=partial(_error, held_out))
+    few_columns = fitted.theta_half.shape[-1] < _FEWEST_COLUMNS
     if mixture.structure.rings != (False,) or few_columns or all(candidate.is_ring for candidate in curves):
         return found
-    readable = _fit(data, _guide_lobes(data, mixture.structure))
-    return found if _error(data, found) < _BETTER * _error(data, readable) else readable
+    readable = _fit(fitted, _guide_lobes(fitted, mixture.structure))
+    return found if _error(fitted, found) < _BETTER * _error(fitted, readable) else readable
 
 
 def _fit(data: FitData, start: Mixture) -> Mixture:
-    """Fit a mixture; few lobes from a new kappa, held at first: it trades against gamma and would run to its bounds."""
+    """Fit from kappa = 1 at the same half widths, held at first.
+
+    The old lobes have adapted to the lack of the new one, above all in kappa, which trades against gamma.
+    """
     structure = start.structure
-    if structure.n_lobes <= _FEW_LOBES:
-        unknowns = np.where(structure.is_kappa(), np.log(_START_KAPPA), start.unknowns)
-        start = _minimize(data, Mixture(structure, unknowns), _ITERATIONS, fixed=structure.is_kappa())
+    unknowns = np.where(structure.is_kappa(), np.log(_START_KAPPA), start.unknowns)
+    start = _minimize(data, Mixture(structure, unknowns), _FIXED_ITERATIONS, fixed=structure.is_kappa())
     return _minimize(data, start, _ITERATIONS)
 
 
@@ -230,7 +240,7 @@ def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
     only_noise : bool
         Whether the residual of the mixture is noise.
     """
-    if mixture.structure.n_rings and mixture.structure.n_lobes <= _FEW_LOBES:
+    if mixture.structure.n_rings and mixture.structure.n_lobes <= _MOST_PLAIN_LOBES:
         plain, only_noise = _settle(data, _fit(data, _about_normal(mixture)))
         if only_noise:
             return plain, True

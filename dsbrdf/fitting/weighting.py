@@ -24,7 +24,7 @@ from dsbrdf.data.reduction import FoldedProfiles
 
 Array = NDArray[np.float64]
 
-PLAIN_SHARE = 1.5
+PLAIN_SHARE = 1.0
 """What the plain error counts beside the seen one."""
 SEEN_POWER = 1.2
 """Power of f that an error counts relative to."""

@@ -158,8 +158,8 @@ def test_ordinary_materials_have_no_warnings(default_fits: tuple[FitResult, ...]
 def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plastic_profiles: Profiles) -> None:
     model = fit(plastic_profiles, FitOptions(n_lobes=3, ring_lobes=1)).model
     assert model.is_ring.tolist() == [False, False, True]
-    widths = [half_height(model.select((k,), with_delta=False)) for k in range(3)]
-    assert widths == sorted(widths)
+    narrow, wide = (half_height(model.select((k,), with_delta=False)) for k in range(2))
+    assert narrow < wide
     assert model.kappa.shape[0] == 1
     assert np.all(model.delta == 0.0)
     assert model.interpolation == "spline"
