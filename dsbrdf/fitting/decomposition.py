@@ -4,10 +4,12 @@ The lobes of an accurate model lean on each other and cannot be told apart into 
 fitted to the model's own values, so that any model has a decomposition.  With the guide's lobes g_j, their sum g, and
 s_j = g_j / g, the components of a model f are
 
-    diffuse = min(f, g_d (1 + (f / g - 1) s_d**3)),      specular_j = (f - diffuse) g_j / (g - g_d).
+    diffuse = min(f, g_d (1 + (f / g - 1) w)),      specular_j = (f - diffuse) g_j / (g - g_d),
 
-Where the highlight rules, s_d = 0 and the diffuse part is the guide's, smooth; where the diffuse part rules, s_d = 1,
-it is all of f.  The components sum to f, and none is negative.  A component is there only if it has light.
+with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(12 degrees))**4.  Where the highlight rules, s_d = 0 and the
+diffuse part is the guide's, smooth; where the diffuse part rules, s_d = 1, it is all of f; but about the mirror
+direction, where q is small, what the guide misses is a halo of the highlight.  The components sum to f, and none is
+negative.  A component is there only if it has light.
 """
 
 from collections.abc import Iterator
@@ -35,6 +37,8 @@ Array = NDArray[np.float64]
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""
 _TRANSITION = 3  # power of the diffuse part's share with which it takes what the guide misses
+HALO = float(np.tan(np.radians(12.0))) ** 2
+"""tan(theta_half)**2 up to which most of what the guide misses is the highlight's."""
 _NO_LIGHT = 1e-3  # of the light at an angle
 _LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])
 _TINY = 1e-300
@@ -201,24 +205,24 @@ class Decomposition:
         """Values of all components (K, n, 3) for angles (n,) that are not checked [1/sr]."""
         angles = theta_half, theta_diff, phi_diff
         guides = [component.lobe.evaluate_unmasked(*angles) for component in self]
-        return self._shares(self.model.evaluate_unmasked(*angles), guides)
+        return self._shares(self.model.evaluate_unmasked(*angles), guides, theta_half[:, np.newaxis])
 
     def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values of all components (K, 3, D, P) at each theta_half (H,), as `DSBRDF.evaluate_grid`."""
         axes = theta_half, theta_diff, phi_diff
         lobes = (component.lobe.evaluate_grid(*axes) for component in self)
-        for values, *guides in zip(self.model.evaluate_grid(*axes), *lobes, strict=True):
-            yield self._shares(values, guides)
+        for angle, values, *guides in zip(theta_half, self.model.evaluate_grid(*axes), *lobes, strict=True):
+            yield self._shares(values, guides, angle)
 
-    def _shares(self, values: Array, guides: list[Array]) -> Array:
+    def _shares(self, values: Array, guides: list[Array], theta_half: Array) -> Array:
         """Divide values (...) among the components by their guides' lobes (...) each, shape (K, ...)."""
         if len(guides) < 2:
             return values[np.newaxis][: len(guides)]
         parts = np.stack(guides)
         if self.labels[-1] == "diffuse":
             total = parts.sum(axis=0) + _TINY
-            share = parts[-1] / total
-            parts[-1] = np.minimum(values, parts[-1] * (1.0 + (values / total - 1.0) * share**_TRANSITION))
+            taken = (parts[-1] / total) ** _TRANSITION * (1.0 - 1.0 / (1.0 + (np.tan(theta_half) ** 2 / HALO) ** 2))
+            parts[-1] = np.minimum(values, parts[-1] * (1.0 + (values / total - 1.0) * taken))
             specular, rest = parts[:-1], values - parts[-1]
         else:
             specular, rest = parts, values

@@ -1,9 +1,10 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
 After a single lobe come those of the `guide`: one highlight and one diffuse lobe.  A new lobe is looked for where the
-current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, and the
-one that explains most is fitted together with all the others.  Lobes about the normal and ring lobes compete on the
-same terms.  All channels get the same new lobe.
+current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, with the
+amplitudes of the others free to answer (orthogonal matching pursuit), and the one that explains most is fitted together
+with all the others; while lobes are few, the best near the normal and the best far from it are both tried.  Lobes about
+the normal and ring lobes compete on the same terms.  All channels get the same new lobe.
 
 Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
 lower the error there.  Growth ends at once where the residual looks like noise, that is where neighbouring samples of
@@ -28,11 +29,11 @@ Array = NDArray[np.float64]
 
 MAX_LOBES = 7
 """Most lobes of a mixture whose number is found."""
-PAYS = 0.02
+PAYS = 0.01
 """Share of the error on the rows held out by which a lobe has to lower it."""
-NEGLIGIBLE = 1e-5
-"""... and share of the weighted squared signal: errors below 0.3 % are nobody's material."""
-NOISE_CORRELATION = 0.1
+NEGLIGIBLE = 4e-6
+"""... and share of the weighted squared signal: errors below 0.2 % are nobody's material."""
+NOISE_CORRELATION = 0.16
 """Correlation of neighbouring residuals below which they count as noise: 0 for noise of single samples, above 0.3 as a
 rule where a mixture misses the shape of a material."""
 _DEGREE = np.pi / 180.0
@@ -48,6 +49,9 @@ _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the lobes of the guide
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _START_SMOOTHING = 3e-2
+_FIRST_TWO, _LAST_TWO = 2, 5  # numbers of lobes between which a near and a far one are tried
+_FAR = 20.0 * _DEGREE
+_RIDGE, _TINY = 1e-3, 1e-300
 _FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 9, 1e-3
 _MOST_PLAIN_LOBES = 3  # that are tried in the place of rings
 _LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
@@ -139,8 +143,8 @@ def _with_next_lobe(
     fitted: FitData, held_out: FitData, mixture: Mixture, curves: dict["_Candidate", Array], goal: float
 ) -> Mixture:
     """Add a lobe and fit all; in the place of a single lobe, those of the guide unless two others are better."""
-    start = _add_best(fitted, mixture, curves)
-    found = _fit(fitted, start)
+    starts = _starts(fitted, mixture, curves)
+    found, start = min(((_fit(fitted, start), start) for start in starts), key=lambda pair: _error(fitted, pair[0]))
     if _error(held_out, found) > goal:
         found = min((found, _minimize(fitted, start, _ITERATIONS)), key=partial(_error, held_out))
     few_columns = fitted.theta_half.shape[-1] < _FEWEST_COLUMNS
@@ -207,16 +211,26 @@ def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     return np.ascontiguousarray(values.reshape(data.theta_diff.size, -1))
 
 
-def _add_best(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> Mixture:
-    """Add the candidate that explains most of the residual, not yet fitted."""
-    residual = data.mean
-    if mixture.structure.n_lobes:
-        residual = residual - MixtureProblem(data, mixture.structure).values(mixture.unknowns)
-    gain, amplitude = _project(data, residual, np.stack(list(curves.values())))
-    candidates = list(curves)
-    # Where several do equally well, as on a single column, the widest assumes least.
-    best = max(np.flatnonzero(gain >= (1.0 - 1e-9) * gain.max()).tolist(), key=lambda i: candidates[i].width)
-    return _append(data, mixture, candidates[best], amplitude[:, :, best])
+def _starts(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> list[Mixture]:
+    """Add the candidate that explains most of the residual, not yet fitted.
+
+    Where there are two lobes and more, but not many, what lacks may be near them or far away: the best of each.
+    """
+    problem, k = MixtureProblem(data, mixture.structure), mixture.structure.n_lobes
+    stack, candidates = np.stack(list(curves.values())), list(curves)
+    others = problem.curves(mixture.unknowns).reshape(k, *stack.shape[1:]) if k else stack[:0]
+    residual = data.mean - problem.values(mixture.unknowns) if k else data.mean
+    gain, amplitude = _project(data, residual, stack, others)
+    far = np.array([abs(candidate.center) + candidate.width > _FAR for candidate in candidates])
+    starts = []
+    for group in (~far, far) if _FIRST_TWO <= k < _LAST_TWO else (np.full(far.shape, True),):
+        if group.any():
+            gains = np.where(group, gain, -1.0)
+            # Where several do equally well, as on a single column, the widest assumes least.
+            equal = np.flatnonzero(gains >= (1.0 - 1e-9) * gains.max()).tolist()
+            best = max(equal, key=lambda i: candidates[i].width)
+            starts.append(_append(data, mixture, candidates[best], amplitude[:, :, best]))
+    return starts
 
 
 def _minimize(
@@ -282,19 +296,32 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
     return float(np.sum(first * second)) / size if size > 0.0 else 0.0
 
 
-def _project(data: FitData, residual: Array, curves: Array) -> tuple[Array, Array]:
-    """Gain (n,) of each curve alone, and its amplitude in each channel and row (3, R, n), zero or positive."""
-    n_rows = data.theta_diff.size
-    by_row = np.ascontiguousarray(curves.transpose(1, 0, 2))
-    squares = by_row**2
-    gain, amplitude = np.zeros(len(curves)), np.zeros((3, n_rows, len(curves)))
+def _project(data: FitData, residual: Array, curves: Array, others: Array) -> tuple[Array, Array]:
+    """What each curve (n, R, N * P) would explain of the residual, beside the other lobes (K, R, N * P).
+
+    Returns
+    -------
+    gain : ndarray, shape (n,)
+        Where the amplitudes of the others answer to it, row by row: orthogonal matching pursuit.
+    amplitude : ndarray, shape (3, R, n)
+        Of the curve alone, where the others stay; zero or positive.
+    """
+    n_rows, n_curves = data.theta_diff.size, len(curves)
+    rows = np.concatenate([others, curves]).transpose(1, 0, 2)
+    gain, amplitude = np.zeros(n_curves), np.zeros((3, n_rows, n_curves))
     for channel in range(3):
-        weight = data.weight[channel].reshape(n_rows, -1, 1)
-        along = (by_row @ (weight * residual[channel].reshape(n_rows, -1, 1)))[..., 0]
-        size = (squares @ weight)[..., 0]
-        size = np.where(size > 0.0, size, np.inf)
-        amplitude[channel] = np.maximum(along, 0.0) / size
-        gain += np.sum(amplitude[channel] ** 2 * np.where(np.isfinite(size), size, 0.0), axis=0)
+        root = np.sqrt(data.weight[channel].reshape(n_rows, 1, -1))
+        target = residual[channel].reshape(n_rows, 1, -1) * root
+        known, new = np.split(rows * root, [len(others)], axis=1)
+        known = known / (np.linalg.norm(known, axis=2, keepdims=True) + _TINY)
+        size, along = np.sum(new**2, axis=2), np.sum(new * target, axis=2)
+        amplitude[channel] = np.maximum(along, 0.0) / np.where(size > 0.0, size, np.inf)
+        square = known @ known.transpose(0, 2, 1) + _RIDGE * np.eye(len(others))
+        shared = known @ new.transpose(0, 2, 1)
+        answer = np.linalg.solve(square, np.concatenate([shared, known @ target.transpose(0, 2, 1)], axis=2))
+        along = along - np.sum(shared * answer[..., -1:], axis=1)
+        left = np.maximum(size - np.sum(shared * answer[..., :-1], axis=1), _RIDGE**2 * size + _TINY)
+        gain += np.sum(np.maximum(along, 0.0) ** 2 / left, axis=0)
     return gain, amplitude
 
 

@@ -6,10 +6,11 @@ Bernstein's form, in which nothing cancels, and ``log1p``, ``expm1``, ``tan`` an
 functions are too coarse, are spelled out; the last two are the rational reductions and polynomials of Cephes.
 
 A component's function evaluates the model and the readable lobes once and divides the model as
-`dsbrdf.fitting.decomposition` does, with the formula turned so that no difference of nearly equal numbers is left: with
-s the diffuse share of the readable lobes, and their sum g,
+`dsbrdf.fitting.decomposition` does, with the formula turned so that hardly a difference of nearly equal numbers is
+left: with s the diffuse share of the readable lobes, their sum g, and a = q / (1 + q),
 
-    diffuse = min(f, g_d (1 - s**3) + f s**4),      specular = (1 - s) max(0, f + (f - g) (s + s**2 + s**3)).
+    diffuse = min(f, g_d (1 - a s**3) + f a s**4),
+    specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s).
 
 The shares come from the logarithms of the lobes, relative to the largest: far from the highlight all may underflow.
 """
@@ -17,7 +18,7 @@ The shares come from the logarithms of the lobes, relative to the largest: far f
 import numpy as np
 
 from dsbrdf.data.grid import CENTER_CUTOFF
-from dsbrdf.fitting.decomposition import LABELS, Component
+from dsbrdf.fitting.decomposition import HALO, LABELS, Component
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.output.export.single_precision import bernstein_pieces
@@ -126,6 +127,7 @@ _HEADER_OF_COMPONENT = """\
 _CONSTANTS = f"""\
 const float DSBRDF_GRAZING_FOURTH = {_number(GRAZING_COSINE**4)};
 const float DSBRDF_DELTA_TANGENT = {_number(float(np.tan(CENTER_CUTOFF)))};
+const float DSBRDF_HALO = {_number(HALO)};
 """
 _MATH = """
 float dsbrdf_log1p(float x) {
@@ -312,9 +314,12 @@ vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
   vec3 spike = exp(guide[0] - top), wide = exp(guide[1] - top), diffuse = exp(guide[2] - top);
   vec3 specular = spike + wide, total = specular + diffuse;
 
-  vec3 s = diffuse / total, s3 = s * s * s;
-  vec3 own = min(whole, exp(guide[2]) * (1.0 - s3) + whole * s3 * s);
-  vec3 rest = specular / total * max(whole + (whole - total * exp(top)) * s * (1.0 + s * (1.0 + s)), 0.0);
+  float q = angles.squared / DSBRDF_HALO, halo = 1.0 / (1.0 + q * q);
+  vec3 s = diffuse / total, taken = (1.0 - halo) * s * s * s;
+  vec3 own = min(whole, exp(guide[2]) * (1.0 - taken) + whole * taken * s);
+  vec3 missed = whole - total * exp(top);
+  vec3 highlight = whole + missed * (1.0 - halo) * s * (1.0 + s * (1.0 + s));
+  vec3 rest = max(specular / total * highlight + missed * halo * s, 0.0);
   vec3 divided = rest / max(specular, 1e-30);
   return shown.x * divided * spike + shown.y * divided * wide + shown.z * own;
 }
