@@ -77,6 +77,7 @@ def _kinds(key: str, fits: Sequence[str], endless: str) -> Iterator[tuple[str, i
     yield "exports as merl", ABANDONED, export("merl")
     yield "figures", ABANDONED, lambda number: get(f"{fits[number % _FITS]}/figures/{figures[number % 4]}.svg")
     yield "views", ABANDONED, lambda number: get(f"{fits[number % _FITS].removeprefix('/v1')}/view")
+    yield "components", ABANDONED, lambda number: get(f"{fits[number % _FITS]}/components")
     yield "batches", ABANDONED, lambda number: f"POST {fits[number % _FITS]}/brdf {head}\r\n\r\n{points}".encode()
     yield "event streams", ABANDONED, lambda _: get(f"{endless}/events")
 

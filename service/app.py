@@ -37,7 +37,8 @@ from service.storage.database import Database
 from service.storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
-_EXPORT_SECONDS = 300.0  # that a computation in a process of its own may take; the longest need some 15
+_COMPUTATION_SECONDS = 300.0  # that one in a process of its own may take; the longest need some 15
+_NICENESS = 10  # of these processes: answers that are known already go first
 _SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
@@ -83,7 +84,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         await run_in_threadpool(keys.load, store.database)
         readiness = Readiness(store, engine, settings)
-        computations = Computations(FitLimits(_EXPORT_SECONDS, settings.fit_memory_mb))
+        computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
         views = FitViews(store, models)
         app.state.context = Context(settings, store, jobs, models, views, keys, metrics, readiness, computations)
         metrics.collect_from(store.database)

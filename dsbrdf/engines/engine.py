@@ -35,10 +35,13 @@ class FitLimits:
         Time [s].
     memory_mb : int or None
         Address space of its process [MB]; None sets no limit.
+    niceness : int
+        How much the process gives way to others: what is added to its nice value, where the system has one.
     """
 
     seconds: float = math.inf
     memory_mb: int | None = None
+    niceness: int = 0
 
 
 @dataclass(frozen=True)
@@ -54,12 +57,15 @@ class FitTask:
     options : FitOptions
     sha256 : str or None
         Digest of the file if it has been checked before, so that it need not be checked again.
+    components : bool
+        Whether the document has the components of the model too.
     """
 
     fit_id: str
     path: Path
     options: FitOptions
     sha256: str | None = None
+    components: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ class Fitted:
     Attributes
     ----------
     document : str
-        Model and report as JSON, see `dsbrdf.output.serialize`.
+        Model, report and, if the task asks for them, components as JSON, see `dsbrdf.output.serialize`.
     metrics : dict
         Those of the report.
     """

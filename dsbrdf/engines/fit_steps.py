@@ -26,6 +26,7 @@ from dsbrdf.data.merl import map_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
 from dsbrdf.fitting.report import FitResult
@@ -83,7 +84,7 @@ def compute(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit the measurement of a task in one step."""
     measurement = read_measurement(task.path) if task.sha256 is None else map_merl(task.path, task.sha256)
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
-        return _fitted(fit(measurement, task.options, progress=on_progress))
+        return _fitted(fit(measurement, task.options, progress=on_progress), components=task.components)
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> ReducedMeasurement:
@@ -110,7 +111,7 @@ def complete_report(fitted: Fitted, task: FitTask, sha256: str, _: OnProgress) -
     measurement = _grid_measurement(task)
     if measurement.sha256 != sha256:
         return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
-    return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement))
+    return _fitted(add_sample_metrics(result_from_json(fitted.document), measurement), components=task.components)
 
 
 def _grid_measurement(task: FitTask) -> Measurement:
@@ -120,5 +121,6 @@ def _grid_measurement(task: FitTask) -> Measurement:
     return measurement
 
 
-def _fitted(result: FitResult) -> Fitted:
-    return Fitted(to_json(result.model, result.report), asdict(result.report.metrics))
+def _fitted(result: FitResult, *, components: bool = False) -> Fitted:
+    document = to_json(result.model, result.report, decompose(result.model) if components else None)
+    return Fitted(document, asdict(result.report.metrics))

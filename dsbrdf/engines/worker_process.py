@@ -81,7 +81,7 @@ class WorkerProcess:
         self._reader, self._writer = context.Pipe(duplex=False)
         self._process = context.Process(  # type: ignore[attr-defined]  # every context has it
             target=_run_in_worker,
-            args=(step, arguments, self._writer, limits.memory_mb),
+            args=(step, arguments, self._writer, limits),
             name="dsbrdf-fit",
             daemon=True,
         )
@@ -178,12 +178,12 @@ def _run_in_worker(
     step: Callable[..., Any],
     arguments: tuple[Any, ...],
     pipe: "connection.Connection[Any, Any]",
-    memory_mb: int | None,
+    limits: FitLimits,
 ) -> None:
     """Run a step in the worker process; send progress as floats, log records and, last, the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
     try:
-        _prepare(pipe, memory_mb)
+        _prepare(pipe, limits)
         pipe.send(run_step(step, *arguments, _sender(pipe)))
     except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
         if isinstance(error, MemoryError) or _memory_is_limited():  # else a thread is refused for another reason
@@ -191,11 +191,13 @@ def _run_in_worker(
         raise
 
 
-def _prepare(pipe: "connection.Connection[Any, Any]", memory_mb: int | None) -> None:
+def _prepare(pipe: "connection.Connection[Any, Any]", limits: FitLimits) -> None:
     end_with_parent()
+    if limits.niceness and hasattr(os, "nice"):
+        os.nice(limits.niceness)
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        _limit_memory(memory_mb)
+        _limit_memory(limits.memory_mb)
     keep_freed_memory()
     logging.basicConfig(handlers=[_LogToParent(pipe)], level=logging.INFO, force=True)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.decomposition import LABELS, Decomposition
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.plain_content import ARRAYS, TEXTS, model_from_dict, model_to_dict, report_from_dict
@@ -24,6 +25,7 @@ from dsbrdf.output.plain_content import ARRAYS, TEXTS, model_from_dict, model_to
 __all__ = [
     "FORMAT",
     "VERSION",
+    "decomposition_from_json",
     "from_json",
     "from_npz",
     "load",
@@ -127,18 +129,21 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
     return from_json(text)
 
 
-def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
+def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
     Parameters
     ----------
     model : DSBRDF
     report : FitReport, optional
+    components : Decomposition, optional
+        Of the model, so that they need not be found again; `decomposition_from_json` reads them.
 
     Returns
     -------
     str
-        ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``.
+        ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``; with components also
+        ``"components": {"labels": [...], "guide": {...}}``.
 
     Raises
     ------
@@ -151,6 +156,8 @@ def to_json(model: DSBRDF, report: FitReport | None = None) -> str:
         "model": model_to_dict(model),
         "report": None if report is None else report.to_dict(),
     }
+    if components is not None:
+        document["components"] = {"labels": components.labels, "guide": model_to_dict(components.guide)}
     return _dump(document)
 
 
@@ -171,6 +178,23 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
             raise ModelFormatError(f"The stored model lacks the key {key!r}.")
     model, report = document["model"], document["report"]
     return model_from_dict(model), None if report is None else report_from_dict(report)
+
+
+def decomposition_from_json(text: str) -> Decomposition:
+    """Return a model and its components, which `to_json` was given.
+
+    Raises
+    ------
+    ModelFormatError
+        As `from_json`, and if there are no components in the text, or not as many as the guide has lobes.
+    """
+    model, _ = from_json(text)
+    match _parse(text).get("components"):
+        case {"labels": list(labels), "guide": guide}:
+            lobes = model_from_dict(guide)
+            if labels == [label for label in LABELS if label in labels] and len(labels) == lobes.n_lobes:
+                return Decomposition(model, lobes, tuple(labels))
+    raise ModelFormatError("The stored model has no components with a lobe for each.")
 
 
 def result_from_json(text: str) -> FitResult:

@@ -5,11 +5,14 @@ What is true of every operation is added here too: the problems that can occur a
 
 import json
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import BaseModel
+from starlette.routing import BaseRoute
 
 from service.http import problems as table
 from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
@@ -125,7 +128,8 @@ def kept(example: Any) -> str:
 
 def document_of(app: FastAPI) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`."""
-    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+    routes = [_without_head(route) for route in app.routes]
+    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
     components = document.setdefault("components", {})
     schemas = components.setdefault("schemas", {})
     for model in _REFERENCED:
@@ -136,8 +140,6 @@ def document_of(app: FastAPI) -> dict[str, Any]:
         schemas.pop(name, None)
     components["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
-        if methods.get("head", {}).get("operationId") == methods.get("get", {}).get("operationId"):
-            methods.pop("head", None)  # as GET, without a body
         for operation in methods.values():
             operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
             # FastAPI adds these of its own accord; a bad id in the path is answered with 404 here, and a schema of the
@@ -148,6 +150,15 @@ def document_of(app: FastAPI) -> dict[str, Any]:
                 del operation["responses"]["422"]
     _restore_examples(document["paths"])
     return document
+
+
+def _without_head(route: BaseRoute) -> BaseRoute:
+    """Return a route as it is described: HEAD, which is as GET without a body, is no operation of its own."""
+    if not isinstance(route, APIRoute) or route.methods != {"GET", "HEAD"}:
+        return route
+    described = copy(route)
+    described.methods = {"GET"}
+    return described
 
 
 def _restore_examples(node: Any) -> None:

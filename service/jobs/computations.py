@@ -1,7 +1,8 @@
 """What requests compute: once for all who wait for it, the callers in turns, and only as long as somebody waits.
 
-Every route that computes more than a few values goes through `Computations`: components, exports, figures,
-views, batches.
+Every route that computes more than a few values goes through `Computations`: exports, figures, views, batches. What
+takes longer than some 50 ms is computed in a process of its own, which gives way to the one that answers and ends when
+nobody waits for it any more.
 """
 
 import asyncio
@@ -27,10 +28,10 @@ Place = Literal["short", "medium", "long"]
 
 
 class Run(Protocol):
-    """`Computations.run` for one request and one head."""
+    """`Computations.run_in_process` for one request and one head."""
 
-    async def __call__(self, key: Hashable, compute: Callable[[], T], /) -> T:
-        """Return what `compute` returns, computed once for all who ask with one key."""
+    async def __call__(self, key: Hashable, step: Callable[..., Any], /, *arguments: Any) -> Any:
+        """Return what the step returns, computed once for all who ask with one key."""
 
 
 @dataclass
@@ -56,7 +57,7 @@ class Computations:
 
     def __init__(self, limits: FitLimits) -> None:
         self._slots = {place: FairSlots({place: 1}) for place in get_args(Place)}
-        self._processes = WorkerProcesses(1, limits)
+        self._processes = WorkerProcesses(len(self._slots), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
 
     async def run(
@@ -91,16 +92,22 @@ class Computations:
 
         return await self._wait(request, key, in_thread, head)
 
-    def for_request(self, request: Request, head: Mapping[str, str], place: Place = "short") -> Run:
-        """Return `run` for a request, to be called by what knows nothing of requests."""
+    def for_request(self, request: Request, head: Mapping[str, str]) -> Run:
+        """Return `run_in_process` for a request, to be called by what knows nothing of requests."""
 
-        async def run(key: Hashable, compute: Callable[[], T]) -> T:
-            return await self.run(request, key, compute, head, place)
+        async def run(key: Hashable, step: Callable[..., Any], *arguments: Any) -> Any:
+            return await self.run_in_process(request, key, step, *arguments, head=head)
 
         return run
 
     async def run_in_process(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, head: Mapping[str, str]
+        self,
+        request: Request,
+        key: Hashable,
+        step: Callable[..., Any],
+        *arguments: Any,
+        head: Mapping[str, str],
+        place: Place = "medium",
     ) -> Any:
         """Return what ``step(*arguments, on_progress)`` returns, which is called in a process of its own.
 
@@ -115,7 +122,7 @@ class Computations:
         """
 
         async def in_process() -> Any:
-            async with self._slots["long"].slot(caller_of(request)):
+            async with self._slots[place].slot(caller_of(request)):
                 return await self._processes.run(step, *arguments, on_progress=lambda _: None)
 
         found = await self._wait(request, key, in_process, head)

@@ -223,7 +223,7 @@ class Jobs:
                 if damage is not None:
                     return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
-                task = FitTask(str(row.key), path, options, row.measurement)
+                task = FitTask(str(row.key), path, options, row.measurement, components=True)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
             except OSError as error:
                 outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")

@@ -18,6 +18,7 @@ from service.http import openapi
 from service.http.request_body import IN_MEMORY, media_type_of, receive_body
 from service.http.responses import IfNoneMatch, tagged_reply
 from service.jobs.computations import Place
+from service.jobs.results import LoadedFit
 from service.routes.dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 from service.storage.schema import FitKey
 from service.wire import examples, values
@@ -138,50 +139,38 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
     | openapi.NOT_MODIFIED
     | openapi.problems("not-found", "fit-not-finished"),
 )
-async def get_components(
-    request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = ""
-) -> Response:
+async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
 
     Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
     """
-    run = context.computations.for_request(request, {"Content-Type": JSON}, "medium")
-    document = ComponentList.model_validate({"items": await context.models.components(fit, run)})
+    document = ComponentList.model_validate({"items": (await context.models.get(fit)).components})
     return tagged_reply(document.model_dump_json().encode(), if_none_match)
 
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    await _check(context, fit, label)
+    loaded = await _loaded(context, fit, label)
     points = values.from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    model = await _model(request, context, fit, label, JSON)
-    return await _reply(request, context, model, points, JSON)
+    return await _reply(request, context, loaded.part(label), points, JSON)
 
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     await no_query(request)
     media_type = _accepted_type(request)
-    await _check(context, fit, label)
+    loaded = await _loaded(context, fit, label)
     points = await _batch(request, context)
     if len(points) > context.settings.max_points:
         detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
         raise ProblemError("too-large", detail)
-    model = await _model(request, context, fit, label, media_type)
-    return await _reply(request, context, model, points, media_type)
+    return await _reply(request, context, loaded.part(label), points, media_type)
 
 
-async def _check(context: Context, fit: FitKey, label: str | None) -> None:
-    """Raise what is wrong with the fit or the label, which goes before what is wrong with the points."""
-    await context.models.get(fit)
+async def _loaded(context: Context, fit: FitKey, label: str | None) -> LoadedFit:
+    """Return a fit; raise what is wrong with it or with the label, which goes before what is wrong with the points."""
+    loaded = await context.models.get(fit)
     if label is not None and label not in LABELS:
         raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {label[:40]!r}.")
-
-
-async def _model(
-    request: Request, context: Context, fit: FitKey, label: str | None, media_type: str
-) -> ReflectanceModel:
-    """Return the model of a fit or a component; the request's body must have been read."""
-    run = context.computations.for_request(request, {"Content-Type": media_type}, "medium")
-    return await context.models.component(fit, label, run)
+    return loaded
 
 
 async def _reply(

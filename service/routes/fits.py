@@ -13,7 +13,6 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
-from dsbrdf import DSBRDF, Component
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.engines.export_step import export_step
 from dsbrdf.errors import InvalidArgumentError
@@ -25,7 +24,7 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
-from service.jobs.computations import Place, Run, departure
+from service.jobs.computations import Place, departure
 from service.routes.dependencies import (
     NO_QUERY,
     NO_REPETITION,
@@ -49,7 +48,7 @@ exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITI
 
 _MAX_JSON = 1 << 16
 _LOSSLESS = ("json", "npz")  # what the Python client asks for
-_PLACES: dict[str, Place] = {"bsdf": "medium", "bsdf-spectral": "medium", "materialx": "long"}  # others are short
+_PLACES: dict[str, Place] = {"bsdf": "medium", "bsdf-spectral": "medium", "materialx": "long"}  # others take some ms
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -131,7 +130,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    fit, headers = await _document(request, context, row), {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
+    fit, headers = await _document(context, row), {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
     if row.ended:
         return json_reply(fit, 201 if new else 200, headers)
     return json_reply(fit, 202, {**headers, "Retry-After": "1"})
@@ -179,7 +178,7 @@ async def get_fit(
 ) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
-    document = await _document(request, context, row)
+    document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
     return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=headers)
 
@@ -236,26 +235,22 @@ async def export_fit(
     computations, folder = context.computations, context.store.blobs.temporary
     if wanted.format == "merl":
         headers["Content-Length"] = str(FILE_SIZE)
-    model = await _exported(context, fit, wanted.component, computations.for_request(request, headers, "medium"))
+    model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
     if wanted.format == "merl":
         return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
-    key, place = ("export", fit, wanted.format, wanted.component), _PLACES.get(wanted.format, "short")
-    if place == "long":
-        content = await computations.run_in_process(request, key, export_step, model, wanted.format, head=headers)
+    key = ("export", fit, wanted.format, wanted.component)
+    if place := _PLACES.get(wanted.format):
+        content = await computations.run_in_process(
+            request, key, export_step, model, wanted.format, head=headers, place=place
+        )
     else:
         report = loaded.report if wanted.component is None else None
         export = partial(export_model, model, wanted.format, report)
-        content = await computations.run(request, key, export, headers, place)
+        content = await computations.run(request, key, export, headers)
     if wanted.format in _LOSSLESS:
         return Response(content, 200, headers)
     file = await run_in_threadpool(_stored, content, folder)
     return StreamingResponse(_pieces(file), 200, {**headers, "Content-Length": str(len(content))})
-
-
-async def _exported(context: Context, fit: FitKey, part: str | None, run: Run) -> DSBRDF | Component:
-    if part == GUIDE:
-        return (await context.models.decomposition(fit, run)).guide
-    return await context.models.component(fit, part, run)
 
 
 def _stored(content: bytes, folder: Path) -> IO[bytes]:
@@ -330,12 +325,11 @@ async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.T
         task.cancel()
 
 
-async def _document(request: Request, context: Context, row: FitRow) -> schemas.FitDocument:
-    run = context.computations.for_request(request, {"Content-Type": JSON}, "medium")
+async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
     fit = await context.models.get(row.key) if row.status == "succeeded" else None
     more = {
         "warnings": fit.report.warnings if fit and fit.report else [],
-        "components": fit and await context.models.components(row.key, run),
+        "components": fit and fit.components,
         "model": fit and model_document(fit.model),
     }
     return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

@@ -23,7 +23,8 @@ from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, r
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
 from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
-from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
+from service.jobs.drawing import LARGEST_LIGHT, LIGHT_STEP
+from service.jobs.results import FitView
 from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import (
     COMPONENT_MEANINGS,
@@ -109,7 +110,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
         model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",
         lobes=model_lobes(model),
         meanings=COMPONENT_MEANINGS,
-        **await _shown(request, context, row),
+        **await _shown(context, row),
     )
 
 
@@ -121,7 +122,7 @@ async def get_comparison(
     if len(fits) != 2:
         raise InvalidArgumentError(f"Two fits are compared at a time; tick two in the list, not {len(fits)}.")
     rows = [await context.fit_row(FitKey(caller.owner, fit_id)) for fit_id in fits]
-    return _render("compare.html", request, sides=[await _shown(request, context, row) for row in rows])
+    return _render("compare.html", request, sides=[await _shown(context, row) for row in rows])
 
 
 @router.get("/fits/{fit_id}/view")
@@ -129,7 +130,9 @@ async def get_view(request: Request, context: TheContext, fit: TheFit, if_none_m
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
     view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
-    return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
+    return json_text_reply(
+        {"exposure": view.drawn.exposure, "lights": lights, "pictures": [*view.drawn.pictures]}, if_none_match
+    )
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
@@ -138,9 +141,10 @@ async def get_sphere(
 ) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
     view = await _view(request, context, fit, _PNG)
-    if name not in view.pictures:
-        raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
-    return tagged_reply(view.pictures[name], if_none_match, _PNG)
+    pictures = view.drawn.pictures
+    if name not in pictures:
+        raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
+    return tagged_reply(pictures[name], if_none_match, _PNG)
 
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
@@ -228,20 +232,18 @@ def _render(template: str, request: Request, status: int = 200, **values: Any) -
 
 async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:
     """Return the view of a fit, which is computed once for all who ask for a part of it."""
-    run = context.computations.for_request(request, {"Content-Type": media_type}, "medium")
+    run = context.computations.for_request(request, {"Content-Type": media_type})
     return await context.views.get(await context.fit_row(fit), run)
 
 
-async def _shown(request: Request, context: Context, row: FitRow) -> dict[str, Any]:
+async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
-    run = context.computations.for_request(request, _HTML, "medium")
-    decomposition = await context.models.decomposition(row.key, run)
     return {
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
-        "components": [component_facts(component) for component in decomposition],
+        "components": [component_facts(component) for component in loaded.decomposition],
     }

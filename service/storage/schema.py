@@ -30,7 +30,8 @@ _TABLES = f"""
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
         attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
-        result TEXT, checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
+        result TEXT, -- JSON: model, report, components
+        checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;

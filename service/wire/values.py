@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from json import JSONEncoder
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import perf_counter
@@ -19,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+from pydantic_core import to_json
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
@@ -39,7 +39,6 @@ _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
-_encode_json = JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
 @dataclass(frozen=True)
@@ -272,7 +271,14 @@ def _npy_form(n_points: int) -> _Form:
     return _Form(NPY, lambda values: values.tobytes(), header.getvalue())
 
 
-_JSON_FORM = _Form(JSON, lambda values: _encode_json(values.tolist())[1:-1].encode(), b'{"values":[', b",", b"]}")
+def _json_triples(values: Array) -> bytes:
+    """Return triples as JSON; pydantic's encoder takes a ninth of the time of Python's, and all other threads wait."""
+    if not np.isfinite(values).all():
+        raise ValueError("JSON has no infinity, and no value of a model may be infinite")
+    return to_json(values.tolist())[1:-1]
+
+
+_JSON_FORM = _Form(JSON, _json_triples, b'{"values":[', b",", b"]}")
 
 
 @dataclass(frozen=True)

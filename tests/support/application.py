@@ -16,6 +16,8 @@ from starlette.types import Message
 
 import dsbrdf
 from dsbrdf.engines import local
+from dsbrdf.engines.engine import FitLimits, OnProgress
+from dsbrdf.engines.fit_steps import run_step
 from dsbrdf.output.serialize import to_json
 from service.access.keys import KeyLimits, add_key
 from service.app import create_app
@@ -94,7 +96,8 @@ class Application:
         return key
 
     def add_fit(self, owner: str) -> None:
-        document = to_json(random_model(), None)
+        model = random_model()
+        document = to_json(model, None, dsbrdf.decompose(model))
         written = checksum(None, document.encode())
         values = (owner, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
         with self.store.database.transaction() as db:
@@ -142,10 +145,23 @@ class Application:
         return Exchange(asyncio.create_task(self.app(scope, receive, send)), gone, messages)
 
 
+class _InThread:
+    """What a `WorkerProcess` is to its owner, but for its end: a step that is not wanted any more runs on."""
+
+    def __init__(self, step: Callable[..., Any], arguments: tuple[Any, ...], _: FitLimits) -> None:
+        self._step, self._arguments = step, arguments
+
+    def stop(self) -> None: ...
+
+    def run(self, on_progress: OnProgress) -> Any:
+        return run_step(self._step, *self._arguments, on_progress)
+
+
 @asynccontextmanager
 async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> AsyncIterator[Application]:
-    """Run the application during the block, without processes for fits."""
+    """Run the application during the block, without other processes: steps are called in threads."""
     monkeypatch.setattr(local, "start_fork_server", lambda: None)
+    monkeypatch.setattr(local, "WorkerProcess", _InThread)
     store = Store(folder)
     app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
     async with app.router.lifespan_context(app):

@@ -34,3 +34,8 @@ def fill_and_free(_: Callable[[float], None]) -> int:
         buffers = [np.ones(1 << 18) for _number in range(10)]
         buffers.clear()
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+def nice_value(_: OnProgress) -> int:
+    """Return how much the process gives way to others."""
+    return os.nice(0)

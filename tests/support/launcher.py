@@ -73,7 +73,8 @@ class Launcher:
         self._started: queue.Queue[ForkedProcess | None] = queue.Queue()
         command = [sys.executable, "-m", "tests.support.launcher", program]
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
         atexit.register(self._close)
 
     def launch(
@@ -96,8 +97,11 @@ class Launcher:
 
     def _close(self) -> None:
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
+        self._listener.join()
+        self._process.stdout.close()
 
     def _listen(self) -> None:
         servers: dict[int, ForkedProcess] = {}

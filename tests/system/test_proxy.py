@@ -21,7 +21,7 @@ from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
 from service.wire.values import NPY
 from tests.support.processes import free_port, wait_until
-from tests.support.server import ENDLESS, Server
+from tests.support.server import ENDLESS, QUICK, Server
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"
 BINARY = {"Content-Type": "application/octet-stream"}
@@ -144,10 +144,11 @@ def test_too_long_body_is_refused_by_nginx(proxy: Proxy, path: str, length: int)
     assert b"34992012" in answer
 
 
-def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str) -> None:
+@pytest.mark.parametrize("part", ["", "components/diffuse/"])
+def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str, part: str) -> None:
     points = BytesIO()
     np.save(points, np.zeros((900_000, 6)))  # no unit vectors, as the service says when it has all of them
-    answer = proxy.http.post(f"/v1/fits/{fitted}/brdf", content=points.getvalue(), headers={"Content-Type": NPY})
+    answer = proxy.http.post(f"/v1/fits/{fitted}/{part}brdf", content=points.getvalue(), headers={"Content-Type": NPY})
     assert_problem(answer, "invalid-argument")
 
 
@@ -203,6 +204,20 @@ def test_open_requests_of_an_address_are_limited(server: Server, own_proxy: Call
         for connection in held:
             connection.close()
     wait_until(lambda: proxy.http.get("/health/live").status_code == 200)
+
+
+def test_the_service_can_be_shown_below_a_path(
+    server: Server, own_proxy: Callable[..., Proxy], stored: str, fitted: str
+) -> None:
+    header = 'proxy_set_header X-Forwarded-Prefix "";'
+    changes = {header: "rewrite ^/brdf(/.*)$ $1; proxy_set_header X-Forwarded-Prefix /brdf;"}
+    proxy = own_proxy(address_of(server), **changes)
+    answer = proxy.http.post("/brdf/v1/fits", json={"measurement": stored, "options": QUICK})
+    assert answer.headers["location"] == f"/brdf/v1/fits/{answer.json()['id']}"
+    points = BytesIO()
+    np.save(points, np.tile([0.0, 0.0, 1.0], (800_000, 2)))  # longer than other bodies may be
+    batch = proxy.http.post(f"/brdf/v1/fits/{fitted}/brdf", content=points.getvalue(), headers={"Content-Type": NPY})
+    assert batch.status_code == 200, batch.text
 
 
 def test_event_stream_is_passed_on_unbuffered(
@@ -290,8 +305,8 @@ def test_forwarded_headers_are_those_of_nginx(own_proxy: Callable[..., Proxy]) -
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
         heard = pool.submit(heard_and_answered, listener)
         proxy = own_proxy(f"127.0.0.1:{listener.getsockname()[1]}")
-        names = ("X-Forwarded-For", "X-Forwarded-Proto", "X-Forwarded-Host", "X-Real-IP", "Forwarded")
-        claims = dict.fromkeys(names, "10.1.2.3")
+        names = ("For", "Proto", "Host", "Prefix")
+        claims = dict.fromkeys((*(f"X-Forwarded-{name}" for name in names), "X-Real-IP", "Forwarded"), "10.1.2.3")
         proxy.http.get("/", headers={**claims, "X-Request-ID": "mine-1", "Authorization": "Bearer key"})
         head = heard.result().lower()
     assert b"10.1.2.3" not in head

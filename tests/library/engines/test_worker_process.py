@@ -1,5 +1,6 @@
 """The process of one fit, beside others of its kind."""
 
+import os
 import platform
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ import pytest
 
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.worker_process import WorkerProcess
-from tests.support.crashing_tasks import die, do_nothing, fill_and_free
+from tests.support.crashing_tasks import die, do_nothing, fill_and_free, nice_value
 
 
 def ignore(_: float) -> None:
@@ -33,6 +34,11 @@ def test_exit_status_is_known_while_other_processes_start(monkeypatch: pytest.Mo
             while not lost.done():
                 assert WorkerProcess(do_nothing, (), FitLimits()).run(ignore) is None
         assert lost.result() == Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
+
+
+@pytest.mark.skipif(not hasattr(os, "nice"), reason="the system has no nice values")
+def test_a_process_gives_way_as_its_limits_say() -> None:
+    assert WorkerProcess(nice_value, (), FitLimits(niceness=3)).run(ignore) == os.nice(0) + 3
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")

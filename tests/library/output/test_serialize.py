@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.plain_content import model_from_dict, model_to_dict, report_from_dict
 from dsbrdf.output.serialize import (
+    decomposition_from_json,
     from_json,
     from_npz,
     load,
@@ -21,6 +23,7 @@ from dsbrdf.output.serialize import (
     to_npz,
 )
 from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model
+from tests.support.random_models import random_model
 
 
 @pytest.mark.parametrize("interpolation", ["spline", "linear"])
@@ -33,6 +36,30 @@ def test_round_trips_are_bit_for_bit(n_lobes: int, n_knots: int, interpolation: 
             assert back[1] == attached
     assert_same_bits(model_from_dict(model_to_dict(model)), model)
     assert report_from_dict(report.to_dict()) == report
+
+
+def test_components_are_read_back_bit_for_bit(report: FitReport) -> None:
+    model = random_model()
+    found = decompose(model)
+    text = to_json(model, report, found)
+    read = decomposition_from_json(text)
+    assert read.labels == found.labels
+    assert_same_bits(read.guide, found.guide)
+    assert_same_bits(read.model, model)
+    assert from_json(text)[1] == report
+
+
+@pytest.mark.parametrize(
+    "change", [{"labels": ["diffuse"]}, {"labels": ["gloss"]}, {"labels": None}, {"guide": []}, {"guide": None}]
+)
+def test_damaged_components_are_refused(change: dict[str, object]) -> None:
+    model = random_model()
+    document = json.loads(to_json(model, None, decompose(model)))
+    document["components"] |= change
+    with pytest.raises(ModelFormatError):
+        decomposition_from_json(json.dumps(document))
+    with pytest.raises(ModelFormatError, match="no components"):
+        decomposition_from_json(to_json(model))
 
 
 def test_negative_zero_survives(model: DSBRDF) -> None:

@@ -13,7 +13,9 @@ from pydantic import BaseModel
 import service
 from dsbrdf import FitOptions
 from dsbrdf.output.serialize import from_json
+from service.app import create_app
 from service.http.problems import KINDS, TYPE_PREFIX
+from service.settings import Settings
 from service.wire import schemas
 from service.wire.fit_options import to_wire
 from tests.support.server import Server
@@ -170,3 +172,7 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any], ser
     server.http.delete(fit.headers["Location"])  # not finished, and in the way of other tests
     assert same.json()["id"] == fit.json()["id"]
     assert set(fit.json()["options"]) == set(described)
+
+
+def test_the_document_is_made_without_warnings(tmp_path: Path) -> None:
+    assert create_app(Settings(data_dir=tmp_path / "data")).openapi()["paths"]

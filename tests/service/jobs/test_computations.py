@@ -3,18 +3,16 @@
 import asyncio
 import json
 import socket
-import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-import dsbrdf
-from service.jobs import results
-from service.jobs.results import FitViews
+from dsbrdf.fitting import decomposition
+from service.jobs import drawing, results
 from service.routes import brdf, figures, fits
-from tests.support.application import FIT, Blocked, application
+from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
@@ -34,12 +32,20 @@ OF_COMPONENTS = [
 LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
 
 
+async def until_waiting(running: Application, n_requests: int) -> None:
+    """Return when so many requests wait for a computation."""
+    computations = running.app.state.context.computations
+    async with asyncio.timeout(60.0):
+        while sum(one.n_waiting for one in computations._in_progress.values()) < n_requests:
+            await asyncio.sleep(0.005)
+
+
 @pytest.mark.parametrize(
     ("place", "name", "targets"),
     [
-        (fits, "export_model", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
-        (figures, "_sphere", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
-        (FitViews, "_make", [*VIEW, *VIEW]),
+        (fits, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
+        (figures, "sphere_step", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
+        (results, "view_step", [*VIEW, *VIEW]),
     ],
 )
 def test_what_nobody_waits_for_is_not_computed(
@@ -63,8 +69,8 @@ def test_what_nobody_waits_for_is_not_computed(
 
 def test_view_of_a_page_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
-        blocked = Blocked(FitViews._make)
-        monkeypatch.setattr(FitViews, "_make", lambda *arguments: blocked(*arguments))
+        blocked = Blocked(drawing.view_step)
+        monkeypatch.setattr(results, "view_step", blocked)
         async with application(tmp_path, monkeypatch) as running:
             key = running.new_key()
             asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
@@ -76,39 +82,36 @@ def test_view_of_a_page_is_computed_once(tmp_path: Path, monkeypatch: pytest.Mon
     asyncio.run(check())
 
 
-def test_components_are_computed_once_and_not_on_the_event_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_components_come_with_the_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
-        threads: list[threading.Thread] = []
-
-        def decompose(model: dsbrdf.DSBRDF) -> dsbrdf.Decomposition:
-            threads.append(threading.current_thread())
-            return dsbrdf.decompose(model)
-
-        blocked = Blocked(decompose)
-        monkeypatch.setattr(results, "decompose", blocked)
         async with application(tmp_path, monkeypatch) as running:
             key = running.new_key()
+            monkeypatch.setattr(decomposition, "fit_guide", None)
             asked = [running.ask(target, key) for target in OF_COMPONENTS]
             batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
-            await blocked.until_called()
-            blocked.may_return.set()
             assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
-        assert len(threads) == 1
-        assert threads[0] is not threading.main_thread()
+
+    asyncio.run(check())
+
+
+def test_head_of_components_has_their_tag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def check() -> None:
+        async with application(tmp_path, monkeypatch) as running:
+            key, path = running.new_key(), f"{FIT_PATH}/components"
+            head, get = [await running.ask(path, key, method).end() for method in ("HEAD", "GET")]
+            assert head.headers["etag"] == get.headers["etag"]
 
     asyncio.run(check())
 
 
 def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
-        blocked = Blocked(figures._sphere)
-        monkeypatch.setattr(figures, "_sphere", blocked)
+        blocked = Blocked(drawing.sphere_step)
+        monkeypatch.setattr(figures, "sphere_step", blocked)
         async with application(tmp_path, monkeypatch) as running:
             alice, bob = running.new_key(), running.new_key()
             first, second, others = (running.ask(SPHERE, key) for key in (alice, alice, bob))
-            await blocked.until_called()
+            await until_waiting(running, 3)
             await first.leave()
             blocked.may_return.set()
             await asyncio.gather(second.end(), others.end())
@@ -127,7 +130,7 @@ def test_keys_take_turns_with_long_batches(tmp_path: Path, monkeypatch: pytest.M
             of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
             await blocked.until_called()
             of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
-            await asyncio.sleep(0.05)  # until it waits, too; if it does not, the test passes
+            await until_waiting(running, 7)
             blocked.may_return.set()
             await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
             assert [one.status for one in of_alice] == [200] * 6
@@ -153,9 +156,10 @@ def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
             with monkeypatch.context() as patch:
                 patch.setattr(fits, "export_model", compute)
                 patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
-                patch.setattr(figures, "_sphere", compute)
-                patch.setattr(FitViews, "_make", compute)
-                patch.setattr(results, "decompose", compute)
+                patch.setattr(fits, "export_step", compute)
+                patch.setattr(figures, "sphere_step", compute)
+                patch.setattr(results, "view_step", compute)
+                patch.setattr(decomposition, "fit_guide", compute)
                 head = await running.ask(target, key, "HEAD").end()
             get = await running.ask(target, key).end()
             assert (head.status, head.body, computed) == (200, b"", [])

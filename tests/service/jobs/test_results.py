@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import dsbrdf
 from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import to_json
 from service.errors import FitNotFoundError
@@ -24,7 +25,7 @@ def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monk
     key = store.add_fit(Caller(), Received(incoming, incoming.close(), 1), {}, 1)[0].key
     store.start_fit(key)
     model = DSBRDF(np.zeros(1), np.ones((3, 1, 1)), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
-    store.complete_fit(key, to_json(model), {})
+    store.complete_fit(key, to_json(model, None, dsbrdf.decompose(model)), {})
     read, deleted, result = threading.Event(), threading.Event(), store.result
 
     def read_slowly(key: FitKey) -> str | None:

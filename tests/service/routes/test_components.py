@@ -1,8 +1,7 @@
 """Components over HTTP: readable, adding up to the fit, absent without light."""
 
 import asyncio
-from collections.abc import Callable, Hashable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from service.storage.schema import FitKey
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
-T = TypeVar("T")
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
 
@@ -143,14 +141,10 @@ class _Results:
     """A store that has one result, as its name says."""
 
     def __init__(self, model: dsbrdf.DSBRDF) -> None:
-        self._text = to_json(model)
+        self._text = to_json(model, None, dsbrdf.decompose(model))
 
     def result(self, _: FitKey) -> str:
         return self._text
-
-
-async def _at_once(_: Hashable, compute: Callable[[], T]) -> T:
-    return compute()
 
 
 def black() -> dsbrdf.DSBRDF:
@@ -160,11 +154,10 @@ def black() -> dsbrdf.DSBRDF:
 
 def test_a_black_fit_has_no_components() -> None:
     async def check() -> None:
-        models = ModelCache(_Results(black()), 1)  # type: ignore[arg-type]
-        key = FitKey("", "0" * 32)
-        assert await models.components(key, _at_once) == []
+        black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
+        assert black_fit.components == []
         with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-            await models.component(key, "diffuse", _at_once)
+            black_fit.part("diffuse")
         assert raised.value.kind == "not-found"
 
     asyncio.run(check())

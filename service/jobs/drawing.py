@@ -1,0 +1,141 @@
+"""What is drawn for requests, each picture in a process of its own: steps for `Computations.run_in_process`.
+
+A process imports this module for every picture, so it imports nothing of the service. Files of measurements have been
+checked by who gives their paths.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.interpolation import interpolate
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import map_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.engines.engine import OnProgress
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.reflectance import ReflectanceModel
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
+from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.png import encode_png
+from dsbrdf.output.residual_figure import residual_figure
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
+    "profiles": profiles_figure,
+    "components": lobes_figure,
+    "lobes": partial(lobes_figure, model_lobes=True),
+    "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
+    "residual": residual_figure,
+}
+LIGHT_STEP = 5
+"""Angles of the light in polar plots are multiples of it [degrees]."""
+LARGEST_LIGHT = 85
+POLAR_ANGLES = np.arange(-89, 90)  # of the viewer, negative on the light's side [degrees]
+_SIZE = 256
+
+
+@dataclass(frozen=True)
+class StoredMeasurement:
+    """A measurement that is stored.
+
+    Attributes
+    ----------
+    path : Path
+    sha256 : str
+    name : str or None
+        What titles call it; the beginning of the digest if it has no name.
+    """
+
+    path: Path
+    sha256: str
+    name: str | None = None
+
+    def mapped(self) -> Measurement:
+        """Return the measurement, whose file is mapped."""
+        return replace(map_merl(self.path, self.sha256), name=self.name or self.sha256[:12])
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A fit beside its measurement, see `service.jobs.results.FitView`."""
+
+    exposure: float
+    pictures: dict[str, bytes]
+    measured: Array | None
+    polar: Array | None
+
+
+def view_step(model: DSBRDF, stored: StoredMeasurement | None, horizon_cutoff: float | None, _: OnProgress) -> Drawn:
+    """Return what a page shows of a fit, beside its measurement if that is still stored."""
+    means = polar = measurement = None
+    if stored is not None:
+        measurement = stored.mapped()
+        reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
+        means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
+        polar = interpolate(measurement).evaluate(*in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
+    return Drawn(*_pictures(model, measurement), means, polar)
+
+
+def sphere_step(
+    whole: ReflectanceModel | StoredMeasurement, part: ReflectanceModel | None, lighting: str, size: int, _: OnProgress
+) -> bytes:
+    """Return the PNG of a sphere of a model, of a `part` of it, or of a measurement, with the exposure of the whole."""
+    image = render_sphere(
+        whole.mapped() if isinstance(whole, StoredMeasurement) else whole, lighting=lighting, size=size
+    )
+    factor = exposure(image, sphere_normals(size)[1])
+    if part is not None:
+        image = render_sphere(part, lighting=lighting, size=size)
+    return encode_png(displayed(image, factor))
+
+
+def figure_step(
+    figure: str,
+    image_format: str,
+    model: DSBRDF,
+    stored: StoredMeasurement,
+    horizon_cutoff: float | None,
+    _: OnProgress,
+) -> bytes:
+    """Return one of `FIGURES` as a file."""
+    import matplotlib as mpl
+
+    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
+    reduced = profiles(stored.mapped(), horizon_cutoff=horizon_cutoff)
+    return encode_figure(FIGURES[figure](reduced, model), image_format)
+
+
+def in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Half and difference angles of each light and each viewer in one plane with the normal, (lights, viewers)."""
+    theta_in, theta_out = np.radians(-lights[:, None]), np.radians(POLAR_ANGLES)
+    omega_in, omega_out = (
+        np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1) for theta in (theta_in, theta_out)
+    )
+    return half_difference(omega_in, omega_out)
+
+
+def _pictures(model: ReflectanceModel, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
+    """Return the exposure and the pictures, which all have it."""
+    fit = render_sphere(model, size=_SIZE)
+    reference = fit if measurement is None else render_sphere(measurement, size=_SIZE)
+    factor = exposure(reference, sphere_normals(_SIZE)[1])
+    seen = displayed(fit, factor)
+    pictures = {"fit": seen}
+    if measurement is not None:
+        pictures["measured"] = displayed(reference, factor)
+        pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - seen), 0.0, 1.0)
+    return factor, {name: encode_png(picture) for name, picture in pictures.items()}
