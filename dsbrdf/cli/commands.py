@@ -33,7 +33,6 @@ _COMMANDS = {
         "plot": ("plot_command:plot", "Draw the fit of a measurement, or the parameters of a model."),
         "render": ("render_command:render", "Draw a lit sphere of a model or a measurement."),
         "compare": ("compare_command:compare", "Compare two models or measurements, with their spheres side by side."),
-        "paper": ("paper_command:paper", "Make the figures of Nishino 2009 from a folder of measurements."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),

@@ -61,7 +61,7 @@ def _run(words: list[str]) -> int:
         return BAD_INPUT
     if words[0] in SERVICE_COMMANDS:
         return run_service_command(words[0], words[1:])
-    if words[0] in ("fit", "paper") and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
+    if words[0] == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
     from dsbrdf.cli.commands import run_command

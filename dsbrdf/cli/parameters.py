@@ -22,7 +22,6 @@ ModelFile = Annotated[Path, Parameter(help="A .json or .npz file from dsbrdf fit
 SourceFile = Annotated[Path, Parameter(help="A .json or .npz model, or a .binary or .bsdf measurement.")]
 RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
-Folder = Annotated[Path, Parameter(metavar="DIR")]
 OutputFolder = Annotated[Path, Parameter(alias="-o", metavar="DIR")]
 Component = Annotated[
     str | None,

@@ -4,24 +4,16 @@ The tables hold the mean over phi_diff at some nodes of theta_half and theta_dif
 and are interpolated linearly in them, logarithms of the values in between.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.render import Evaluate, sphere_likeness
-from dsbrdf.paper.ggx import fit_ggx
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose, fit_quietly
-from dsbrdf.paper.paper_figure import (
+from benchmarks.paper.ggx import fit_ggx
+from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
+from benchmarks.paper.paper_figure import (
     DEFAULT_COLOUR,
     FLOOR_COLOUR,
     PAPER_COLOUR,
@@ -31,10 +23,13 @@ from dsbrdf.paper.paper_figure import (
     new_figure,
     sphere,
 )
-from dsbrdf.paper.table_interpolation import relative_rms
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from benchmarks.paper.table_interpolation import relative_rms
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.model.render import Evaluate, sphere_likeness
 
 __all__ = ["FIGURE", "SmallTable"]
 
@@ -60,7 +55,7 @@ class SmallTable:
     nodes: Array
 
     @classmethod
-    def of(cls, data: Profiles, side: int) -> SmallTable:
+    def of(cls, data: Profiles, side: int) -> "SmallTable":
         """Take evenly spaced nodes; where there are no data, the nearest theta_half with data."""
         filled = data.mean.transpose(0, 2, 1).copy()
         seen = (data.weight.sum(axis=0) > 0.0).T

@@ -1,13 +1,14 @@
 """Figure 5: error against subsampling of theta_half, the model against linear interpolation of the table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
+from benchmarks.paper.paper_figure import DEFAULT_COLOUR, PAPER_COLOUR, Claim, PaperFigure, Row, Verdict, new_figure
+from benchmarks.paper.table_interpolation import guided_table_error, means_over_phi, table_error, thinned
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import FitError
@@ -15,12 +16,6 @@ from dsbrdf.fitting.metrics import relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import profiles_for
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose, fit_quietly
-from dsbrdf.paper.paper_figure import DEFAULT_COLOUR, PAPER_COLOUR, Claim, PaperFigure, Row, Verdict, new_figure
-from dsbrdf.paper.table_interpolation import guided_table_error, means_over_phi, table_error, thinned
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FACTORS", "FIGURE", "won"]
 

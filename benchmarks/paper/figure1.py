@@ -1,22 +1,18 @@
 """Figure 1: slices at theta_diff = 0 in the incident plane, a fit of 3 lobes, and the lobes of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Computed, Material, Numbers, choose
+from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure
 from dsbrdf.data.grid import CHANNELS, THETA_HALF
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.output.figures import CHANNEL_COLOURS
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose
-from dsbrdf.paper.paper_figure import Claim, PaperFigure, Row, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURE"]
 

@@ -6,6 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.paper import footprint, interpolation, materials
+from benchmarks.paper.footprint import SmallTable
+from benchmarks.paper.ggx import GGXModel
+from benchmarks.paper.interpolation import between
+from benchmarks.paper.materials import Computed, Material, find_materials
+from benchmarks.paper.paper_figure import make
+from benchmarks.paper.table_interpolation import thinned
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
@@ -13,13 +20,6 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import fall_to_half
-from dsbrdf.paper import footprint, interpolation, materials
-from dsbrdf.paper.footprint import SmallTable
-from dsbrdf.paper.ggx import GGXModel
-from dsbrdf.paper.interpolation import between
-from dsbrdf.paper.materials import Computed, Material, find_materials
-from dsbrdf.paper.paper_figure import make
-from dsbrdf.paper.table_interpolation import thinned
 
 ONE = np.ones((1, 1, 1))
 

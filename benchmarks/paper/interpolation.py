@@ -5,26 +5,21 @@ narrow to wide: of all matchings the one that changes widths least.  Amplitude, 
 decides its half width, run geometrically from one material to the other, elongation linearly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
+from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.lobes import fall_to_half, half_width
 from dsbrdf.model.render import Evaluate, sphere_normals
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose, fit_quietly
-from dsbrdf.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURE", "between"]
 

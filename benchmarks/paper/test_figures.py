@@ -7,6 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.paper import figure1, figure2, figure3, figure4, figure5
+from benchmarks.paper.materials import Computed, Material, fit_quietly
+from benchmarks.paper.paper_figure import PaperFigure, make
+from benchmarks.paper.table_interpolation import thinned
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
@@ -16,10 +20,6 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
-from dsbrdf.paper import figure1, figure2, figure3, figure4, figure5
-from dsbrdf.paper.materials import Computed, Material, fit_quietly
-from dsbrdf.paper.paper_figure import PaperFigure, make
-from dsbrdf.paper.table_interpolation import thinned
 
 Fits = dict[str, FitResult]
 Lines = list[dict[str, str]]

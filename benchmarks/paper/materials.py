@@ -1,37 +1,28 @@
 """Materials of a folder, their fits, and what is computed of them.
 
-Whatever is computed of a material is kept in a folder beside the figures, as soon as it is known.  A run that was
-interrupted goes on from there, and figures share their fits.  A kept result counts as long as it is newer than its
-measurement and was made by the same version of the algorithm with the same settings.
+Whatever is computed of a material is kept in a folder beside the figures.  A run that was interrupted goes on from
+there, and figures share their fits.  A kept result counts for the same file, settings and version of the algorithm.
 """
 
-import signal
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
-from io import BytesIO
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
-from zipfile import BadZipFile
 
 import numpy as np
+from joblib import Memory, Parallel, delayed
 from numpy.typing import NDArray
 
-from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
-from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError, ModelFormatError
+from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import load_result, save
-from dsbrdf.process_settings import end_with_parent, keep_freed_memory
 from dsbrdf.version import ALGORITHM_VERSION
 
 __all__ = [
@@ -84,29 +75,22 @@ class Material:
         """The measurement, read when it is first used."""
         return read_merl(self.file)
 
+    @property
+    def changed(self) -> int:
+        """When the file was changed last [ns]: what is kept of another state of it does not count."""
+        return self.file.stat().st_mtime_ns
+
     def fit(
         self, *, method: Literal["global", "paper"] = "global", n_lobes: int | Literal["auto"] = "auto"
     ) -> FitResult:
         """Fit the measurement, or take the fit that is kept."""
         options = FitOptions(method=method, n_lobes=n_lobes)
-        path = self.kept / f"{self.name}.{method}-{n_lobes}.json"
-        known = self._kept_fit(path, options)
-        if known is not None:
-            return known
-        result = fit_quietly(self.measurement, options)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(result, path)
-        return result
+        fit_once = Memory(self.kept, verbose=0).cache(_fit, ignore=["material"])
+        return fit_once(self, self.file, self.changed, options, ALGORITHM_VERSION)
 
-    def _kept_fit(self, path: Path, options: FitOptions) -> FitResult | None:
-        try:
-            if path.stat().st_mtime < self.file.stat().st_mtime:
-                return None
-            result = load_result(path)
-        except (FileNotFoundError, ModelFormatError):
-            return None
-        same = result.report.options == options and result.report.versions.algorithm == ALGORITHM_VERSION
-        return result if same else None
+
+def _fit(material: Material, _file: Path, _changed: int, options: FitOptions, _algorithm: int) -> FitResult:
+    return fit_quietly(material.measurement, options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +193,9 @@ def compute(
     ----------
     materials : sequence of Material
     measure : callable
-        A function of a module, so that another process finds it.
+        A function of a module where there are several jobs, so that another process finds it.
     folder : Path
-        Where the numbers are kept.
+        Where the numbers are kept: a folder of its own for each measure.
     settings : str, optional
         What the numbers depend on besides the material: kept ones with other settings are computed again.
     jobs : int, optional
@@ -230,19 +214,20 @@ def compute(
     ------
     InvalidArgumentError
         If ``jobs`` is less than 1.
-    ChildProcessError
-        If a process died.
     """
     if jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of processes, must be at least 1, not {jobs}")
-    folder.mkdir(parents=True, exist_ok=True)
-    found: dict[Material, Numbers | Failure] = {}
-    for material, outcome in _outcomes(materials, measure, folder, settings, jobs):
-        found[material] = outcome
-        progress(len(found))
-    outcomes = [(material, found[material]) for material in materials]
-    computed = [Computed(one.name, one.measured, got) for one, got in outcomes if not isinstance(got, Failure)]
-    return computed, [got for _, got in outcomes if isinstance(got, Failure)]
+    outcomes = Parallel(n_jobs=jobs, return_as="generator")(
+        delayed(_outcome)(replace(material), measure, folder, settings) for material in materials
+    )
+    computed, failures = list[Computed](), list[Failure]()
+    for done, (material, outcome) in enumerate(zip(materials, outcomes, strict=True), start=1):
+        if isinstance(outcome, Failure):
+            failures.append(outcome)
+        else:
+            computed.append(Computed(material.name, material.measured, outcome))
+        progress(done)
+    return computed, failures
 
 
 def fit_quietly(measurement: Measurement | Profiles, options: FitOptions) -> FitResult:
@@ -252,71 +237,24 @@ def fit_quietly(measurement: Measurement | Profiles, options: FitOptions) -> Fit
         return fit(measurement, options)
 
 
-def _outcomes(
-    materials: Sequence[Material], measure: Measure, folder: Path, settings: str, jobs: int
-) -> Iterator[tuple[Material, Numbers | Failure]]:
-    """Yield what becomes known, the kept numbers first."""
-    left = []
-    for material in materials:
-        known = _kept_numbers(_path(material, folder), material, settings)
-        if known is None:
-            left.append(material)
-        else:
-            yield material, known
-    if jobs == 1 or len(left) < 2:
-        for material in left:
-            yield material, _measure_one(material, measure, folder, settings)
-        return
-    # A fork would take over the threads' locks; a new interpreter costs half a second.
-    context = get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(left)), context, _prepare_process) as pool:
-        running: dict[Future[Numbers | Failure], Material] = {
-            pool.submit(_measure_one, material, measure, folder, settings): material for material in left
-        }
-        try:
-            for future in as_completed(running):
-                yield running[future], future.result()
-        except BrokenProcessPool:
-            raise ChildProcessError(_PROCESS_DIED) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _prepare_process() -> None:
-    """Let an interrupt end the run after the materials in progress: their numbers are kept."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    keep_freed_memory()
-
-
-def _measure_one(material: Material, measure: Measure, folder: Path, settings: str) -> Numbers | Failure:
+def _outcome(material: Material, measure: Measure, folder: Path, settings: str) -> Numbers | Failure:
+    """Compute the numbers of a copy of a material, whose measurement does not stay in memory, or take those kept."""
+    measure_once = Memory(folder, verbose=0).cache(_measure, ignore=["material", "measure"])
     try:
-        numbers = measure(replace(material))  # a copy, whose measurement does not stay in memory
+        return measure_once(
+            material, measure, material.file, material.peer, material.changed, settings, ALGORITHM_VERSION
+        )
     except DSBRDFError as error:
         return Failure(material.file, str(error))
-    content = BytesIO()
-    about = np.array([str(ALGORITHM_VERSION), settings])
-    np.savez_compressed(content, allow_pickle=False, **{_ABOUT: about}, **numbers)
-    write_atomically(_path(material, folder), [content.getvalue()])
-    return numbers
 
 
-_ABOUT = "made_by"
-_PROCESS_DIED = "a process died; run the command again, with fewer --jobs if memory was short: what is known is kept"
-
-
-def _path(material: Material, folder: Path) -> Path:
-    return folder / f"{material.name}.npz"
-
-
-def _kept_numbers(path: Path, material: Material, settings: str) -> Numbers | None:
-    """Return the numbers in a file, unless they are out of date or the file is damaged."""
-    try:
-        if path.stat().st_mtime < material.file.stat().st_mtime:
-            return None
-        with np.load(path, allow_pickle=False) as content:
-            numbers = {name: content[name] for name in content.files}
-    except (FileNotFoundError, BadZipFile, ValueError, EOFError):
-        return None
-    made_by = numbers.pop(_ABOUT, np.zeros(0)).tolist()
-    return numbers if made_by == [str(ALGORITHM_VERSION), settings] else None
+def _measure(
+    material: Material,
+    measure: Measure,
+    _file: Path,
+    _peer: Path | None,
+    _changed: int,
+    _settings: str,
+    _algorithm: int,
+) -> Numbers:
+    return measure(material)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.paper import figure6
+from benchmarks.paper.materials import Computed, Material
+from benchmarks.paper.paper_figure import PaperFigure, make
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.paper import figure6
-from dsbrdf.paper.materials import Computed, Material
-from dsbrdf.paper.paper_figure import PaperFigure, make
 
 
 @pytest.fixture

@@ -1,21 +1,14 @@
 """Figure 4: relative RMS of every material, for the paper's procedure, the default fit and the floor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.fitting.metrics import relative_errors, sample_errors
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import exposure
-from dsbrdf.model.render import sphere_normals
-from dsbrdf.paper.materials import Computed, Material, Numbers
-from dsbrdf.paper.paper_figure import (
+from benchmarks.paper.materials import Computed, Material, Numbers
+from benchmarks.paper.paper_figure import (
     DEFAULT_COLOUR,
     FLOOR_COLOUR,
     PAPER_COLOUR,
@@ -27,10 +20,12 @@ from dsbrdf.paper.paper_figure import (
     sphere,
     to_bytes,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.fitting.metrics import relative_errors, sample_errors
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.image_metrics import exposure
+from dsbrdf.model.render import sphere_normals
 
 __all__ = ["FIGURE"]
 

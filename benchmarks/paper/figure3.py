@@ -1,22 +1,17 @@
 """Figure 3: a sphere taken apart into the lobes of a 3-lobe fit, beside the components of the default fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Computed, Material, Numbers, choose
+from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_normals
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose
-from dsbrdf.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURE", "saturation"]
 

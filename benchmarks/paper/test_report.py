@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.paper import report
-from dsbrdf.paper.materials import Computed, Failure, Material
-from dsbrdf.paper.paper_figure import Claim, Made, PaperFigure, new_figure
-from dsbrdf.paper.report import FIGURES, page, write_report
+from benchmarks.paper import report
+from benchmarks.paper.materials import Computed, Failure, Material
+from benchmarks.paper.paper_figure import Claim, Made, PaperFigure, new_figure
+from benchmarks.paper.report import FIGURES, page, write_report
 
 MATERIALS = (
     Material(Path("merl_a<b>.binary"), Path(), measured=False),

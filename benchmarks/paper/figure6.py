@@ -5,25 +5,22 @@ numbers, the paper's figure) or at all slices (324 numbers).  Logarithms, becaus
 every coordinate is divided by its standard deviation over the materials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
+from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # ships no types
 
-from dsbrdf.extras import require
+from benchmarks.paper.materials import Computed, Material, Numbers
+from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_normals
-from dsbrdf.paper.materials import Computed, Material, Numbers
-from dsbrdf.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURE", "embedding", "features", "nearest"]
 
@@ -58,16 +55,7 @@ def features(computed: Sequence[Computed], space: str) -> Array:
 
 
 def embedding(computed: Sequence[Computed], space: str) -> Array:
-    """Isomap embedding (materials, 2); the first axis points to the glossier materials.
-
-    Raises
-    ------
-    MissingExtraError
-        If scikit-learn is not installed.
-    """
-    require("paper", "sklearn", purpose="the space of materials")
-    from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # ships no types
-
+    """Isomap embedding (materials, 2); the first axis points to the glossier materials."""
     neighbors = min(_NEIGHBORS, len(computed) - 1)
     places: Array = Isomap(n_neighbors=neighbors, n_components=2).fit_transform(features(computed, space))
     if places[:, 0] @ _gloss(computed) < 0.0:
@@ -117,8 +105,6 @@ def _draw(computed: Sequence[Computed]) -> Figure:
 
 
 def _draw_space(ax: Axes, computed: Sequence[Computed], places: Array) -> None:
-    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
-
     _, mask = sphere_normals(_SIZE)
     ax.plot(*places.T, ".", color="white")  # sets the limits
     ax.margins(0.05)

@@ -1,20 +1,15 @@
 """Figure 2: lit spheres of the data, of fits with 1 to 5 lobes, and the number of lobes that Williams' test chooses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from benchmarks.paper.materials import Computed, Material, Numbers, choose
+from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
 from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_likeness, sphere_normals
-from dsbrdf.paper.materials import Computed, Material, Numbers, choose
-from dsbrdf.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURE"]
 

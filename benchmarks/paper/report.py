@@ -6,17 +6,17 @@ from functools import partial
 from html import escape
 from pathlib import Path
 
+from benchmarks.paper.figure1 import FIGURE as FIGURE_1
+from benchmarks.paper.figure2 import FIGURE as FIGURE_2
+from benchmarks.paper.figure3 import FIGURE as FIGURE_3
+from benchmarks.paper.figure4 import FIGURE as FIGURE_4
+from benchmarks.paper.figure5 import FIGURE as FIGURE_5
+from benchmarks.paper.figure6 import FIGURE as FIGURE_6
+from benchmarks.paper.footprint import FIGURE as FOOTPRINT
+from benchmarks.paper.interpolation import FIGURE as INTERPOLATION
+from benchmarks.paper.materials import Failure, Material
+from benchmarks.paper.paper_figure import Claim, Made, PaperFigure, make
 from dsbrdf.data.atomic_write import write_atomically
-from dsbrdf.paper.figure1 import FIGURE as FIGURE_1
-from dsbrdf.paper.figure2 import FIGURE as FIGURE_2
-from dsbrdf.paper.figure3 import FIGURE as FIGURE_3
-from dsbrdf.paper.figure4 import FIGURE as FIGURE_4
-from dsbrdf.paper.figure5 import FIGURE as FIGURE_5
-from dsbrdf.paper.figure6 import FIGURE as FIGURE_6
-from dsbrdf.paper.footprint import FIGURE as FOOTPRINT
-from dsbrdf.paper.interpolation import FIGURE as INTERPOLATION
-from dsbrdf.paper.materials import Failure, Material
-from dsbrdf.paper.paper_figure import Claim, Made, PaperFigure, make
 from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = ["FIGURES", "page", "write_report"]
@@ -52,7 +52,7 @@ def write_report(
     materials : sequence of Material
     output : Path
     jobs : int, optional
-        As for `dsbrdf.paper.paper_figure.make`.
+        As for `benchmarks.paper.paper_figure.make`.
     progress : callable, optional
         Called with the number of finished figures, fractions included.
 

@@ -1,28 +1,23 @@
 """What the figures have in common: their parts, their three files, and drawing."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Computed, Failure, Material, Measure, compute
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.extras import require
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import Source, render_sphere, sphere_normals
 from dsbrdf.output.figures import encode_figure
-from dsbrdf.paper.materials import Computed, Failure, Material, Measure, compute
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["Claim", "Made", "PaperFigure", "Row", "Verdict", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
 
@@ -69,7 +64,7 @@ class PaperFigure:
     at_least : int
         Fewest materials that the figure makes sense of.
     settings : str
-        What the numbers depend on, see `dsbrdf.paper.materials.compute`.
+        What the numbers depend on, see `benchmarks.paper.materials.compute`.
     """
 
     name: str
@@ -112,16 +107,13 @@ def make(
     output : Path
         The folder; numbers of each material are kept in ``kept/NAME`` inside.
     jobs, progress
-        See `dsbrdf.paper.materials.compute`.
+        See `benchmarks.paper.materials.compute`.
 
     Raises
     ------
     InvalidArgumentError
         If there are too few materials to show.
-    MissingExtraError
-        If matplotlib is not installed.
     """
-    require("paper", "matplotlib", purpose="figures")
     computed, failures = compute(
         materials,
         figure.measure,
@@ -152,8 +144,6 @@ def _csv(rows: Sequence[Row]) -> bytes:
 
 def new_figure(title: str, width: float, height: float) -> Figure:
     """Return a figure with a title, of a size in inches."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, fontsize=11)
     return figure

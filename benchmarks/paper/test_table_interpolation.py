@@ -3,11 +3,17 @@
 import numpy as np
 import pytest
 
+from benchmarks.paper.table_interpolation import (
+    guided_table_error,
+    interpolated_rows,
+    means_over_phi,
+    table_error,
+    thinned,
+)
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.paper.table_interpolation import guided_table_error, interpolated_rows, means_over_phi, table_error, thinned
 
 
 def test_every_nth_row_is_kept(plastic: Measurement) -> None:
