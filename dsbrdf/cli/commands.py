@@ -40,7 +40,6 @@ _COMMANDS = {
         "schema": ("schema_command:schema", "Print the JSON Schema of stored models."),
     },
     "More": {
-        "demo": ("demo:demo", "Start the service, fit a generated measurement, save a figure."),
         "completion": ("completion_command:completion", "Print what makes a shell complete commands and options."),
     },
 }

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from dsbrdf.cli import demo
-from dsbrdf.cli import main as cli
+from examples import demo
 
 _COMPONENT = re.compile(r"^(\w+) +([\d.]+)°" + r" +([\d.]+)" * 8 + "$", re.MULTILINE)
 
 
 def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["demo", "-o", str(tmp_path / "out")]) == 0
+    demo.main(tmp_path / "out")
     out = capsys.readouterr().out
     assert "201 Created" in out
     assert "200 OK" in out

@@ -1,6 +1,6 @@
-"""The command ``dsbrdf demo``: from a measurement over HTTP to components, and a figure that ends with lit spheres.
+"""From a measurement over HTTP to components, and a figure that ends with lit spheres: ``make demo``.
 
-The service runs in a process of its own, as for any other client; the demo uses it through httpx only.
+The service runs in a process of its own, as for any other client, and is used through httpx only.
 """
 
 import re
@@ -12,27 +12,20 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import httpx
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.cli.parameters import OutputFolder
-from dsbrdf.data.atomic_write import write_atomically
+import dsbrdf
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.reduction import profiles
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.extras import require
-from dsbrdf.fitting.report import FitReport
 from dsbrdf.output.figures import encode_figure, overview_figure
 from dsbrdf.output.report_text import component_lobes_table, components_table, metrics_line
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import compare_spheres
-
-if TYPE_CHECKING:
-    import httpx
 
 Array = NDArray[np.float64]
 
@@ -41,36 +34,8 @@ STOP_TIMEOUT = 10.0  # seconds
 SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 60)  # of theta_half and theta_diff, for the table of values
 
 
-def demo(*, output: OutputFolder = Path("out")) -> int:
-    """Run the command; return the exit code.
-
-    Parameters
-    ----------
-    output
-        Folder of the figure.
-    """
-    run_demo(output)
-    return 0
-
-
-def run_demo(folder: Path) -> None:
-    """Print the responses of the service and save ``demo.png`` in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to save the figure; made if it does not exist.
-
-    Raises
-    ------
-    MissingExtraError
-        If the service, httpx or matplotlib is not installed.
-    RuntimeError
-        If the service does not start; the message has the end of its log.
-    """
-    require("dev", "fastapi", "uvicorn", "httpx", "matplotlib", purpose="the demo")
-    import httpx
-
+def main(folder: Path) -> None:
+    """Print the responses of the service and save ``demo.png`` in a folder."""
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="dsbrdf-demo-") as scratch, running_service(Path(scratch)) as url:
         print(f"service on {url}, ready after {time.perf_counter() - begin:.1f} s")
@@ -84,35 +49,18 @@ def run_demo(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     figure = folder / "demo.png"
     spheres = compare_spheres(measurement, model, lighting="environment", size=256)
-    overview = overview_figure(profiles(measurement), model, spheres=spheres)
-    write_atomically(figure, [encode_figure(overview)])
+    figure.write_bytes(encode_figure(overview_figure(dsbrdf.profiles(measurement), model, spheres=spheres)))
     print(f"\n{figure}: profiles, fit and components; lit spheres of measurement, fit and components")
     print(f"done in {time.perf_counter() - begin:.1f} s; the service is stopped and its data is removed")
 
 
 @contextmanager
 def running_service(folder: Path) -> Iterator[str]:
-    """Run ``python -m service`` on a free port of the loopback address while the block runs.
-
-    Parameters
-    ----------
-    folder : Path
-        For its data and its log.
-
-    Yields
-    ------
-    str
-        Its URL; the service is ready.
-
-    Raises
-    ------
-    RuntimeError
-        If it ends or is not ready in time; the message has the end of its log.
-    """
+    """Run ``python -m service`` on a free port while the block runs, its data and log in a folder; yield its URL."""
     log = folder / "service.log"
     command = [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(folder / "data")]
     with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)  # noqa: S603 (no outside input)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
     try:
         url = _address_when_ready(process, log)
         if url is None:
@@ -122,7 +70,7 @@ def running_service(folder: Path) -> Iterator[str]:
         stop(process)
 
 
-def stop(process: "subprocess.Popen[bytes]") -> None:
+def stop(process: subprocess.Popen[bytes]) -> None:
     """Ask a process to end, and kill it if it does not."""
     process.terminate()
     try:
@@ -132,10 +80,8 @@ def stop(process: "subprocess.Popen[bytes]") -> None:
         process.wait()
 
 
-def _address_when_ready(process: "subprocess.Popen[bytes]", log: Path) -> str | None:
+def _address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | None:
     """Wait until the service is ready and return its URL, found in its log; None if it ends or takes too long."""
-    import httpx
-
     deadline = time.monotonic() + START_TIMEOUT
     while process.poll() is None and time.monotonic() < deadline:
         found = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
@@ -146,7 +92,7 @@ def _address_when_ready(process: "subprocess.Popen[bytes]", log: Path) -> str | 
     return None
 
 
-def _red_paint() -> Measurement:
+def _red_paint() -> dsbrdf.Measurement:
     """Return the measurement of a red paint with a glossy coat, with the noise of an instrument."""
     return synthetic_measurement(
         roughness=0.06,
@@ -157,7 +103,7 @@ def _red_paint() -> Measurement:
     )
 
 
-def _fit_twice(client: "httpx.Client", measurement: Measurement) -> dict[str, Any]:
+def _fit_twice(client: httpx.Client, measurement: dsbrdf.Measurement) -> dict[str, Any]:
     """Submit the measurement twice; the second time the service finds the fit and computes nothing."""
     content = encode_merl(measurement)
     print(f"POST /v1/fits with {len(content):,} bytes, {measurement.name}, twice:")
@@ -173,36 +119,36 @@ def _fit_twice(client: "httpx.Client", measurement: Measurement) -> dict[str, An
     return fit
 
 
-def _get(client: "httpx.Client", fit: dict[str, Any], path: str, **query: Any) -> "httpx.Response":
+def _get(client: httpx.Client, fit: dict[str, Any], path: str, **query: Any) -> httpx.Response:
     return client.get(f"/v1/fits/{fit['id']}/{path}", params=query).raise_for_status()
 
 
-def _values(client: "httpx.Client", fit: dict[str, Any], path: str, theta_half: Array, theta_diff: Array) -> Array:
+def _values(client: httpx.Client, fit: dict[str, Any], path: str, theta_half: Array, theta_diff: Array) -> Array:
     """Return BRDF values (n, 3) [1/sr] over HTTP, for angles (n,) [degrees]."""
     query = {"theta_half_deg": theta_half.tolist(), "theta_diff_deg": theta_diff.tolist()}
     return np.array(_get(client, fit, path, **query).json()["values"])
 
 
-def _show_components(client: "httpx.Client", fit: dict[str, Any]) -> None:
+def _show_components(client: httpx.Client, fit: dict[str, Any]) -> None:
     """Print the components, their own lobes, and whether their values add up to those of the fit."""
     components = _get(client, fit, "components").json()["items"]
-    _print("", *components_table(components), "", *component_lobes_table(components))
+    print("", *components_table(components), "", *component_lobes_table(components), sep="\n")
     point = np.array([2.0]), np.array([30.0])
     parts = [_values(client, fit, f"components/{component['label']}/brdf", *point)[0] for component in components]
     whole = _values(client, fit, "brdf", *point)[0]
     print(f"largest difference between their sum and the fit: {np.abs(np.sum(parts, axis=0) - whole).max():.1e} /sr")
 
 
-def _show_metrics(report: FitReport | None) -> None:
+def _show_metrics(report: dsbrdf.FitReport | None) -> None:
     """Print how many lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
     tried = [f"{step.n_lobes}{'' if step.pays else ' no'}" for step in report.growth]
-    _print("", f"numbers of lobes tried on held-out rows: {', '.join(tried)}")
-    _print(*textwrap.wrap(metrics_line(report.metrics), 100))
+    print(f"\nnumbers of lobes tried on held-out rows: {', '.join(tried)}")
+    print(*textwrap.wrap(metrics_line(report.metrics), 100), sep="\n")
 
 
-def _show_values(client: "httpx.Client", fit: dict[str, Any], measurement: Measurement) -> None:
+def _show_values(client: httpx.Client, fit: dict[str, Any], measurement: dsbrdf.Measurement) -> None:
     """Print measured values beside those of the service."""
     nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
     theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
@@ -215,6 +161,5 @@ def _show_values(client: "httpx.Client", fit: dict[str, Any], measurement: Measu
         print(f"{angles[0]:>9.1f}°{angles[1]:>11.0f}°{cells}")
 
 
-def _print(*lines: str) -> None:
-    for line in lines:
-        print(line)
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out"))
