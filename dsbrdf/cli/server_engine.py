@@ -5,10 +5,10 @@ from contextlib import AbstractAsyncContextManager
 from importlib import import_module
 from typing import Any
 
-from dsbrdf.engines.engine import Fault, FitTask, Fitted, OnProgress, Outcome
+from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
-from dsbrdf.output.serialize import to_json
+from dsbrdf.fitting.report import FitResult
 
 
 class ServerEngine:
@@ -38,7 +38,7 @@ class ServerEngine:
         self._slots = asyncio.Semaphore(self._count)
         self._client = self._service.Client(self._url)
 
-    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:  # noqa: ARG002 (there is one owner)
+    def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until one more fit may be asked for."""
         return self._slots
 
@@ -70,7 +70,7 @@ class ServerEngine:
 
         try:
             fit = self._client.fit(task.path, task.options, progress=report)
-            return Fitted(to_json(fit.model, fit.report), fit.metrics)
+            return FitResult(fit.model, fit.report)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except self._service.AccessError as error:

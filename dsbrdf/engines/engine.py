@@ -4,7 +4,7 @@ An engine turns tasks into outcomes; it knows nothing of database rows, requests
 on this machine; an engine that computes on other machines sends them the measurement's profiles, not the file.
 
 `dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both give the same
-document for the same task, a fit that fails does not affect the others, and no process outlives its engine.
+result for the same task, a fit that fails does not affect the others, and no process outlives its engine.
 """
 
 import math
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FitResult
 
 Origin = Literal["input", "compute", "system"]
 
@@ -63,22 +64,6 @@ class FitTask:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A fit that succeeded.
-
-    Attributes
-    ----------
-    document : str
-        Model and report as JSON, see `dsbrdf.output.serialize`.
-    metrics : dict
-        Those of the report.
-    """
-
-    document: str
-    metrics: dict[str, float | None]
-
-
-@dataclass(frozen=True)
 class Fault:
     """A fit that failed.
 
@@ -98,7 +83,7 @@ class Fault:
     message: str
 
 
-Outcome = Fitted | Fault
+Outcome = FitResult | Fault
 
 
 class Engine(Protocol):
@@ -108,11 +93,8 @@ class Engine(Protocol):
         """Get ready to run fits; an engine that cannot reach its machines keeps trying by itself."""
         ...
 
-    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
-        """Wait until the engine has room for one more fit; call `run` inside the block.
-
-        Owners take turns; the fits of one owner start in the order in which they were submitted.
-        """
+    def slot(self) -> AbstractAsyncContextManager[object]:
+        """Wait in line until the engine has room for one more fit; call `run` inside the block."""
         ...
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:

@@ -15,7 +15,7 @@ from starlette.responses import Response, StreamingResponse
 
 from dsbrdf import DSBRDF, Component
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.engines.export_step import export_step
+from dsbrdf.engines.fit_steps import export_step
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, export_model
 from dsbrdf.output.export.merl import merl_parts

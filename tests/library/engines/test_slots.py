@@ -1,21 +1,16 @@
-"""Fair slots: in order, to the owner who has the fewest, and safe under cancellation."""
+"""Slots: in order, at the emptiest place, and safe under cancellation."""
 
 import asyncio
-from pathlib import Path
 
 import pytest
 
-from dsbrdf.engines.fair_slots import FairSlots
-
-pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
-
-
-# who comes first is served first
+from dsbrdf.engines.slots import Slots
 
 
 def test_slots_are_given_in_order_and_at_the_emptiest_place() -> None:
     async def body() -> None:
-        places = FairSlots({"a": 2, "b": 1})
+        places = Slots()
+        places.resize({"a": 2, "b": 1})
         taken: list[str] = []
         go = asyncio.Event()
 
@@ -45,7 +40,8 @@ def test_slots_are_given_in_order_and_at_the_emptiest_place() -> None:
 
 def test_slot_of_a_cancelled_waiter_goes_to_the_next() -> None:
     async def body() -> None:
-        places = FairSlots({"a": 1})
+        places = Slots()
+        places.resize({"a": 1})
 
         async def take() -> None:
             async with places.slot():
