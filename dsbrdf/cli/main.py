@@ -10,8 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from dsbrdf.cli.arguments import BAD_INPUT, print_error
-from dsbrdf.cli.service_commands import SERVICE_COMMANDS, run_service_command
+from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, print_error, run_service_command
 from dsbrdf.errors import WRONG_PATH_ERRORS, DSBRDFError
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.process_settings import ONE_BLAS_THREAD

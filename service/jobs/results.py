@@ -32,10 +32,9 @@ from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import slice_means
-from dsbrdf.output.png import encode_png
 from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import from_json
-from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from service.jobs.computations import Run
 from service.storage.schema import FitKey, FitRow

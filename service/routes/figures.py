@@ -19,8 +19,8 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
-from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
+from dsbrdf.output.sphere_panels import encode_png
 from service.http import openapi
 from service.http.responses import IfNoneMatch, is_current, tag_of
 from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit

@@ -23,7 +23,7 @@ SOURCES = sorted(path for package in ("dsbrdf", "service", "benchmarks") for pat
 HEAVY = {"service", "fastapi", "starlette", "pydantic", "uvicorn", "matplotlib", "rich", "httpx"}
 HEAVY |= {"distributed", "sklearn", "cyclopts"}
 COMMAND_LINE = ROOT / "dsbrdf/cli"
-LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments", "dsbrdf.cli.service_commands"}  # without the extra cli
+LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extra cli
 PROMISED = {
     "DSBRDF",
     "FitOptions",

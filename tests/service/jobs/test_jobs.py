@@ -13,7 +13,6 @@ import pytest
 
 import dsbrdf
 from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome
-from dsbrdf.output.serialize import result_from_json
 from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
 from service.operations.metrics import Metrics
@@ -66,14 +65,6 @@ class Engine:
     async def check(self) -> None: ...
 
     async def close(self) -> None: ...
-
-
-def run_of(place: "Race", key: FitKey) -> str:
-    """Which run has computed what is stored."""
-    text = place.store.result(key)
-    assert text is not None
-    (sentence,) = result_from_json(text).report.warnings
-    return sentence
 
 
 class _Slow(NamedTuple):
@@ -171,7 +162,7 @@ def test_fit_requested_during_its_cancellation_runs(tmp_path: Path, monkeypatch:
         assert await again == key
         row = await place.end(key)
         assert row.status == "succeeded"
-        assert run_of(place, key) == "run 2"
+        assert '"run 2"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
@@ -196,7 +187,7 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
         await asyncio.sleep(0.5)  # it has written
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
-        assert run_of(place, key) == f"run {runs + 1}"
+        assert f'"run {runs + 1}"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
@@ -231,7 +222,7 @@ def test_two_requests_for_a_cancelled_fit_start_it_once(tmp_path: Path) -> None:
         await place.submit()
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
-        assert run_of(place, key) == f"run {place.engine.runs}"
+        assert f'"run {place.engine.runs}"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
