@@ -10,7 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
-from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any, NoReturn
 
 from dsbrdf.extras import require
@@ -82,6 +82,13 @@ SERVICE_COMMANDS = {
 }
 
 
+def entry_point(group: str, name: str) -> Callable[..., Any]:
+    """Return what the service offers to the command line: a command, or an engine; see ``pyproject.toml``."""
+    (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
+    offered: Callable[..., Any] = found.load()
+    return offered
+
+
 def run_service_command(command: str, words: Sequence[str]) -> int:
     """Run one of `SERVICE_COMMANDS` with the arguments that follow it; return the exit code.
 
@@ -95,5 +102,5 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     if command == "serve":  # replaces this process, so that signals reach the service
         sys.stdout.flush()
         os.execv(sys.executable, [sys.executable, "-m", "service", *words])  # noqa: S606 (no shell)
-    main: Callable[[Sequence[str]], int] = import_module(f"service.commands.{command}").main
-    return main(words)
+    code: int = entry_point("commands", command)(words)
+    return code

@@ -13,14 +13,14 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import BAD_INPUT, print_json
+from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
 from dsbrdf.cli.parameters import DEFAULT, Flags, Jobs, Json, OutputFolder, RequiredFiles
 from dsbrdf.cli.progress import progress_bar
-from dsbrdf.cli.server_engine import ServerEngine
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
+from dsbrdf.engines.engine import Engine
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
@@ -123,7 +123,7 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 work.output,
                 jobs=jobs,
                 scheduler=work.scheduler,
-                engine=None if work.url is None else ServerEngine(work.url, jobs),
+                engine=None if work.url is None else _client_engine(work.url, jobs),
                 force=work.force,
                 progress=progress,
             )
@@ -137,6 +137,12 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 for line in _text(item, whole=len(files) == 1):
                     progress.write(line)
     return done
+
+
+def _client_engine(url: str, count: int) -> Engine:
+    require("client", "httpx", purpose="dsbrdf fit --url")
+    engine: Engine = entry_point("engines", "url")(url, count)
+    return engine
 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:

@@ -2,16 +2,16 @@
 
 import asyncio
 from contextlib import AbstractAsyncContextManager
-from importlib import import_module
-from typing import Any
+
+import httpx
 
 from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
-from dsbrdf.extras import require
 from dsbrdf.fitting.report import FitResult
+from service.client import AccessError, Client, ServiceError
 
 
-class ServerEngine:
+class ClientEngine:
     """Asks a service for the fits, with the key in the environment variable ``DSBRDF_KEY`` if there is one.
 
     Parameters
@@ -20,23 +20,15 @@ class ServerEngine:
         Address of the service.
     count : int
         Most fits that are asked for at once.
-
-    Raises
-    ------
-    MissingExtraError
-        If httpx is not installed.
     """
 
     def __init__(self, url: str, count: int) -> None:
-        require("client", "httpx", purpose="dsbrdf fit --url")
         self._url, self._count, self._closed = url, count, False
-        self._service: Any = import_module("service.client")
-        self._transport_error: Any = import_module("httpx").TransportError
 
     async def start(self) -> None:
         """Connect to the service."""
         self._slots = asyncio.Semaphore(self._count)
-        self._client = self._service.Client(self._url)
+        self._client = Client(self._url)
 
     def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until one more fit may be asked for."""
@@ -70,12 +62,14 @@ class ServerEngine:
 
         try:
             fit = self._client.fit(task.path, task.options, progress=report)
+            if fit.report is None:
+                raise ConnectionError(f"{self._url}: the service has sent a fit without its report")
             return FitResult(fit.model, fit.report)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
-        except self._service.AccessError as error:
+        except AccessError as error:
             raise InvalidArgumentError(
                 f"{self._url}: {error}; the environment variable DSBRDF_KEY gives the key"
             ) from error
-        except (self._service.ServiceError, self._transport_error) as error:
+        except (ServiceError, httpx.TransportError) as error:
             raise ConnectionError(f"{self._url}: {error}") from error
