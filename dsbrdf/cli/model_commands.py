@@ -22,7 +22,17 @@ from dsbrdf.output.serialize import save
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
 GuideFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
-Format = Annotated[str | None, Parameter(name="--format", choices=tuple(FORMATS))]
+_FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
+Format = Annotated[
+    str | None,
+    Parameter(
+        name="--format",
+        metavar="FORMAT",
+        choices=tuple(FORMATS),
+        show_choices=False,
+        help=f"By default that of the file's suffix. {_FORMAT_HELP}. All hold the guide, those of values a component.",
+    ),
+]
 
 _NO_POINTS = Points()
 
@@ -98,9 +108,6 @@ def export(
 
     Parameters
     ----------
-    file_format
-        By default that of the file's suffix; merl is a .binary file, a table of values.  merl, glsl, brdf, bsdf and
-        bsdf-spectral can hold a component, all formats the guide.
     output
         The file to write.
     """
