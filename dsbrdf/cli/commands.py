@@ -150,7 +150,8 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     shell
         Load the script with: eval "$(dsbrdf completion bash)"; in fish with: dsbrdf completion fish | source
     """
-    print(application().generate_completion(shell=shell))  # nosec B604
+    script = application().generate_completion(shell=shell)  # nosec B604
+    print(script)
     return 0
 
 
