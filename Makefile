@@ -31,7 +31,7 @@ $(DOCS_READY): $(READY) docs/requirements.lock
 	@touch $@
 
 demo: $(READY)  ## start the service, POST a measurement, print lobes and values, save a figure
-	@$(BIN)/dsbrdf demo
+	@$(BIN)/python -m examples.demo
 
 serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve

@@ -83,7 +83,7 @@ def batch_curve(data: Profiles, channel: int, row: int, n_lobes: int, iterations
 
 def fitted_slices(result: FitResult) -> dict[tuple[int, int], int]:
     """Return the EM iterations that the batch used on each (channel, row) that has data."""
-    slices = result.report.slices
+    slices = result.report.knots
     rows = np.round(np.degrees(slices.theta_diff)).astype(int).tolist()
     return {
         (channel, row): slices.iterations[channel][index]

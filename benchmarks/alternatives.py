@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from benchmarks.paper.ggx import Objective, fit_ggx
 from benchmarks.scoring import PAPER_RANGE, RowPredictor, Score, errors, of_model, of_profile
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
@@ -27,7 +28,6 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.paper.ggx import Objective, fit_ggx
 
 Array = NDArray[np.float64]
 Fitted = tuple[RowPredictor, int]

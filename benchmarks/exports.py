@@ -38,8 +38,7 @@ from dsbrdf.model.image_metrics import displayed, exposure, psnr
 from dsbrdf.model.render import THREE_LIGHTS, Source, render_sphere, sphere_normals
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
-from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
-from dsbrdf.output.export.rgl import rgl_bsdf
+from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from dsbrdf.output.serialize import save
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from cyclopts import App
 
-from dsbrdf.cli.fit_arguments import DEFAULT, Flags
+from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from benchmarks.paper.materials import fit_quietly
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.metrics import relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import profiles_for
-from dsbrdf.paper.materials import fit_quietly
 
 SHARE, FACTOR, SEED = 0.01, 100.0, 13
 LARGEST_COST = 0.02

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from benchmarks.paper.table_interpolation import RowPredictor, interpolated_rows, means_over_phi, thinned
 from benchmarks.scoring import errors, of_model
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
@@ -31,7 +32,6 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
-from dsbrdf.paper.table_interpolation import RowPredictor, interpolated_rows, means_over_phi, thinned
 
 Array = NDArray[np.float64]
 

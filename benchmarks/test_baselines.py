@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.alternatives import of_table
+from benchmarks.paper.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
 from benchmarks.scoring import PAPER_RANGE, errors, of_model
 from dsbrdf.data.grid import THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
@@ -11,7 +12,6 @@ from dsbrdf.data.reduction import used_nodes
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.paper.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
 from tests.support.materials import glossy_plastic, polished_metal
 
 CUTOFF = float(np.radians(80.0))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.paper.ggx import fit_ggx
 from benchmarks.rendered import phi_means
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.paper.ggx import fit_ggx
 from tests.support.materials import glossy_plastic
 
 

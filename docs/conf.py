@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE), str(HERE.parent)]
 
-import dsbrdf  # noqa: E402 (the folder of this file comes first)
+import dsbrdf  # noqa: E402 (the folders of this file and of the benchmarks come first)
 
 project = "dsbrdf"
 author = "the dsbrdf authors"

@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.paper.materials import Material, Numbers, compute, find_materials, fit_quietly
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.render import sphere_normals
-from dsbrdf.output.png import encode_png
-from dsbrdf.output.sphere_panels import compare_spheres
-from dsbrdf.paper.materials import Material, Numbers, compute, find_materials, fit_quietly
+from dsbrdf.output.sphere_panels import compare_spheres, encode_png
 from dsbrdf.process_settings import core_count
 
 README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"

@@ -11,9 +11,9 @@ from importlib import import_module
 from typing import Any
 from unittest import mock
 
+from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from dsbrdf.cli.main import main
-from dsbrdf.cli.service_commands import SERVICE_COMMANDS
 from service.app import create_app
 from service.http import problems
 from service.settings import Settings

@@ -8,7 +8,7 @@
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
 Wings, each calling only those to its left: errors, version, extras, process_settings, data, model, fitting, output,
-paper, engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`.
+engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`.
 """
 
 from importlib import import_module

@@ -5,11 +5,15 @@ Imports nothing that takes time, so that commands which compute nothing answer a
 
 import argparse
 import json
+import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from importlib.metadata import entry_points
 from typing import Any, NoReturn
+
+from dsbrdf.extras import require
 
 BAD_INPUT = 2
 """Exit code for bad usage and bad input."""
@@ -67,3 +71,36 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return a question with the known words that are nearly ``word``; empty if there are none."""
     near = get_close_matches(word, list(known), n=2, cutoff=0.6)
     return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+# command -> (modules that it needs, what it does)
+SERVICE_COMMANDS = {
+    "serve": (("fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
+    "keys": (("pydantic_settings",), "Add, list and revoke API keys of the service."),
+    "purge": (("pydantic_settings",), "Remove old fits and measurements of the service."),
+    "doctor": (("pydantic_settings",), "Check the service's database and stored files."),
+}
+
+
+def entry_point(group: str, name: str) -> Callable[..., Any]:
+    """Return what the service offers to the command line: a command, or an engine; see ``pyproject.toml``."""
+    (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
+    offered: Callable[..., Any] = found.load()
+    return offered
+
+
+def run_service_command(command: str, words: Sequence[str]) -> int:
+    """Run one of `SERVICE_COMMANDS` with the arguments that follow it; return the exit code.
+
+    Raises
+    ------
+    MissingExtraError
+        If the service is not installed.
+    """
+    needed, _ = SERVICE_COMMANDS[command]
+    require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
+    if command == "serve":  # replaces this process, so that signals reach the service
+        sys.stdout.flush()
+        os.execv(sys.executable, [sys.executable, "-m", "service", *words])  # noqa: S606 (no shell)
+    code: int = entry_point("commands", command)(words)
+    return code

@@ -3,19 +3,29 @@
 cyclopts belongs to the extra ``cli``.  The module of a command is imported when the command is called.
 """
 
+import json
 import shutil
 import sys
 from collections.abc import Sequence
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    RepeatArgumentError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import Box
 from rich.console import Console
 
-from dsbrdf.cli.arguments import BAD_INPUT, did_you_mean, join_points, print_error
-from dsbrdf.cli.service_commands import SERVICE_COMMANDS
-from dsbrdf.cli.usage_errors import usage_sentence
+from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, did_you_mean, join_points, print_error
 from dsbrdf.version import __version__
 
 _WIDTH = 100  # of the help, at most
@@ -30,19 +40,17 @@ _COMMANDS = {
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
     },
     "Pictures": {
-        "plot": ("plot_command:plot", "Draw the fit of a measurement, or the parameters of a model."),
-        "render": ("render_command:render", "Draw a lit sphere of a model or a measurement."),
-        "compare": ("compare_command:compare", "Compare two models or measurements, with their spheres side by side."),
-        "paper": ("paper_command:paper", "Make the figures of Nishino 2009 from a folder of measurements."),
+        "plot": ("picture_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
+        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement."),
+        "compare": ("picture_commands:compare", "Compare two models or measurements, with their spheres side by side."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
-        "convert": ("convert_command:convert", "Write a measurement as another kind of file."),
-        "schema": ("schema_command:schema", "Print the JSON Schema of stored models."),
+        "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
+        "schema": ("commands:schema", "Print the JSON Schema of stored models."),
     },
     "More": {
-        "demo": ("demo:demo", "Start the service, fit a generated measurement, save a figure."),
-        "completion": ("completion_command:completion", "Print what makes a shell complete commands and options."),
+        "completion": ("commands:completion", "Print what makes a shell complete commands and options."),
     },
 }
 
@@ -98,3 +106,58 @@ def run_command(words: Sequence[str]) -> int:
 def _shown(default: Any) -> str | None:
     """Return a default value for the help, unless nothing is the default."""
     return None if default in (None, False, ()) else str(default)
+
+
+def usage_sentence(error: CycloptsError) -> str:
+    """Return what is wrong, and what would be right."""
+    command = " ".join(["dsbrdf", *(error.command_chain or ())])
+    return f"{command}: {_reason(error).removesuffix('.')} (see {command} --help)"
+
+
+def _reason(error: CycloptsError) -> str:
+    if isinstance(error, UnknownOptionError):
+        name = error.token.keyword or error.token.value
+        known = [name for argument in error.argument_collection for name in argument.names]
+        return f"there is no option {name}{did_you_mean(name, known)}"
+    if isinstance(error, UnusedCliTokensError):
+        return f"there is no place for {' '.join(error.unused_tokens or ())}"
+    if isinstance(error, RepeatArgumentError):
+        return f"{error.token.keyword} is given more than once"
+    if isinstance(error, MissingArgumentError) and error.argument is not None:
+        return f"{error.keyword} needs a value" if error.keyword else f"{error.argument.name} is missing"
+    if isinstance(error, CoercionError) and error.token is not None and error.msg is None:
+        name = error.token.keyword or (error.argument.name if error.argument else "")
+        return f"{name}: must be {_allowed(error.target_type)}, not {error.token.value!r}"
+    return str(error)
+
+
+def _allowed(kind: Any) -> str:
+    """Return what may be typed where a type is wanted."""
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(_allowed(member) for member in get_args(kind))
+    if get_origin(kind) is Literal:
+        return " or ".join(get_args(kind))
+    if get_origin(kind) is tuple:  # of any length
+        return _allowed(get_args(kind)[0])
+    return {int: "a whole number", float: "a number", bool: "yes or no", NoneType: "none"}.get(kind, "a text")
+
+
+def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
+    """Print the script with which a shell completes commands, options and files; return the exit code.
+
+    Parameters
+    ----------
+    shell
+        Load the script with: eval "$(dsbrdf completion bash)"; in fish with: dsbrdf completion fish | source
+    """
+    script = application().generate_completion(shell=shell)  # nosec B604
+    print(script)
+    return 0
+
+
+def schema() -> int:
+    """Print the JSON Schema of stored models; return the exit code."""
+    from dsbrdf.output.json_schema import stored_model_schema  # the other commands need no NumPy to start
+
+    print(json.dumps(stored_model_schema(), indent=2))
+    return 0

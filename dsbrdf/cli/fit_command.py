@@ -1,28 +1,31 @@
-"""The command ``dsbrdf fit``."""
+"""The command ``dsbrdf fit``, and the fits of several files as a table, in the terminal and as CSV."""
 
+import csv
+import io
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import BAD_INPUT, print_json
-from dsbrdf.cli.fit_arguments import DEFAULT, Flags
-from dsbrdf.cli.fit_summary import summary_csv, summary_table
-from dsbrdf.cli.parameters import Jobs, Json, OutputFolder, RequiredFiles
+from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
+from dsbrdf.cli.parameters import DEFAULT, Flags, Jobs, Json, OutputFolder, RequiredFiles
 from dsbrdf.cli.progress import progress_bar
-from dsbrdf.cli.server_engine import ServerEngine
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
+from dsbrdf.engines.engine import Engine
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
+from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.output.report_text import headline, result_document, result_text
+from dsbrdf.output.report_text import headline, lobes_phrase, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 
 _SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
@@ -120,7 +123,7 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 work.output,
                 jobs=jobs,
                 scheduler=work.scheduler,
-                engine=None if work.url is None else ServerEngine(work.url, jobs),
+                engine=None if work.url is None else _client_engine(work.url, jobs),
                 force=work.force,
                 progress=progress,
             )
@@ -134,6 +137,12 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 for line in _text(item, whole=len(files) == 1):
                     progress.write(line)
     return done
+
+
+def _client_engine(url: str, count: int) -> Engine:
+    require("client", "httpx", purpose="dsbrdf fit --url")
+    engine: Engine = entry_point("engines", "url")(url, count)
+    return engine
 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
@@ -176,3 +185,57 @@ def _document(item: FileFit) -> dict[str, Any]:
         return about | {"status": "failed", "error": item.error}
     about |= {"status": "succeeded", "error": None, "resumed": item.resumed}
     return about | result_document(item.result.model, item.result.report)
+
+
+SHOWN = ("relative_rms", "excess", "albedo_error", "psnr")
+"""Metrics in the table of the terminal; the CSV has all."""
+
+_COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
+
+
+def summary_table(items: Sequence[FileFit]) -> list[str]:
+    """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
+    fits = sorted((item for item in items if item.result is not None), key=_relative_rms, reverse=True)
+    width = max([len(item.file.stem) for item in fits] + [len("worst first")])
+    heads = "".join(f"{name:>14}" for name in SHOWN)
+    lines = [f"{'worst first':<{width}}  {'lobes':<24}{heads}{'warnings':>10}"]
+    for item in fits:
+        if item.result is not None:
+            metrics, warnings = item.result.report.metrics, len(item.result.report.warnings)
+            cells = "".join(f"{'' if metrics[name] is None else f'{metrics[name]:.4g}':>14}" for name in SHOWN)
+            lines.append(f"{item.file.stem:<{width}}  {lobes_phrase(item.result.model):<24}{cells}{warnings:>10}")
+    failed = len(items) - len(fits)
+    if failed:
+        lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")
+    return lines
+
+
+def summary_csv(items: Sequence[FileFit]) -> bytes:
+    """Return a table as CSV with a line for each file, in their order."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    table.writeheader()
+    table.writerows(_row(item) for item in items)
+    return text.getvalue().encode()
+
+
+def _row(item: FileFit) -> dict[str, Any]:
+    if item.result is None:
+        return {"file": item.file, "status": "failed", "error": item.error}
+    model, report = item.result.model, item.result.report
+    rings = int(np.count_nonzero(model.is_ring))
+    return asdict(report.metrics) | {
+        "file": item.file,
+        "status": "succeeded",
+        "n_lobes": model.n_lobes - rings,
+        "ring_lobes": rings,
+        "seconds": round(sum(report.timings.values()), 3),
+        "output": item.output,
+        "warnings": " ".join(report.warnings),
+    }
+
+
+def _relative_rms(item: FileFit) -> float:
+    """Return what the table is sorted by; a fit without metrics comes last."""
+    value = None if item.result is None else item.result.report.metrics.relative_rms
+    return -math.inf if value is None else value

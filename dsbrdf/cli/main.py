@@ -10,8 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from dsbrdf.cli.arguments import BAD_INPUT, print_error
-from dsbrdf.cli.service_commands import SERVICE_COMMANDS, run_service_command
+from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, print_error, run_service_command
 from dsbrdf.errors import WRONG_PATH_ERRORS, DSBRDFError
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.process_settings import ONE_BLAS_THREAD
@@ -61,7 +60,7 @@ def _run(words: list[str]) -> int:
         return BAD_INPUT
     if words[0] in SERVICE_COMMANDS:
         return run_service_command(words[0], words[1:])
-    if words[0] in ("fit", "paper") and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
+    if words[0] == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
     from dsbrdf.cli.commands import run_command

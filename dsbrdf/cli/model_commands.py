@@ -1,4 +1,4 @@
-"""Commands that read a stored model: ``dsbrdf eval``, ``show``, ``decompose`` and ``export``."""
+"""Commands that read a model, ``dsbrdf eval``, ``show``, ``decompose``, ``export``, or a measurement: ``convert``."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,21 +7,32 @@ import numpy as np
 from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import print_json
-from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile
-from dsbrdf.cli.point_arguments import Points
-from dsbrdf.cli.source_files import named_part, read_model
+from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, Points
+from dsbrdf.cli.source_files import named_part, read_grid, read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
 GuideFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
-Format = Annotated[str | None, Parameter(name="--format", choices=tuple(FORMATS))]
+_FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
+Format = Annotated[
+    str | None,
+    Parameter(
+        name="--format",
+        metavar="FORMAT",
+        choices=tuple(FORMATS),
+        show_choices=False,
+        help=f"By default that of the file's suffix. {_FORMAT_HELP}. All hold the guide, those of values a component.",
+    ),
+]
 
 _NO_POINTS = Points()
 
@@ -97,9 +108,6 @@ def export(
 
     Parameters
     ----------
-    file_format
-        By default that of the file's suffix; merl is a .binary file, a table of values.  merl, glsl, brdf, bsdf and
-        bsdf-spectral can hold a component, all formats the guide.
     output
         The file to write.
     """
@@ -119,3 +127,31 @@ def _format_of(path: Path) -> str:
             return name
     known = ", ".join(dict.fromkeys(f".{file_format.suffix}" for file_format in FORMATS.values()))
     raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or --format must name its format")
+
+
+_SUFFIXES = (".binary", ".bsdf")
+
+
+def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> int:
+    """Write a measurement as another kind of file; return the exit code.
+
+    Parameters
+    ----------
+    source
+        A MERL .binary or an isotropic RGL .bsdf file.
+    target
+        The file to write; .bsdf is for Mitsuba 3, .binary a MERL table.
+    spectral
+        Spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba.
+    """
+    suffix = target.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InvalidArgumentError(f"{target}: the output must end in {' or '.join(_SUFFIXES)}")
+    measurement = read_grid(source)
+    content = (
+        rgl_bsdf(measurement, measurement.name, spectral=spectral) if suffix == ".bsdf" else encode_merl(measurement)
+    )
+    write_atomically(target, [content])
+    if json:
+        print_json({"output": str(target), "format": suffix[1:], "bytes": len(content)})
+    return 0

@@ -2,7 +2,7 @@
 
 from dsbrdf.engines.batch import fit_files
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask, Fitted, Outcome
+from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask, Outcome
 from dsbrdf.engines.local import LocalEngine
 
-__all__ = ["DaskEngine", "Engine", "Fault", "FitLimits", "FitTask", "Fitted", "LocalEngine", "Outcome", "fit_files"]
+__all__ = ["DaskEngine", "Engine", "Fault", "FitLimits", "FitTask", "LocalEngine", "Outcome", "fit_files"]

@@ -243,7 +243,7 @@ def _file_fit(file: Path, outcome: Outcome) -> FileFit:
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    return FileFit(file, result=result_from_json(outcome.document))
+    return FileFit(file, result=outcome)
 
 
 def _unreadable(file: Path) -> FileFit | None:

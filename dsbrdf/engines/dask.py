@@ -17,10 +17,10 @@ from dataclasses import replace
 from typing import Any
 
 from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError
-from dsbrdf.engines.engine import Fault, FitLimits, FitTask, Fitted, OnProgress, Outcome
-from dsbrdf.engines.fair_slots import FairSlots
-from dsbrdf.engines.fit_steps import ReducedMeasurement, complete_report, fit_payload, reduce_measurement
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.fit_steps import ReducedMeasurement, complete_report, fit_profiles, reduce_measurement
 from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.engines.slots import Slots
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
@@ -54,7 +54,7 @@ class DaskEngine:
         require("dask", "distributed", purpose="fits on a Dask cluster")
         self._limits = limits or FitLimits()
         self._processes = WorkerProcesses(helpers, self._limits)
-        self._slots = FairSlots()
+        self._slots = Slots()
         self._helpers = helpers
         self._cluster = Cluster(scheduler, self._resize_slots)
         self._connection_task: asyncio.Task[None] | None = None
@@ -67,21 +67,19 @@ class DaskEngine:
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self._connection_task = asyncio.create_task(self._cluster.stay_connected())
 
-    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
+    def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until the cluster has a thread for one more fit, or until one more may be prepared in advance."""
-        return self._slots.slot(owner)
+        return self._slots.slot()
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
         reduced: ReducedMeasurement | Fault = await self._processes.run(reduce_measurement, task, on_progress=_ignore)
         if isinstance(reduced, Fault):
             return reduced
-        outcome = await self._fit(reduced.payload, task.options, _increasing(on_progress))
+        outcome = await self._fit(reduced.profiles, task.options, _increasing(on_progress))
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._processes.run(
-            complete_report, outcome, task, reduced.sha256, on_progress=_ignore
-        )
+        completed: Outcome = await self._processes.run(complete_report, outcome, task, reduced, on_progress=_ignore)
         return completed
 
     async def check(self) -> None:
@@ -104,13 +102,13 @@ class DaskEngine:
     def _resize_slots(self, threads: int, elsewhere: bool) -> None:
         self._slots.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
 
-    async def _fit(self, payload: bytes, options: FitOptions, on_progress: OnProgress) -> Fitted | Fault:
+    async def _fit(self, profiles: bytes, options: FitOptions, on_progress: OnProgress) -> Outcome:
         lost = 0
         while lost <= _MAX_LOST_WORKERS:
             async with self._cluster.threads.slot() as worker:
                 try:
-                    outcome: Fitted | Fault = await self._cluster.call(
-                        worker, on_progress, fit_on_worker, payload, options, self._limits
+                    outcome: Outcome = await self._cluster.call(
+                        worker, on_progress, fit_on_worker, profiles, options, self._limits
                     )
                 except LostError as error:
                     logger.warning("a fit on the worker %s has to run again: %s", worker, error)
@@ -123,8 +121,8 @@ class DaskEngine:
         return Fault("system", "WorkerLost", f"{lost} workers of the Dask cluster were lost while they ran this fit.")
 
 
-def fit_on_worker(payload: bytes, options: FitOptions, limits: FitLimits) -> Outcome:
-    """Fit a payload in a child process of the Dask worker that calls this; end it if the task is cancelled."""
+def fit_on_worker(profiles: bytes, options: FitOptions, limits: FitLimits) -> Outcome:
+    """Fit profiles in a child process of the Dask worker that calls this; end it if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
 
@@ -146,7 +144,7 @@ def fit_on_worker(payload: bytes, options: FitOptions, limits: FitLimits) -> Out
         state = worker.state.tasks.get(key)
         return state is not None and state.state == "executing" and worker.status not in (Status.closing, Status.closed)
 
-    process = WorkerProcess(fit_payload, (payload, options), _with_memory_share(limits, worker))
+    process = WorkerProcess(fit_profiles, (profiles, options), _with_memory_share(limits, worker))
     outcome: Outcome = process.run(send_progress, still_wanted)
     return outcome
 

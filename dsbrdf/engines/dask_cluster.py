@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import Any
 
 from dsbrdf.engines.engine import OnProgress
-from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.slots import Slots
 from dsbrdf.engines.worker_process import start_fork_server
 from dsbrdf.version import versions
 
@@ -102,12 +102,12 @@ class Cluster:
 
     Attributes
     ----------
-    threads : FairSlots
+    threads : Slots
         Threads of the usable workers, by the workers' addresses.
     """
 
     def __init__(self, address: str, on_size: Callable[[int, bool], None]) -> None:
-        self.threads = FairSlots()
+        self.threads = Slots()
         self._address = address
         self._on_size = on_size
         self._client: Any = None

@@ -4,7 +4,7 @@ An engine turns tasks into outcomes; it knows nothing of database rows, requests
 on this machine; an engine that computes on other machines sends them the measurement's profiles, not the file.
 
 `dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both give the same
-document for the same task, a fit that fails does not affect the others, and no process outlives its engine.
+result for the same task, a fit that fails does not affect the others, and no process outlives its engine.
 """
 
 import math
@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from dsbrdf.fitting.decomposition import Decomposition
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FitResult
 
 Origin = Literal["input", "compute", "system"]
 
@@ -58,7 +60,7 @@ class FitTask:
     sha256 : str or None
         Digest of the file if it has been checked before, so that it need not be checked again.
     components : bool
-        Whether the document has the components of the model too.
+        Whether the outcome is a `DecomposedFit`.
     """
 
     fit_id: str
@@ -69,19 +71,15 @@ class FitTask:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A fit that succeeded.
+class DecomposedFit(FitResult):
+    """What a task that asks for components gets.
 
     Attributes
     ----------
-    document : str
-        Model, report and, if the task asks for them, components as JSON, see `dsbrdf.output.serialize`.
-    metrics : dict
-        Those of the report.
+    decomposition : Decomposition
     """
 
-    document: str
-    metrics: dict[str, float | None]
+    decomposition: Decomposition
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class Fault:
     message: str
 
 
-Outcome = Fitted | Fault
+Outcome = FitResult | Fault
 
 
 class Engine(Protocol):
@@ -114,11 +112,8 @@ class Engine(Protocol):
         """Get ready to run fits; an engine that cannot reach its machines keeps trying by itself."""
         ...
 
-    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
-        """Wait until the engine has room for one more fit; call `run` inside the block.
-
-        Owners take turns; the fits of one owner start in the order in which they were submitted.
-        """
+    def slot(self) -> AbstractAsyncContextManager[object]:
+        """Wait in line until the engine has room for one more fit; call `run` inside the block."""
         ...
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:

@@ -8,7 +8,6 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 from dsbrdf.engines.engine import FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.engines.fit_steps import compute
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 
@@ -70,16 +69,16 @@ class LocalEngine:
     """
 
     def __init__(self, workers: int, limits: FitLimits | None = None) -> None:
-        self._slots = FairSlots({"here": workers})
+        self._slots = asyncio.Semaphore(workers)
         self._processes = WorkerProcesses(workers, limits or FitLimits())
 
     async def start(self) -> None:
         """Start the server from which worker processes are forked."""
         await asyncio.to_thread(start_fork_server)
 
-    def slot(self, owner: str = "") -> AbstractAsyncContextManager[object]:
+    def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until a worker process may be started."""
-        return self._slots.slot(owner)
+        return self._slots
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task in a new process; when cancelled, end the process before returning."""

@@ -20,7 +20,7 @@ from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import Slices
+from dsbrdf.fitting.report import KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -67,7 +67,7 @@ class GlobalFit:
     """Model and what the report says of it, see `dsbrdf.FitReport`."""
 
     model: DSBRDF
-    slices: Slices
+    knots: KnotReport
     growth: list[GrowthStep]
     mixture: Mixture
 
@@ -151,8 +151,9 @@ def _found(structure: Structure, solution: Solution, seen: NDArray[np.bool_], gr
     model = _model(structure, solution.unknowns)
     knots = model.theta_diff
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
-    slices = Slices.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, _bounds_hit(model))
-    return GlobalFit(model, slices, growth, Mixture(structure, solution.unknowns))
+    bounds_hit = _bounds_hit(model)
+    report = KnotReport.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, bounds_hit)
+    return GlobalFit(model, report, growth, Mixture(structure, solution.unknowns))
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:

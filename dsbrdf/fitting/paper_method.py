@@ -18,7 +18,7 @@ from dsbrdf.fitting import em
 from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, SelectionStep, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import Slices
+from dsbrdf.fitting.report import KnotReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import lobe
 
@@ -35,7 +35,7 @@ class PaperFit:
     """Model and what the report says of it, see `dsbrdf.FitReport`."""
 
     model: DSBRDF
-    slices: Slices
+    knots: KnotReport
     selection: tuple[SelectionStep, ...]
 
 
@@ -80,7 +80,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
     bounds_hit = _bounds_hit(slices, data_slices.largest_kappa[fitted])
     found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
-    return PaperFit(model, Slices.from_arrays(PAPER_SLICES, fitted, *found), selection)
+    return PaperFit(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection)
 
 
 @dataclass(frozen=True, eq=False)

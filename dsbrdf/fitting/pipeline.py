@@ -93,8 +93,8 @@ def fit(
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
-    if not np.all(result.report.slices.converged):
-        sentence = convergence_sentence(result.report.slices, in_slices=options.method == "paper")
+    if not np.all(result.report.knots.converged):
+        sentence = convergence_sentence(result.report.knots, in_slices=options.method == "paper")
         warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
     return result
 
@@ -110,15 +110,15 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
 
 def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, clock: "_Clock") -> FitResult:
     """Model and report, without the metrics."""
-    model, slices = found.model, found.slices
+    model, knots = found.model, found.knots
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
     clock.lap("albedo")
     report = FitReport(
-        warnings=fit_warnings(model, data, slices, albedo, in_slices=options.method == "paper"),
+        warnings=fit_warnings(model, data, knots, albedo, in_slices=options.method == "paper"),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
-        slices=slices,
+        knots=knots,
         growth=tuple(found.growth) if isinstance(found, GlobalFit) else (),
         selection=found.selection if isinstance(found, PaperFit) else (),
         albedo=albedo,

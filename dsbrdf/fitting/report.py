@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Slices:
-    """How a fit went at each of D knots of theta_diff.
+class KnotReport:
+    """How a fit went at each of D knots of theta_diff; those of the method "paper" are its slices.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class FitReport:
         Errors of each channel that is not black; empty where the metrics are None.
     by_theta_diff : tuple of BandErrors
         Errors of each band of theta_diff with data; empty where the metrics are None.
-    slices : Slices
+    knots : KnotReport
         How the fit went at each knot of theta_diff.
     growth : tuple of GrowthStep
         The lobes that were tried; empty for the method "paper".
@@ -115,7 +115,7 @@ class FitReport:
     metrics: Metrics
     by_channel: tuple[ChannelErrors, ...]
     by_theta_diff: tuple[BandErrors, ...]
-    slices: Slices
+    knots: KnotReport
     growth: tuple[GrowthStep, ...]
     selection: tuple[SelectionStep, ...]
     albedo: DirectionalAlbedo

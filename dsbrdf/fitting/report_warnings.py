@@ -10,7 +10,7 @@ from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
-from dsbrdf.fitting.report import DirectionalAlbedo, Slices
+from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
@@ -23,17 +23,17 @@ _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15
 
 
 def fit_warnings(
-    model: DSBRDF, data: Profiles, slices: Slices, albedo: DirectionalAlbedo, *, in_slices: bool = False
+    model: DSBRDF, data: Profiles, knots: KnotReport, albedo: DirectionalAlbedo, *, in_slices: bool = False
 ) -> tuple[str, ...]:
     """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model."""
-    convergence = () if np.all(slices.converged) else (convergence_sentence(slices, in_slices=in_slices),)
+    convergence = () if np.all(knots.converged) else (convergence_sentence(knots, in_slices=in_slices),)
     return (*convergence, *_extrapolation(data), *_energy(albedo), *_components(model))
 
 
-def convergence_sentence(slices: Slices, *, in_slices: bool) -> str:
+def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
     """What stopped before it converged: the fit, or how many of its slices, of all channels."""
-    stopped = np.logical_not(slices.converged)
-    bound, count = np.array(slices.iterations)[stopped].max(), np.count_nonzero(stopped)
+    stopped = np.logical_not(knots.converged)
+    bound, count = np.array(knots.iterations)[stopped].max(), np.count_nonzero(stopped)
     several = in_slices and count > 1
     what = f"{count} {'slices' if several else 'slice'}" if in_slices else "The fit"
     return (

@@ -92,8 +92,8 @@ def _series_energy(kappa: Array, gamma: Array) -> Array:
 
 def _ring_energy(kappa: Array, gamma: Array, center: Array) -> Array:
     """Gauss-Legendre on panels that scale with the half width of the lobe, for arrays of shape (n,)."""
-    reach = half_width(kappa, gamma)[:, None] * _RING_PANELS
-    ends = np.clip(center[:, None] + np.concatenate([-reach[:, ::-1], reach[:, 1:]], axis=1), 0.0, np.pi / 2)
+    offset = half_width(kappa, gamma)[:, None] * _RING_PANELS
+    ends = np.clip(center[:, None] + np.concatenate([-offset[:, ::-1], offset[:, 1:]], axis=1), 0.0, np.pi / 2)
     ends = np.concatenate([np.zeros((kappa.size, 1)), ends, np.full((kappa.size, 1), np.pi / 2)], axis=1)
     half_length = 0.5 * np.diff(ends, axis=1)
     theta = ends[:, :-1, None] + half_length[..., None] * (1.0 + _NODES)

@@ -20,8 +20,8 @@ from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
-from dsbrdf.output.png import encode_png
 from dsbrdf.output.report_text import lobes_phrase
+from dsbrdf.output.sphere_panels import encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

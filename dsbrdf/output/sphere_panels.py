@@ -6,6 +6,8 @@ clipped to [0, 1] and shown with the sRGB curve.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -23,7 +25,14 @@ from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
-__all__ = ["DIFFERENCE_GAIN", "SphereComparison", "compare_spheres", "draw_panels", "side_by_side"]
+__all__ = [
+    "DIFFERENCE_GAIN",
+    "SphereComparison",
+    "compare_spheres",
+    "draw_panels",
+    "encode_png",
+    "side_by_side",
+]
 
 Array = NDArray[np.float64]
 
@@ -98,3 +107,26 @@ def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
         ax.imshow(np.concatenate([picture, mask[..., np.newaxis]], axis=-1), interpolation="antialiased")
         ax.set_title(title, fontsize=9)
         ax.set_axis_off()
+
+
+def encode_png(image: NDArray[np.float64]) -> bytes:
+    """Return the bytes of a PNG file.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width, 3) or (height, width, 4)
+        Values from 0 to 1 as a screen shows them (sRGB), clipped.
+
+    Returns
+    -------
+    bytes
+    """
+    levels = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
+    height, width, channels = levels.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1)  # 0: no filter
+    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 4: 6}[channels], 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"sRGB", b"\0"), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
+    parts = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

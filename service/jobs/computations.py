@@ -15,11 +15,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
 from dsbrdf.engines.engine import Fault, FitLimits
-from dsbrdf.engines.fair_slots import FairSlots
 from dsbrdf.engines.local import WorkerProcesses
 from dsbrdf.errors import InvalidArgumentError
 from service.access.authentication import CALLER_NAME
 from service.errors import HeadOnlyError, ProblemError
+from service.jobs.fair_turns import FairTurns
 
 T = TypeVar("T")
 
@@ -56,8 +56,8 @@ class Computations:
     """
 
     def __init__(self, limits: FitLimits) -> None:
-        self._slots = {place: FairSlots({place: 1}) for place in get_args(Place)}
-        self._processes = WorkerProcesses(len(self._slots), limits)
+        self._turns = {place: FairTurns() for place in get_args(Place)}
+        self._processes = WorkerProcesses(len(self._turns), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
 
     async def run(
@@ -86,7 +86,7 @@ class Computations:
         """
 
         async def in_thread() -> T:
-            async with self._slots[place].slot(caller_of(request)):
+            async with self._turns[place].turn(caller_of(request)):
                 self._in_progress[key].can_stop = False
                 return await run_in_threadpool(compute)
 
@@ -122,7 +122,7 @@ class Computations:
         """
 
         async def in_process() -> Any:
-            async with self._slots[place].slot(caller_of(request)):
+            async with self._turns[place].turn(caller_of(request)):
                 return await self._processes.run(step, *arguments, on_progress=lambda _: None)
 
         found = await self._wait(request, key, in_process, head)
@@ -141,7 +141,7 @@ class Computations:
 
     async def _parts(self, caller: str, parts: Iterator[T]) -> AsyncIterator[T]:
         while True:
-            async with self._slots["short"].slot(caller):
+            async with self._turns["short"].turn(caller):
                 part = await run_in_threadpool(next, parts, None)
             if part is None:
                 return

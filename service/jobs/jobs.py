@@ -8,16 +8,19 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
 
-from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitTask, Fitted, Outcome
+from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.output.serialize import to_json
 from service.errors import MeasurementDamagedError
+from service.jobs.fair_turns import FairTurns
 from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
@@ -59,12 +62,20 @@ class _RunningFit:
         self.changed = asyncio.Event()
 
 
+class _Document(NamedTuple):
+    """What is stored of a fit that has succeeded: model and report as JSON, and its metrics."""
+
+    text: str
+    metrics: dict[str, float | None]
+
+
 class Jobs:
     """Runs fits, and lets requests wait for them or follow them."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store
         self._engine = engine
+        self._turns = FairTurns()
         self._settings = settings
         self._metrics = metrics
         self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -199,7 +210,9 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._engine.slot(key.owner):
+        async with AsyncExitStack() as stack:
+            async with self._turns.turn(key.owner):  # whose fit gets the next slot
+                await stack.enter_async_context(self._engine.slot())
             row = await _write(self._store.start_fit, key)
             if row is None:
                 return True
@@ -215,7 +228,7 @@ class Jobs:
                     return True
             return await _write(self._record, row, outcome)
 
-    async def _compute(self, row: FitRow) -> Outcome:
+    async def _compute(self, row: FitRow) -> _Document | Fault:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
             try:
@@ -225,21 +238,25 @@ class Jobs:
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
                 task = FitTask(str(row.key), path, options, row.measurement, components=True)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
+                if isinstance(outcome, FitResult):
+                    parts = outcome.decomposition if isinstance(outcome, DecomposedFit) else None
+                    text = await run_in_threadpool(to_json, outcome.model, outcome.report, parts)
+                    return _Document(text, asdict(outcome.report.metrics))
             except OSError as error:
                 outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
             except Exception as error:
                 logger.exception("the engine broke")
                 message = f"The engine broke with {type(error).__name__}; the log says why."
                 return Fault("system", "EngineFailed", message)
-            if not (isinstance(outcome, Fault) and outcome.type == NOT_STARTED):
+            if outcome.type != NOT_STARTED:
                 return outcome
             logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)
 
-    def _record(self, row: FitRow, outcome: Outcome) -> bool:
+    def _record(self, row: FitRow, outcome: _Document | Fault) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
-        if isinstance(outcome, Fitted):
-            self._store.complete_fit(row.key, outcome.document, outcome.metrics)
+        if isinstance(outcome, _Document):
+            self._store.complete_fit(row.key, outcome.text, outcome.metrics)
             logger.info("the fit has succeeded")
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:

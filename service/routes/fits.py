@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.engines.export_step import export_step
+from dsbrdf.engines.fit_steps import export_step
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, export_model
 from dsbrdf.output.export.merl import merl_parts
@@ -24,7 +24,7 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
 from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
-from service.jobs.computations import Place, departure
+from service.jobs.computations import departure
 from service.routes.dependencies import (
     NO_QUERY,
     NO_REPETITION,
@@ -48,7 +48,6 @@ exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITI
 
 _MAX_JSON = 1 << 16
 _LOSSLESS = ("json", "npz")  # what the Python client asks for
-_PLACES: dict[str, Place] = {"bsdf": "medium", "bsdf-spectral": "medium", "materialx": "long"}  # others take some ms
 _FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
 _LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
 _submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
@@ -218,13 +217,7 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
 async def export_fit(
     request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
 ) -> Response:
-    """Return the model, one component, or the components' own lobes together, for another program.
-
-    `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
-    `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
-    for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
-    some seconds; `csv` the parameters.
-    """
+    """Return the model, one component, or the components' own lobes together, for another program."""
     loaded = await context.models.get(fit)
     if wanted.component not in (None, GUIDE):
         check_holds_component(wanted.format)
@@ -238,8 +231,8 @@ async def export_fit(
     model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
     if wanted.format == "merl":
         return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
-    key = ("export", fit, wanted.format, wanted.component)
-    if place := _PLACES.get(wanted.format):
+    key, place = ("export", fit, wanted.format, wanted.component), FORMATS[wanted.format].time
+    if place != "short":
         content = await computations.run_in_process(
             request, key, export_step, model, wanted.format, head=headers, place=place
         )

@@ -13,6 +13,7 @@ from dsbrdf import DSBRDF, Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.lobes import half_width
+from dsbrdf.output.export import FORMATS
 from service.storage.schema import FitRow
 from service.wire.fit_options import DEFAULTS, canonical
 
@@ -24,17 +25,7 @@ _LOOKS = (
 )
 
 
-DOWNLOADS = {
-    "json": "the model and its report, without loss",
-    "npz": "the same for NumPy",
-    "csv": "a table of the parameters",
-    "merl": "a table in the MERL format, 35 MB",
-    "glsl": "a function for shaders, as in the sphere above",
-    "brdf": "for Disney's BRDF Explorer",
-    "bsdf": "for Mitsuba 3",
-    "bsdf-spectral": "for its spectral variants and pbrt-v4",
-    "materialx": "the OpenPBR surface that looks most like it; takes some seconds",
-}
+DOWNLOADS = {name: kind.purpose for name, kind in FORMATS.items()}
 """Formats of the export, and what each is for."""
 FIGURES = {
     "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),

@@ -21,11 +21,11 @@ from matplotlib.image import imread
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.cli.demo import running_service, stop
 from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
+from examples.demo import running_service, stop
 from service.settings import Settings
 from tests.support.commands import run_main
 

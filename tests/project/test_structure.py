@@ -11,11 +11,13 @@ import sys
 import tomllib
 from collections.abc import Collection
 from graphlib import CycleError, TopologicalSorter
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
+from dsbrdf.cli.arguments import SERVICE_COMMANDS
 
 ROOT = Path(__file__).parents[2]
 LIBRARY = sorted((ROOT / "dsbrdf").rglob("*.py"))
@@ -23,7 +25,7 @@ SOURCES = sorted(path for package in ("dsbrdf", "service", "benchmarks") for pat
 HEAVY = {"service", "fastapi", "starlette", "pydantic", "uvicorn", "matplotlib", "rich", "httpx"}
 HEAVY |= {"distributed", "sklearn", "cyclopts"}
 COMMAND_LINE = ROOT / "dsbrdf/cli"
-LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments", "dsbrdf.cli.service_commands"}  # without the extra cli
+LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extra cli
 PROMISED = {
     "DSBRDF",
     "FitOptions",
@@ -62,14 +64,21 @@ def test_library_imports_load_only_numpy_and_scipy() -> None:
     assert loaded & HEAVY == set()
 
 
-@pytest.mark.parametrize("path", LIBRARY, ids=name_of)
-def test_library_module_imports_only_allowed_packages(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    assert "service" not in imported_roots(list(ast.walk(tree)))
-    allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy", "threadpoolctl"}
-    if path.parent == COMMAND_LINE and module_name(path) not in LIGHT_COMMANDS:
-        allowed |= {"cyclopts", "rich"}
-    assert imported_roots(list(tree.body)) <= allowed
+def test_library_modules_import_only_allowed_packages() -> None:
+    for path in LIBRARY:
+        tree = ast.parse(path.read_text())
+        assert "service" not in imported_roots(list(ast.walk(tree))), path
+        assert not re.search(r"""import_module\(f?["']service""", path.read_text()), path
+        allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy", "threadpoolctl"}
+        if path.parent == COMMAND_LINE and module_name(path) not in LIGHT_COMMANDS:
+            allowed |= {"cyclopts", "rich"}
+        assert imported_roots(list(tree.body)) <= allowed, path
+
+
+def test_what_the_package_offers_to_its_command_line_exists() -> None:
+    offered = [*entry_points(group="dsbrdf.commands"), *entry_points(group="dsbrdf.engines")]
+    assert sorted(point.name for point in offered) == sorted([*SERVICE_COMMANDS, "url"])
+    assert all(callable(point.load()) for point in offered)
 
 
 @pytest.mark.parametrize(
@@ -104,16 +113,15 @@ def test_every_error_is_public() -> None:
     assert {name for name, value in vars(errors).items() if inspect.isclass(value)} <= set(dsbrdf.__all__)
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=name_of)
-def test_a_module_has_a_docstring(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    assert ast.get_docstring(tree) or (not tree.body and path.name == "__init__.py")
+def test_every_module_has_a_docstring() -> None:
+    trees = {path: ast.parse(path.read_text()) for path in SOURCES}
+    without = [path for path, tree in trees.items() if not ast.get_docstring(tree)]
+    assert [path for path in without if trees[path].body or path.name != "__init__.py"] == []
 
 
-@pytest.mark.parametrize("name", dsbrdf.__all__)
-def test_a_public_name_has_a_docstring(name: str) -> None:
-    value = getattr(dsbrdf, name)
-    assert not callable(value) or inspect.getdoc(value)
+def test_every_public_name_has_a_docstring() -> None:
+    values = {name: getattr(dsbrdf, name) for name in dsbrdf.__all__}
+    assert [name for name, value in values.items() if callable(value) and not inspect.getdoc(value)] == []
 
 
 PACKAGES = ("dsbrdf", "service")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
@@ -44,6 +45,8 @@ class ExportFormat:
 
     Attributes
     ----------
+    purpose : str
+        What it is for, in a few words; command line, HTTP reference and page show it.
     suffix : str
         Of the file's name, without the dot.
     media_type : str
@@ -52,30 +55,62 @@ class ExportFormat:
         Returns the content of the file for a model and, if there is one, its report.
     encode_component : callable, optional
         Returns the content of the file for a component; None where the format holds lobes, which a component has not.
+    time : {"short", "medium", "long"}, optional
+        At most some 50 ms, about a second, or longer.
     """
 
+    purpose: str
     suffix: str
     media_type: str
     encode: Callable[[DSBRDF, FitReport | None], bytes]
     encode_component: Callable[[Component], bytes] | None = None
+    time: Literal["short", "medium", "long"] = "short"
 
 
-def _of_values(suffix: str, media_type: str, encode: Callable[[DSBRDF | Component], bytes]) -> ExportFormat:
+def _of_values(
+    purpose: str,
+    suffix: str,
+    media_type: str,
+    encode: Callable[[DSBRDF | Component], bytes],
+    time: Literal["short", "medium"] = "short",
+) -> ExportFormat:
     """Return a format that holds values, of a model as well as of a component."""
-    return ExportFormat(suffix, media_type, lambda model, _: encode(model), encode)
+    return ExportFormat(purpose, suffix, media_type, lambda model, _: encode(model), encode, time)
 
 
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
-    "json": ExportFormat("json", "application/json", lambda model, report: to_json(model, report).encode()),
-    "npz": ExportFormat("npz", _BINARY, to_npz),
-    "merl": _of_values("binary", _BINARY, merl_table),
-    "glsl": _of_values("glsl", _TEXT, lambda source: glsl_function(source).encode()),
-    "brdf": _of_values("brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
-    "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
-    "bsdf": _of_values("bsdf", _BINARY, rgl_bsdf),
-    "bsdf-spectral": _of_values("bsdf", _BINARY, lambda source: rgl_bsdf(source, spectral=True)),
-    "materialx": ExportFormat("mtlx", "application/xml", lambda model, _: materialx_document(model).encode()),
+    "json": ExportFormat(
+        "the model and its report, without loss",
+        "json",
+        "application/json",
+        lambda model, report: to_json(model, report).encode(),
+    ),
+    "npz": ExportFormat("the same for NumPy", "npz", _BINARY, to_npz),
+    "csv": ExportFormat(
+        "a table of the parameters",
+        "csv",
+        "text/csv; charset=utf-8",
+        lambda model, _: parameters_csv(model).encode(),
+    ),
+    "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
+    "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
+    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
+    "bsdf": _of_values("for Mitsuba 3", "bsdf", _BINARY, rgl_bsdf, "medium"),
+    "bsdf-spectral": _of_values(
+        "for spectral variants of Mitsuba 3, and pbrt-v4",
+        "bsdf",
+        _BINARY,
+        lambda source: rgl_bsdf(source, spectral=True),
+        "medium",
+    ),
+    "materialx": ExportFormat(
+        "the OpenPBR surface that looks most like it, which takes some seconds",
+        "mtlx",
+        "application/xml",
+        lambda model, _: materialx_document(model).encode(),
+        time="long",
+    ),
 }
 
 
@@ -107,11 +142,8 @@ def export_model(source: DSBRDF | Component, file_format: str, report: FitReport
     Parameters
     ----------
     source : DSBRDF or Component
-    file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"}
-        ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
-        shaders, ``brdf`` the same for Disney's BRDF Explorer, ``csv`` a table of the parameters, ``bsdf`` a file of the
-        RGL database for Mitsuba 3, ``bsdf-spectral`` one for pbrt-v4 and for spectral variants of Mitsuba,
-        ``materialx`` the nearest OpenPBR surface, which takes some seconds.
+    file_format : str
+        One of `FORMATS`.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 

@@ -8,7 +8,7 @@
     bsdf = mitsuba.load_dict({"type": "dsbrdf", "filename": "nickel.json"})
 
 All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
-once.  Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgb_spectra`.
+once.  Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
 
 Formulas and names are those of `dsbrdf.model.lobes` and `dsbrdf.model.sampling`, in single precision, where Mitsuba's
 ``si.wi`` is the omega_out of the model and ``wo`` its omega_in: a path is followed from the camera.
@@ -21,7 +21,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.output.export.mitsuba_math import Number, Table
 from dsbrdf.output.export.mitsuba_model import MitsubaModel
-from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
+from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from dsbrdf.output.serialize import load
 
 __all__ = ["register"]

@@ -11,7 +11,7 @@ and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (D
 value at each theta_half, makes ``rgb`` smooth; and sigma is 1/4.
 
 Mitsuba's RGB variants read ``rgb``.  Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
-here the spectra that `dsbrdf.output.export.rgb_spectra` gives the same values; no program reads a file that has both.
+here the spectra that `dsbrdf.output.export.rgl` gives the same values; no program reads a file that has both.
 """
 
 from collections.abc import Callable
@@ -25,9 +25,13 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.rgl_warp import Warp, bilinear
 from dsbrdf.data.tensor_file import encode_tensors
 from dsbrdf.model.reflectance import ReflectanceModel
-from dsbrdf.output.export.rgb_spectra import WAVELENGTHS, spectra_of_rgb
 
-__all__ = ["rgl_bsdf"]
+__all__ = [
+    "SPECTRA",
+    "WAVELENGTHS",
+    "rgl_bsdf",
+    "spectra_of_rgb",
+]
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
@@ -118,3 +122,16 @@ def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[
     values = np.zeros((u.size, 3))
     values[above] = evaluate(*half_difference(first, second[above])) * second[above, 2:]
     return values, np.maximum(2.0 * np.pi**2 * u * sine, 1e-6) * 4.0 * np.maximum(cosine, 0.0)
+
+
+WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
+"""Nodes between which spectra are linear, and beyond which they are held [nm]."""
+_RED = [0.0574, 0.0537, 0.0299, 0.0047, 0, 0, 0, 0, 0, 0.1347, 0.7972, 1, 1, 1, 1, 1]
+_GREEN = [0, 0, 0, 0, 0.2587, 0.7471, 1, 1, 1, 0.7935, 0.2002, 0, 0, 0, 0, 0]
+SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])
+"""Spectra of red, green and blue at the nodes, shape (3, 16)."""
+
+
+def spectra_of_rgb(rgb: NDArray[np.floating]) -> Array:
+    """Spectra (..., 16) at `WAVELENGTHS` of values (..., 3) in linear sRGB."""
+    return np.asarray(rgb @ SPECTRA)

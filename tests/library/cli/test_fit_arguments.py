@@ -11,7 +11,7 @@ from cyclopts import App
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.cli.fit_arguments import DEFAULT, Flags
+from dsbrdf.cli.parameters import DEFAULT, Flags
 from tests.support.command_line import Capture, exit_code, sentence
 
 # options of the fit

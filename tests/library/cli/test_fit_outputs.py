@@ -13,10 +13,12 @@ import pytest
 import dsbrdf
 from dsbrdf.cli import fit_command
 from dsbrdf.cli import main as cli
-from dsbrdf.cli.server_engine import ServerEngine
 from dsbrdf.engines.batch import FileFit
 from dsbrdf.engines.engine import FitTask
 from dsbrdf.fitting.report import FitResult
+from service import client_engine
+from service.client import AccessError
+from service.client_engine import ClientEngine
 from tests.support.command_line import QUICK, Capture, document, sentence
 from tests.support.server import Server
 
@@ -85,20 +87,20 @@ def test_server_that_does_not_answer_is_named(plastic_file: Path, capsys: Captur
 
 
 def test_server_that_wants_a_key_is_named(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = ServerEngine("http://127.0.0.1:9", 1)
+    engine = ClientEngine("http://127.0.0.1:9", 1)
 
     class Locked:
         def __init__(self, url: str) -> None:
             pass
 
         def fit(self, *_: Any, **__: Any) -> None:
-            raise engine._service.AccessError({"detail": "The service wants a valid API key."})
+            raise AccessError({"detail": "The service wants a valid API key."})
 
         def close(self) -> None:
             pass
 
     async def ask() -> None:
-        monkeypatch.setattr(engine._service, "Client", Locked)
+        monkeypatch.setattr(client_engine, "Client", Locked)
         await engine.start()
         await engine.run(FitTask("plastic", plastic_file, dsbrdf.FitOptions()), lambda _: None)
 

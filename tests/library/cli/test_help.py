@@ -3,8 +3,8 @@
 import pytest
 
 from dsbrdf.cli import main as cli
+from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from dsbrdf.cli.service_commands import SERVICE_COMMANDS
 from tests.support.command_line import Capture
 
 

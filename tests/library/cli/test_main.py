@@ -38,7 +38,7 @@ def test_service_accepts_the_flags_of_serve() -> None:
 
 @pytest.mark.parametrize(
     ("command", "installed", "extra"),
-    [("serve", (), "service"), ("demo", ("cyclopts", "rich"), "dev"), ("fit", (), "cli"), ("--help", (), "cli")],
+    [("serve", (), "service"), ("fit", (), "cli"), ("--help", (), "cli")],
 )
 def test_missing_extra_is_named(
     command: str, installed: tuple[str, ...], extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture

@@ -9,8 +9,9 @@ import pytest
 from dsbrdf import FitOptions
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Fitted
+from dsbrdf.engines.engine import Engine, Fault, FitTask
 from dsbrdf.engines.fit_steps import reduce_measurement
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.version import versions
 from tests.support.dask_cluster import DaskCluster
 from tests.support.engines import (
@@ -39,8 +40,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 def test_task_for_a_worker_holds_only_profiles(plastic_file: Path) -> None:
     plain = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
     robust = reduce_measurement(FitTask("one", plastic_file, FitOptions(robust=True)), lambda _: None)
-    assert len(plain.payload) < 2_000_000
-    assert len(robust.payload) < 3_500_000
+    assert len(plain.profiles) < 2_000_000
+    assert len(robust.profiles) < 3_500_000
 
 
 def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskCluster, plastic_file: Path) -> None:
@@ -62,7 +63,7 @@ def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskC
 
         one = own_cluster.add_worker()
         await ready(engine)
-        assert isinstance(await fit, Fitted)
+        assert isinstance(await fit, FitResult)
         await until(lambda: begun(turns), lambda count: count == 1)
         own_cluster.add_worker()
         await until(lambda: begun(turns), lambda count: count == 2)
@@ -99,7 +100,7 @@ def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file:
             victim = await until_busy(own_cluster)
             fits.append(asyncio.create_task(engine.run(FitTask("two", plastic_file, MIDDLE), lambda _: None)))
             own_cluster.kill_worker(victim)
-            assert [type(outcome) for outcome in await asyncio.gather(*fits)] == [Fitted, Fitted]
+            assert [type(outcome) for outcome in await asyncio.gather(*fits)] == [FitResult, FitResult]
         assert shares == sorted(set(shares))
 
     asyncio.run(body())
@@ -139,7 +140,7 @@ def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, plasti
                 await until(lambda: asyncio.sleep(0), lambda _: not stage.fitting())
                 own_cluster.start_scheduler()
                 own_cluster.add_worker()  # Dask's workers end when their scheduler is lost
-            assert isinstance(await fit, Fitted)
+            assert isinstance(await fit, FitResult)
 
     asyncio.run(body())
 
@@ -160,7 +161,7 @@ def test_worker_without_permission_for_child_processes_is_not_used(
         assert "DASK_DISTRIBUTED__WORKER__DAEMON=false" in fault
         own_cluster.add_worker()
         await ready(engine)
-        assert isinstance(await engine.run(FitTask("one", plastic_file, QUICK), lambda _: None), Fitted)
+        assert isinstance(await engine.run(FitTask("one", plastic_file, QUICK), lambda _: None), FitResult)
         await engine.close()
 
     asyncio.run(body())

@@ -12,9 +12,10 @@ import pytest
 
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Fault, FitLimits, FitTask, Fitted
-from dsbrdf.engines.fit_steps import complete_report, fit_payload, reduce_measurement
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask
+from dsbrdf.engines.fit_steps import complete_report, fit_profiles, reduce_measurement
 from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.fitting.report import FitResult
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
@@ -109,7 +110,7 @@ def test_hanging_scheduler_is_a_fault_until_it_answers(
             fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, QUICK), lambda _: None))
             scheduler.send_signal(signal.SIGCONT)
             await ready(engine)
-            assert isinstance(await fit, Fitted)
+            assert isinstance(await fit, FitResult)
 
     try:
         asyncio.run(body())
@@ -148,7 +149,7 @@ def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file: Path
                 await asyncio.wait(fits)
                 assert forked(os.getpid()) == []
                 await until(lambda: asyncio.sleep(0), lambda _: not stage.fitting())
-            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
+            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
 
     asyncio.run(body())
 
@@ -179,12 +180,12 @@ def test_file_changed_during_its_fit_is_a_system_fault(plastic_file: Path, tmp_p
     shutil.copyfile(plastic_file, path)
     task = FitTask("one", path, QUICK)
     reduced = reduce_measurement(task, lambda _: None)
-    fitted = fit_payload(reduced.payload, task.options, lambda _: None)
-    assert isinstance(fitted, Fitted)
+    fitted = fit_profiles(reduced.profiles, task.options, lambda _: None)
+    assert isinstance(fitted, FitResult)
     with path.open("r+b") as file:
         file.seek(-8, os.SEEK_END)
         file.write(bytes(8))
-    outcome = complete_report(fitted, task, reduced.sha256, lambda _: None)
+    outcome = complete_report(fitted, task, reduced, lambda _: None)
     message = "The measurement's file was changed while it was being fitted."
     assert outcome == Fault("system", "MeasurementChanged", message)
 

@@ -1,8 +1,6 @@
 """What every engine promises, held against each of them: a cluster has real processes here."""
 
 import asyncio
-import dataclasses
-import json
 import multiprocessing
 import os
 import signal
@@ -18,7 +16,7 @@ import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines import worker_process as child
-from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask, Fitted
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from tests.support.dask_cluster import forked
@@ -54,19 +52,17 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     ],
     ids=["plain", "log and robust", "global"],
 )
-def test_document_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path, options: FitOptions) -> None:
+def test_result_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path, options: FitOptions) -> None:
     expected, said = fitted_by_library(plastic_file, options)
     outcome, _ = run(stage, FitTask("one", plastic_file, options))
-    assert isinstance(outcome, Fitted)
-    document = to_json(expected.model, expected.report)
-    assert content(outcome.document) == content(document)
-    timings = json.loads(outcome.document)["report"]["timings"]
+    assert isinstance(outcome, FitResult)
+    found, document = (to_json(result.model, result.report) for result in (outcome, expected))
+    assert content(found) == content(document)
+    timings = outcome.report.timings
     assert list(timings) == list(expected.report.timings)
     assert all(seconds > 0 for seconds in timings.values())
-    assert outcome.metrics == dataclasses.asdict(expected.report.metrics)
-    assert outcome.metrics["male"] is not None
-    sentences = json.loads(outcome.document)["report"]["warnings"]
-    assert said == [text for text in sentences if "before they converged" in text]
+    assert outcome.report.metrics["male"] is not None
+    assert said == [text for text in outcome.report.warnings if "before they converged" in text]
 
 
 @cache
@@ -147,7 +143,7 @@ def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path)
             assert isinstance(outcome, Fault)
             assert outcome.origin == "system"
             assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
-            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
+            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
 
     asyncio.run(body())
 
@@ -164,7 +160,7 @@ def test_cancelling_ends_the_process_of_the_fit(stage: Stage, plastic_file: Path
             await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
             if SOAK:
                 assert asyncio.get_running_loop().time() - begin < 1.0
-            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), Fitted)
+            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
 
     asyncio.run(body())
 
@@ -252,7 +248,7 @@ def test_main_module_is_not_imported_by_fit_processes(stage: Stage, plastic_file
     answer = subprocess.run(
         [sys.executable, str(program), str(plastic_file)], capture_output=True, text=True, timeout=PATIENCE
     )
-    assert (answer.stdout, answer.stderr) == ("ready\nFitted\n", "")
+    assert (answer.stdout, answer.stderr) == ("ready\nFitResult\n", "")
 
 
 def test_killed_program_leaves_no_fit_process(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
@@ -270,5 +266,5 @@ def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypat
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
     assert child._context().get_start_method() == "spawn"
     outcome, shares = run(Stage(None), FitTask("one", plastic_file, QUICK))
-    assert isinstance(outcome, Fitted)
+    assert isinstance(outcome, FitResult)
     assert shares[-1] == 1.0

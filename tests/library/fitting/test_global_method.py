@@ -233,19 +233,19 @@ def test_warning_only_where_the_bound_on_iterations_was_met(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         result = fit(plastic_profiles, ONE)
-    assert np.all(result.report.slices.converged)
+    assert np.all(result.report.knots.converged)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
     with pytest.warns(ConvergenceWarning, match="^The fit stopped at the bound of 1 iterations"):
         result = fit(plastic_profiles, ONE)
-    assert not np.any(result.report.slices.converged)
-    assert np.all(np.array(result.report.slices.iterations) == 1)
+    assert not np.any(result.report.knots.converged)
+    assert np.all(np.array(result.report.knots.iterations) == 1)
 
 
 def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
     report, model = plastic_fit.report, plastic_fit.model
     shape = (3, model.theta_diff.size)
     assert json.loads(json.dumps(report.to_dict(), allow_nan=False)) == report.to_dict()
-    slices = report.slices
+    slices = report.knots
     np.testing.assert_allclose(slices.theta_diff, model.theta_diff)
     for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
         assert np.shape(table) == shape

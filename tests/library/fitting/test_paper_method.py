@@ -79,7 +79,7 @@ def test_two_known_lobes_are_recovered_to_one_per_cent() -> None:
     data = profiles(model_measurement(truth), horizon_cutoff=None)
     result = fit(data, paper(n_lobes=2, horizon_cutoff=None, mask=0.0))
     assert worst_by_slice(result.model, truth).max() < 0.01
-    assert all(np.ravel(result.report.slices.converged))
+    assert all(np.ravel(result.report.knots.converged))
 
 
 def test_three_known_lobes_are_recovered_to_one_per_cent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,19 +127,19 @@ def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted(glossy: Prof
     saturated = dataclasses.replace(glossy, mean=np.minimum(values, 20.0))
     result = fit(saturated, paper(n_lobes=2))
     assert result.model.evaluate(THETA_HALF, THETA_DIFF[:, None]).max() < 3.0 * 20.0
-    assert np.any(result.report.slices.bounds_hit)
+    assert np.any(result.report.knots.bounds_hit)
 
 
 # Which samples are used
 
 
 def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: FitResult) -> None:
-    assert np.array(fitted.report.slices.fitted).tolist() == [[True] * 16 + [False] * 2] * 3  # 80 and 85 degrees
+    assert np.array(fitted.report.knots.fitted).tolist() == [[True] * 16 + [False] * 2] * 3  # 80 and 85 degrees
     nearest = fitted.model
     assert nearest.kappa[:, 16:].tolist() == np.repeat(nearest.kappa[:, 15:16], 2, axis=1).tolist()
     assert nearest.gamma[:, 16:].tolist() == np.repeat(nearest.gamma[:, 15:16], 2, axis=1).tolist()
     everything = fit(plastic, paper(n_lobes=1, horizon_cutoff=None))
-    assert np.all(everything.report.slices.fitted)
+    assert np.all(everything.report.knots.fitted)
     assert everything.report.options.horizon_cutoff is None
 
 
@@ -233,7 +233,7 @@ def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(glossy: Profil
 def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(glossy: Profiles) -> None:
     with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 2 iterations"):
         report = fit(glossy, paper(em_iterations=2)).report
-    converged, iterations = np.array(report.slices.converged), np.array(report.slices.iterations)
+    converged, iterations = np.array(report.knots.converged), np.array(report.knots.iterations)
     assert not converged.all()
     assert np.all(iterations[~converged] == 2)
 
@@ -243,8 +243,8 @@ def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
     assert json.loads(json.dumps(report.to_dict())) == report.to_dict()
     assert report.options == paper()
     assert report.versions.algorithm == ALGORITHM_VERSION
-    assert report.slices.theta_diff == tuple(PAPER_SLICES)
-    slices = report.slices
+    assert report.knots.theta_diff == tuple(PAPER_SLICES)
+    slices = report.knots
     for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
         assert np.shape(table) == (3, 18)
     assert all(seconds >= 0.0 for seconds in report.timings.values())
@@ -284,7 +284,7 @@ def test_few_rows_of_data_are_fitted_where_they_are(plastic: Measurement) -> Non
     valid[12:32, 30:36] = plastic.valid[12:32, 30:36]
     result = fit(Measurement.from_values(plastic.values, valid), paper(n_lobes=2))
     present = np.isin(np.round(np.degrees(PAPER_SLICES)), [30, 35])
-    assert np.array(result.report.slices.fitted).tolist() == [present.tolist()] * 3
+    assert np.array(result.report.knots.fitted).tolist() == [present.tolist()] * 3
     assert np.all(result.model.kappa[:, :6] == result.model.kappa[:, 6:7])
     assert np.all(result.model.kappa[:, 8:] == result.model.kappa[:, 7:8])
 

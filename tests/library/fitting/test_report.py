@@ -12,7 +12,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.report import FitResult, Slices
+from dsbrdf.fitting.report import FitResult, KnotReport
 
 KNOTS = tuple(np.radians([0.0, 30.0, 60.0, 89.0]))
 
@@ -34,7 +34,7 @@ def test_plain_content_has_lists_and_the_names_of_the_attributes(result: FitResu
     content = result.report.to_dict()
     assert json.loads(json.dumps(content)) == content
     assert content["options"]["knots"] == list(KNOTS)
-    assert content["slices"]["converged"] == [list(row) for row in result.report.slices.converged]
+    assert content["knots"]["converged"] == [list(row) for row in result.report.knots.converged]
     assert content["growth"][0]["n_lobes"] == 1
 
 
@@ -46,7 +46,7 @@ def test_repr_is_one_short_line(result: FitResult) -> None:
 
 
 def test_slices_broadcast_to_channels_and_knots() -> None:
-    slices = Slices.from_arrays(
+    slices = KnotReport.from_arrays(
         np.array(KNOTS), [True, True, False, True], np.bool_(False), 7, [[True], [False], [True]]
     )
     assert slices.theta_diff == KNOTS

@@ -16,12 +16,12 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.report import DirectionalAlbedo, Slices
+from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.soak import repeats
 
-CONVERGED = Slices.from_arrays(np.zeros(1), True, True, 5, False)
+CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
 
 
@@ -51,7 +51,7 @@ def test_fit_that_stopped_early_says_so_in_the_report_too(matte: Measurement) ->
     with pytest.warns(ConvergenceWarning) as said:
         report = fit(matte, method="paper", n_lobes=2, em_iterations=1).report
     assert str(said[0].message) == report.warnings[0]
-    stopped = int(np.sum(np.logical_not(report.slices.converged)))
+    stopped = int(np.sum(np.logical_not(report.knots.converged)))
     assert report.warnings[0].startswith(f"{stopped} slices stopped at the bound of 1 iterations before")
 
 
@@ -91,7 +91,7 @@ def test_component_that_shines_where_others_do(data: Profiles) -> None:
 
 
 def test_global_fit_that_stopped_early_speaks_of_no_slices() -> None:
-    stopped = Slices.from_arrays(np.zeros(8), True, False, 300, False)
+    stopped = KnotReport.from_arrays(np.zeros(8), True, False, 300, False)
     assert convergence_sentence(stopped, in_slices=False).startswith("The fit stopped at the bound of 300 iterations")
     assert convergence_sentence(stopped, in_slices=True).startswith("24 slices stopped at the bound of 300 iterations")
 

@@ -8,7 +8,7 @@ from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, Slices
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, KnotReport
 from dsbrdf.version import Versions
 from tests.support.models import make_model
 
@@ -26,7 +26,7 @@ def report() -> FitReport:
         metrics=Metrics(relative_rms=0.1 + 0.2, floor=1e-323, excess=1.7976931348623157e308),
         by_channel=(ChannelErrors(0.5, 0.25, 0.1, 2.0, 1e-3, "red"),),
         by_theta_diff=(BandErrors(0.0, 0.0, 0.0, None, 0.0, (0.0, 0.1)),),
-        slices=Slices.from_arrays(numbers[0], True, [False, True, True, False], [[3], [100], [7]], False),
+        knots=KnotReport.from_arrays(numbers[0], True, [False, True, True, False], [[3], [100], [7]], False),
         growth=(GrowthStep(n_lobes=1, ring_lobes=0, error=1e-5, pays=True),),
         selection=(SelectionStep(1, -0.3, 1.5, None, None, None, False),),
         albedo=DirectionalAlbedo((0.0, 0.5, 1.0), tuple(map(tuple, numbers))),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dsbrdf.output.png import encode_png
+from dsbrdf.output.sphere_panels import encode_png
 
 
 @pytest.mark.parametrize("channels", [3, 4])

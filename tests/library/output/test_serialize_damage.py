@@ -94,7 +94,7 @@ def _drop(*path: Any) -> Callable[[Document], None]:
         (_set("report", "growth", 0, value=[]), "stored report.growth must be a mapping"),
         (_set("report", "timings", "em", value=None), "stored report.timings.em is of the wrong kind, NoneType"),
         (_set("report", "by_theta_diff", 0, "theta_diff", value=[0.0]), "theta_diff has 1 values, not 2"),
-        (_set("report", "slices", "converged", 0, 0, value=1), "slices.converged is of the wrong kind, int"),
+        (_set("report", "knots", "converged", 0, 0, value=1), "knots.converged is of the wrong kind, int"),
         (_set("report", "options", "method", value="magic"), "options.method is of the wrong kind, str"),
         (_set("report", "options", "n_lobes", value=99), "options in the stored report are not valid: n_lobes"),
         (_set("report", "extra", value=1), "stored report has the unknown key 'extra'"),

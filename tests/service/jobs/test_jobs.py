@@ -4,16 +4,15 @@ import asyncio
 import errno
 import sqlite3
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Fitted, Outcome
-from dsbrdf.engines.fair_slots import FairSlots
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome
 from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
 from service.operations.metrics import Metrics
@@ -22,10 +21,12 @@ from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
 from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
+from tests.support.materials import glossy_plastic
 
 LOCAL = Caller()
 OPTIONS = dsbrdf.FitOptions()
 PATIENCE = 60.0  # seconds
+RESULT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
 
 
 class Engine:
@@ -36,13 +37,11 @@ class Engine:
         self.at_once = 0
         self.go_on = asyncio.Event()
         self.outcomes: list[Outcome | Exception] = []
-        self.slots = FairSlots({"here": 1})
+        self._slot = asyncio.Semaphore(1)
         self.begun: list[str] = []
 
-    @asynccontextmanager
-    async def slot(self, owner: str = "") -> AsyncIterator[None]:
-        async with self.slots.slot(owner):
-            yield
+    def slot(self) -> asyncio.Semaphore:
+        return self._slot
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         self.begun.append(task.fit_id)
@@ -59,7 +58,7 @@ class Engine:
             if isinstance(outcome, Exception):
                 raise outcome
             return outcome
-        return Fitted(f"document of run {number}", {})
+        return replace(RESULT, report=replace(RESULT.report, warnings=(f"run {number}",)))
 
     async def start(self) -> None: ...
 
@@ -163,7 +162,7 @@ def test_fit_requested_during_its_cancellation_runs(tmp_path: Path, monkeypatch:
         assert await again == key
         row = await place.end(key)
         assert row.status == "succeeded"
-        assert place.store.result(key) == "document of run 2"
+        assert '"run 2"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
@@ -173,7 +172,7 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
     async def story(place: Race) -> None:
-        place.engine.slots.resize({"here": 2})  # the next attempt need not wait for a slot
+        place.engine.slot().release()  # the next attempt need not wait for a slot
         slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
         key = await place.submit()
         place.engine.go_on.set()
@@ -188,7 +187,7 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
         await asyncio.sleep(0.5)  # it has written
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
-        assert place.store.result(key) == f"document of run {runs + 1}"
+        assert f'"run {runs + 1}"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
@@ -223,7 +222,7 @@ def test_two_requests_for_a_cancelled_fit_start_it_once(tmp_path: Path) -> None:
         await place.submit()
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
-        assert place.store.result(key) == f"document of run {place.engine.runs}"
+        assert f'"run {place.engine.runs}"' in str(place.store.result(key))
 
     race(tmp_path, story)
 
@@ -252,7 +251,7 @@ def test_result_is_written_when_the_disk_works_again(
 
 def test_engine_exception_is_a_system_fault(tmp_path: Path) -> None:
     async def story(place: Race) -> None:
-        place.engine.outcomes += [RuntimeError("can't start new thread"), Fitted("document", {})]
+        place.engine.outcomes += [RuntimeError("can't start new thread"), RESULT]
         row = await place.end(await place.submit())
         assert (row.status, row.attempts) == ("succeeded", 2)
         place.engine.outcomes += [RuntimeError("can't start new thread")] * 2
@@ -270,7 +269,7 @@ def test_fit_is_retried_when_processes_cannot_be_started(tmp_path: Path, monkeyp
     async def story(place: Race) -> None:
         not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
         too_many = OSError(errno.EMFILE, "Too many open files")
-        place.engine.outcomes += [not_started, too_many, not_started, Fitted("document", {})]
+        place.engine.outcomes += [not_started, too_many, not_started, RESULT]
         row = await place.end(await place.submit())
         assert (row.status, row.attempts) == ("succeeded", 1)
 

@@ -16,7 +16,7 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import mitsuba_bsdf
 from dsbrdf.output.export.mitsuba_bsdf import register
-from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
+from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model

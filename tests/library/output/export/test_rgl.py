@@ -12,8 +12,7 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.tensor_file import parse_tensors
-from dsbrdf.output.export.rgb_spectra import SPECTRA, WAVELENGTHS
-from dsbrdf.output.export.rgl import rgl_bsdf
+from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.mixtures import mixture
 

@@ -1,0 +1,1 @@
+"""Programs that use the library and the service, run from a clone."""
