@@ -2,6 +2,7 @@
 
 import asyncio
 from contextlib import AbstractAsyncContextManager
+from dataclasses import asdict
 from importlib import import_module
 from typing import Any
 
@@ -69,8 +70,8 @@ class ServerEngine:
             on_progress(share)
 
         try:
-            fit = self._client.fit(task.path, task.options, progress=report)
-            return Fitted(to_json(fit.model, fit.report), fit.metrics)
+            result = self._client.fit(task.path, task.options, progress=report)
+            return Fitted(to_json(result.model, result.report), asdict(result.report.metrics))
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except self._service.AccessError as error:
