@@ -22,7 +22,7 @@ from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.png import encode_png
 from dsbrdf.output.residual_figure import residual_figure
 from service.http import openapi
-from service.http.responses import IfNoneMatch, is_current, tag_of
+from service.http.responses import is_current, tag_of
 from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 from service.storage.schema import FitRow
 from service.storage.store import Store
@@ -43,10 +43,8 @@ _FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
 }
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
 _PNG = _MEDIA_TYPES["png"]
-_PICTURE = openapi.response("The picture.", content={_PNG: openapi.file(_PNG)}, headers=["ETag"]) | openapi.NOT_MODIFIED
-_FIGURE = openapi.response(
-    "The figure.", content={kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()}, headers=["ETag"]
-)
+_PICTURE = openapi.response("The picture.", {_PNG: openapi.file(_PNG)}) | openapi.NOT_MODIFIED
+_FIGURE = openapi.response("The figure.", {kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()})
 _Figure = Annotated[
     str,
     Path(pattern=f"^({'|'.join(_FIGURES)})$", description=f"One of {', '.join(_FIGURES)}.", examples=["components"]),
@@ -67,7 +65,6 @@ async def draw_sphere(
     context: TheContext,
     fit: TheFit,
     wanted: Annotated[FitSphere, Query()],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
 
@@ -77,7 +74,7 @@ async def draw_sphere(
     run = context.computations.for_request(request, {"ETag": etag, "Content-Type": _PNG}, "medium")
     whole = await context.models.component(fit, None, run)
     part = await context.models.component(fit, wanted.component, run)
-    return await _drawn(request, context, fit.owner, etag, if_none_match, _PNG, lambda: _sphere(whole, part, wanted))
+    return await _drawn(request, context, fit.owner, etag, _PNG, lambda: _sphere(whole, part, wanted))
 
 
 @router.get(
@@ -95,7 +92,6 @@ async def draw_figure(
     fit: TheFit,
     figure: _Figure,
     image_format: _ImageFormat,
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -111,7 +107,7 @@ async def draw_figure(
     def draw() -> bytes:
         return _figure(context.store, row, model, figure, image_format)
 
-    return await _drawn(request, context, fit.owner, etag, if_none_match, media_type, draw)
+    return await _drawn(request, context, fit.owner, etag, media_type, draw)
 
 
 @router.get(
@@ -126,7 +122,6 @@ async def draw_measurement(
     caller: TheCaller,
     sha256: Sha256,
     wanted: Annotated[Sphere, Query()],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
     await context.measurement_row(caller.owner, sha256)
@@ -136,7 +131,7 @@ async def draw_measurement(
         measurement = _measurement(context.store, caller.owner, sha256)
         return _sphere(measurement, measurement, wanted)
 
-    return await _drawn(request, context, caller.owner, etag, if_none_match, _PNG, draw)
+    return await _drawn(request, context, caller.owner, etag, _PNG, draw)
 
 
 async def _drawn(
@@ -144,12 +139,11 @@ async def _drawn(
     context: Context,
     owner: str,
     etag: str,
-    if_none_match: str,
     media_type: str,
     draw: Callable[[], bytes],
 ) -> Response:
     """Return a picture, which is drawn unless the client has it."""
-    if is_current(etag, if_none_match):
+    if is_current(request, etag):
         return Response(None, 304, {"ETag": etag})
     headers = {"ETag": etag, "Content-Type": media_type}
     content = await context.computations.run(request, ("figure", owner, etag), draw, headers, "medium")

@@ -22,7 +22,7 @@ from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
-from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
+from service.http.responses import prefix_of, tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
 from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import (
@@ -125,22 +125,20 @@ async def get_comparison(
 
 
 @router.get("/fits/{fit_id}/view")
-async def get_view(request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+async def get_view(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
     view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
-    return json_text_reply({"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]}, if_none_match)
+    return tagged_reply(request, {"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]})
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
-async def get_sphere(
-    request: Request, context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = ""
-) -> Response:
+async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
     view = await _view(request, context, fit, _PNG)
     if name not in view.pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(view.pictures)}.")
-    return tagged_reply(view.pictures[name], if_none_match, _PNG)
+    return tagged_reply(request, view.pictures[name], _PNG)
 
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
@@ -149,12 +147,11 @@ async def get_profile(
     context: TheContext,
     fit: TheFit,
     theta_diff_deg: Annotated[int, Plain, Path(ge=0, le=89)],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and its components over theta_half, at one theta_diff."""
     view = await _view(request, context, fit)
     key, draw = ("profile", fit, theta_diff_deg), partial(view.profile, theta_diff_deg)
-    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
+    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
 
 
 @router.get("/fits/{fit_id}/polar/{theta_in_deg}")
@@ -163,25 +160,24 @@ async def get_polar(
     context: TheContext,
     fit: TheFit,
     theta_in_deg: Annotated[int, Plain, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and its components in the plane of incidence, for one direction of light."""
     view = await _view(request, context, fit)
     key, draw = ("polar", fit, theta_in_deg), partial(view.plane_of_incidence, theta_in_deg)
-    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
+    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
 
 
 @router.get("/docs")
 @router.get("/docs/{name}")
 @router.get("/page/{name}")
-async def get_static(request: Request, if_none_match: IfNoneMatch = "") -> Response:
+async def get_static(request: Request) -> Response:
     """Return the page that shows the OpenAPI document, or a script, style sheet or picture that the pages load."""
     path = request.scope["path"]
     if path not in STATIC_FILES:
         raise HTTPException(404)
     file, media_type = STATIC_FILES[path]
     headers = {"Content-Security-Policy": POLICY_WITHOUT_FORMS} if path == "/docs" else {}
-    return tagged_reply(await run_in_threadpool(file.read_bytes), if_none_match, media_type, headers)
+    return tagged_reply(request, await run_in_threadpool(file.read_bytes), media_type, headers)
 
 
 @router.get("/sign-in")
