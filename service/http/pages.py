@@ -17,7 +17,7 @@ import dsbrdf
 _OURS = files("service") / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
-_SCRIPTS = ("upload", "progress", "list", "fit", "compare", "sphere", "profiles", "polar")
+_SCRIPTS = ("index", "progress", "fit", "sphere", "plots")
 STATIC_FILES = {
     "/docs": (_OURS / "docs.html", "text/html; charset=utf-8"),
     "/docs/page.js": (_OURS / "docs.js", _SCRIPT),

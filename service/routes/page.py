@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.output.report_text import lobes_phrase
@@ -22,7 +23,7 @@ from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
-from service.http.responses import prefix_of, tagged_reply
+from service.http.responses import tagged_reply
 from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
 from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import (
@@ -32,9 +33,7 @@ from service.routes.page_text import (
     component_facts,
     facts_of,
     metrics_in_words,
-    model_lobes,
     options_in_words,
-    reproduction,
 )
 from service.storage.schema import FitKey, FitRow
 from service.wire.schemas import Page, Plain
@@ -101,13 +100,11 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     return _render(
         "fit.html",
         request,
-        code=reproduction(row, f"{str(request.base_url).rstrip('/')}{prefix_of(request)}/"),
         downloads=DOWNLOADS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
         model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",
-        lobes=model_lobes(model),
         meanings=COMPONENT_MEANINGS,
         **await _shown(request, context, row),
     )
@@ -129,7 +126,9 @@ async def get_view(request: Request, context: TheContext, fit: TheFit) -> Respon
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
     view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
-    return tagged_reply(request, {"exposure": view.exposure, "lights": lights, "pictures": [*view.pictures]})
+    return tagged_reply(
+        request, {"exposure": view.exposure, "lights": lights, "labels": LABELS, "pictures": [*view.pictures]}
+    )
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")

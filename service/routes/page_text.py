@@ -1,6 +1,5 @@
 """What the pages say of a fit in words."""
 
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -9,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf import DSBRDF, Component
+from dsbrdf import Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
-from dsbrdf.model.lobes import half_width
 from service.storage.schema import FitRow
 from service.wire.fit_options import DEFAULTS, canonical
 
@@ -51,7 +49,6 @@ COMPONENT_MEANINGS = {
     "shine there as much, and a small change of the measurement can move light from one to the other.",
 }
 """Numbers of a component that the pages show, and what they mean."""
-_LOBE_ANGLES = (0, 30, 60)  # theta_diff at which the model's own lobes are shown [degrees]
 
 
 @dataclass(frozen=True)
@@ -84,18 +81,6 @@ class ComponentFacts:
     def name(self) -> str:
         """The label in words."""
         return self.label.replace("_", " ")
-
-
-@dataclass(frozen=True)
-class LobeFacts:
-    """One of the model's own lobes at one theta_diff."""
-
-    name: str
-    theta_diff: str
-    height: list[str]
-    half_width: str
-    center: str
-    elongation: str
 
 
 def facts_of(row: FitRow) -> Facts:
@@ -131,64 +116,9 @@ def component_facts(component: Component) -> ComponentFacts:
     return ComponentFacts(component.label, swatch, numbers)
 
 
-def model_lobes(model: DSBRDF) -> list[LobeFacts]:
-    """Return the model's own lobes at some theta_diff; of shapes for each channel, the green one's."""
-    at = model.parameters_at(np.radians(_LOBE_ANGLES))
-    channel = at["kappa"].shape[1] // 2
-    kappa, gamma, center = (at[name][:, channel] for name in ("kappa", "gamma", "center"))
-    widths = np.degrees(half_width(kappa, gamma, model.lobe))
-    return [
-        LobeFacts(
-            f"{'ring lobe' if model.is_ring[lobe] else 'lobe'} {lobe}",
-            f"{angle}°",
-            _written(at["amplitude"][row, :, lobe], ".3g"),
-            f"{widths[row, lobe]:.3g}°",
-            f"{np.degrees(center[row, lobe]):.3g}°" if model.is_ring[lobe] else "–",
-            f"{at['elongation'][row, lobe]:.2f}",
-        )
-        for lobe in range(model.n_lobes)
-        for row, angle in enumerate(_LOBE_ANGLES)
-    ]
-
-
 def options_in_words(options: Mapping[str, Any]) -> str:
     """Return the options that are not the default."""
     return ", ".join(f"{name} = {_word(value)}" for name, value in _unusual(options).items()) or "default options"
-
-
-def reproduction(row: FitRow, address: str) -> dict[str, str]:
-    """Return the lines that give the same model from Python and by curl."""
-    name, given = row.name or row.measurement[:12], _unusual(row.options)
-    arguments = "".join(f", {option}={value!r}" for option, value in given.items() if not option.endswith("_deg"))
-    angles = {option: value for option, value in given.items() if option.endswith("_deg")}
-    for option, value in angles.items():
-        radians = "None" if value is None else f"numpy.radians({value})"
-        arguments += f", {option.removesuffix('_deg')}={radians}"
-    options = f", dsbrdf.FitOptions({arguments[2:]})" if given else ""
-    python = [
-        "import dsbrdf" + ("\nimport numpy" if angles else ""),
-        "",
-        f'measurement = dsbrdf.read_merl("{name}.binary")',
-        f"result = dsbrdf.fit(measurement{options})",
-        'print(result.report.metrics["relative_rms"])',
-        "for component in dsbrdf.decompose(result):",
-        "    print(component.label, component.half_width, component.albedo)",
-        f'dsbrdf.save(result, "{name}.json")',
-    ]
-    query = "&".join(f"{option}={_word(value)}" for option, value in given.items())
-    fits = f"{address}v1/fits"
-    curl = [
-        "# the fit, from the file",
-        f"curl --data-binary {shlex.quote(f'@{name}.binary')} -H 'Content-Type: application/octet-stream' \\",
-        f"  '{fits}{'?' if query else ''}{query}'",
-        "# a picture of it",
-        f"curl -o sphere.png '{fits}/{row.id}/figures/sphere.png?size=256'",
-        "# its components, each with a lobe that a person can read",
-        f"curl '{fits}/{row.id}/components'",
-        "# values of the BRDF in 1/sr",
-        f"curl '{fits}/{row.id}/brdf?theta_half_deg=10&theta_diff_deg=30'",
-    ]
-    return {"Python": "\n".join(python), "curl": "\n".join(curl)}
 
 
 def _written(values: NDArray[np.float64], form: str) -> list[str]:
