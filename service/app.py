@@ -36,7 +36,7 @@ from service.settings import Settings
 from service.storage.database import Database
 from service.storage.store import Store
 
-_THREADS = 8  # of which each that has ever worked keeps memory
+_THREADS = 8  # few, because each keeps the memory of what it has computed
 _EXPORT_SECONDS = 300.0  # that a computation in a process of its own may take; the longest need some 15
 _SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
@@ -170,7 +170,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation
-        # A resource that can be had can be asked for.
+        # HEAD is answered wherever GET is.
         if route.methods and "GET" in route.methods and route.path not in with_head:
             route.methods.add("HEAD")
     app.router.routes.extend(given)

@@ -38,7 +38,6 @@ _COMMANDS = {
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
         "convert": ("convert_command:convert", "Write a measurement as another kind of file."),
-        "schema": ("schema_command:schema", "Print the JSON Schema of stored models."),
     },
     "More": {
         "demo": ("demo:demo", "Start the service, fit a generated measurement, save a figure."),

@@ -54,7 +54,7 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
 def prefix_of(request: Request) -> str:
     """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
 
-    Whoever sends it, it changes only what this client is told of where things are.
+    Anyone may send it: it changes only the addresses in this answer.
     """
     given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
     return given if _PREFIX.fullmatch(given) else ""

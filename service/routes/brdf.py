@@ -219,7 +219,7 @@ def _from_json(body: bytes, max_points: int) -> Points:
 
 
 def _accepted_type(request: Request) -> str:
-    """Return which of JSON and .npy ``Accept`` prefers; what is said of a type itself goes before any range."""
+    """Return which of JSON and .npy ``Accept`` prefers; a quality of the type itself counts before that of a range."""
     ranges: dict[str, float] = {}
     for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
         media_type, _, parameters = entry.partition(";")

@@ -37,7 +37,7 @@ from service.routes.dependencies import (
     revocation,
 )
 from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.uploads import UploadBody, in_write_thread
+from service.storage.uploads import in_write_thread
 from service.wire import examples, schemas
 from service.wire.fit_options import canonical, from_query, from_wire
 from service.wire.model_document import model_document
@@ -110,19 +110,20 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
     `Location` tells where to ask again.
     """
-    measurement: str | UploadBody
     name = name_of(request)
     given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
     if media_type_of(request, BINARY, JSON) == BINARY:
-        measurement = upload_body(request)
         options = canonical(from_query(given))
+        with context.metrics.timing("upload"):
+            measurement, _ = await context.store.receive_measurement(caller, upload_body(request), name)
+        sha256 = measurement.sha256
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
         body = await receive_body(request, _MAX_JSON, context.store.blobs.temporary)
         document = schemas.parse_document(schemas.FitRequest, bytes(body))
-        measurement, options = document.measurement, canonical(from_wire(document.options))
-    row, new = await context.jobs.submit(caller, measurement, options, name)
+        sha256, options = document.measurement, canonical(from_wire(document.options))
+    row, new = await context.jobs.submit(caller, sha256, options, name)
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
@@ -203,13 +204,7 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
 async def export_fit(
     request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
 ) -> Response:
-    """Return the model, one component, or the components' own lobes together, for another program.
-
-    `json` and `npz` are lossless, and have the report of the fit beside the whole model; `merl` is a table of values;
-    `glsl` a function for shaders and `brdf` one for the BRDF Explorer; `bsdf` a file for Mitsuba 3, `bsdf-spectral` one
-    for its spectral variants and pbrt-v4; `materialx` the OpenPBR surface that looks most like the model, which takes
-    some seconds; `csv` the parameters.
-    """
+    """Return the model, one component, or the components' own lobes together, for another program."""
     loaded = await context.models.get(fit)
     if wanted.component not in (None, GUIDE):
         check_holds_component(wanted.format)

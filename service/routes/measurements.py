@@ -63,9 +63,9 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
     media_type_of(request, BINARY)
     await no_query(request, "name")
-    add = partial(context.store.add_measurement, caller, name=name_of(request))
+    name = name_of(request)
     with context.metrics.timing("upload"):
-        row, new = await context.store.uploads.receive(caller, upload_body(request), add)
+        row, new = await context.store.receive_measurement(caller, upload_body(request), name)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 

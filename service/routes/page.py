@@ -17,6 +17,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import lobes_phrase
 from service.access.authentication import COOKIE, from_another_site, same_origin
 from service.errors import ProblemError
@@ -28,7 +29,6 @@ from service.jobs.results import LARGEST_LIGHT, LIGHT_STEP, FitView
 from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import (
     COMPONENT_MEANINGS,
-    DOWNLOADS,
     FIGURES,
     component_facts,
     facts_of,
@@ -100,7 +100,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     return _render(
         "fit.html",
         request,
-        downloads=DOWNLOADS,
+        downloads=FORMATS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
@@ -231,12 +231,11 @@ async def _shown(request: Request, context: Context, row: FitRow) -> dict[str, A
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
     run = context.computations.for_request(request, _HTML, "medium")
-    decomposition = await context.models.decomposition(row.key, run)
     return {
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
-        "components": [component_facts(component) for component in decomposition],
+        "components": [component_facts(component) for component in await context.models.components(row.key, run)],
     }

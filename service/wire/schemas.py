@@ -326,7 +326,7 @@ class Export(_Input):
 
     format: Annotated[
         Literal[*FORMATS],  # type: ignore[valid-type]
-        Field(description="Format of the file; `materialx` takes some seconds."),
+        Field(description="; ".join(f"`{name}`: {kind.purpose}" for name, kind in FORMATS.items()) + "."),
     ]
     component: Annotated[
         Literal[*PARTS] | None,  # type: ignore[valid-type]

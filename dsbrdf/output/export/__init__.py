@@ -48,6 +48,8 @@ class ExportFormat:
         Of the file's name, without the dot.
     media_type : str
         For HTTP.
+    purpose : str
+        What the file is for, in a few words.
     encode : callable
         Returns the content of the file for a model and, if there is one, its report.
     encode_component : callable, optional
@@ -56,27 +58,43 @@ class ExportFormat:
 
     suffix: str
     media_type: str
+    purpose: str
     encode: Callable[[DSBRDF, FitReport | None], bytes]
     encode_component: Callable[[Component], bytes] | None = None
 
 
-def _of_values(suffix: str, media_type: str, encode: Callable[[DSBRDF | Component], bytes]) -> ExportFormat:
+def _of_values(
+    suffix: str, media_type: str, purpose: str, encode: Callable[[DSBRDF | Component], bytes]
+) -> ExportFormat:
     """Return a format that holds values, of a model as well as of a component."""
-    return ExportFormat(suffix, media_type, lambda model, _: encode(model), encode)
+    return ExportFormat(suffix, media_type, purpose, lambda model, _: encode(model), encode)
 
 
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
+_SURFACE = "the OpenPBR surface that looks most like the model; it takes some seconds"
 FORMATS = {
-    "json": ExportFormat("json", "application/json", lambda model, report: to_json(model, report).encode()),
-    "npz": ExportFormat("npz", _BINARY, to_npz),
-    "merl": _of_values("binary", _BINARY, merl_table),
-    "glsl": _of_values("glsl", _TEXT, lambda source: glsl_function(source).encode()),
-    "brdf": _of_values("brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
-    "csv": ExportFormat("csv", "text/csv; charset=utf-8", lambda model, _: parameters_csv(model).encode()),
-    "bsdf": _of_values("bsdf", _BINARY, rgl_bsdf),
-    "bsdf-spectral": _of_values("bsdf", _BINARY, lambda source: rgl_bsdf(source, spectral=True)),
-    "materialx": ExportFormat("mtlx", "application/xml", lambda model, _: materialx_document(model).encode()),
+    "json": ExportFormat(
+        "json",
+        "application/json",
+        "the model and its report, without loss",
+        lambda model, report: to_json(model, report).encode(),
+    ),
+    "npz": ExportFormat("npz", _BINARY, "the same for NumPy", to_npz),
+    "csv": ExportFormat(
+        "csv", "text/csv; charset=utf-8", "a table of the parameters", lambda model, _: parameters_csv(model).encode()
+    ),
+    "merl": _of_values("binary", _BINARY, "a table of values in the MERL format, 35 MB", merl_table),
+    "glsl": _of_values("glsl", _TEXT, "a function for shaders", lambda source: glsl_function(source).encode()),
+    "brdf": _of_values(
+        "brdf", _TEXT, "a shader for Disney's BRDF Explorer", lambda source: brdf_explorer_file(source).encode()
+    ),
+    "bsdf": _of_values("bsdf", _BINARY, "a file for Mitsuba 3", rgl_bsdf),
+    "bsdf-spectral": _of_values(
+        "bsdf", _BINARY, "a file for its spectral variants and pbrt-v4", lambda source: rgl_bsdf(source, spectral=True)
+    ),
+    "materialx": ExportFormat("mtlx", "application/xml", _SURFACE, lambda model, _: materialx_document(model).encode()),
 }
+"""Name -> format; a new one has a row here, and a file of its own."""
 
 
 def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component:
@@ -107,11 +125,8 @@ def export_model(source: DSBRDF | Component, file_format: str, report: FitReport
     Parameters
     ----------
     source : DSBRDF or Component
-    file_format : {"json", "npz", "merl", "glsl", "brdf", "csv", "bsdf", "bsdf-spectral", "materialx"}
-        ``json`` and ``npz`` store the parameters without loss, ``merl`` is a table of values, ``glsl`` a function for
-        shaders, ``brdf`` the same for Disney's BRDF Explorer, ``csv`` a table of the parameters, ``bsdf`` a file of the
-        RGL database for Mitsuba 3, ``bsdf-spectral`` one for pbrt-v4 and for spectral variants of Mitsuba,
-        ``materialx`` the nearest OpenPBR surface, which takes some seconds.
+    file_format : str
+        A key of `FORMATS`, which says what each is for.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 
