@@ -42,11 +42,15 @@ docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-# Browsers, Dask, processes that are killed, folders that are damaged, clients that are slow, and what is drawn.
-SLOW := $(addprefix tests/library/,engines output/export/test_materialx.py output/export/test_glsl.py) \
-  $(addprefix tests/service/,page access/test_owners.py http/test_openapi_conformance.py http/test_limits.py \
-  jobs/test_computations.py operations/test_readiness.py routes/test_figures.py routes/test_lists.py \
-  routes/test_point_limits.py storage/test_damage.py storage/test_folder.py storage/test_restore.py commands)
+# Browsers, Dask, processes that are killed, folders that are damaged, slow clients, figures, fits of whole measurements.
+SLOW := $(addprefix tests/library/,engines paper cli/test_demo.py cli/test_fit_command.py \
+  fitting/test_global_method.py fitting/test_global_method_data.py fitting/test_matching_pursuit.py \
+  fitting/test_critical_values.py fitting/test_lobe_selection.py fitting/test_paper_method.py \
+  fitting/test_report_warnings.py output/test_figures.py output/export/test_glsl.py output/export/test_materialx.py)
+SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_content_encoding.py \
+  http/test_limits.py http/test_openapi_conformance.py jobs/test_computations.py operations/test_readiness.py \
+  operations/test_request_log.py routes/test_figures.py routes/test_lists.py routes/test_point_limits.py \
+  storage/test_damage.py storage/test_folder.py storage/test_restore.py test_client.py)
 
 quick: $(READY)  ## run the tests of library and service that take little time
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \

@@ -80,13 +80,13 @@ FORMATS = {
         lambda model, report: to_json(model, report).encode(),
     ),
     "npz": ExportFormat("npz", _BINARY, "the same for NumPy", to_npz),
-    "csv": ExportFormat(
-        "csv", "text/csv; charset=utf-8", "a table of the parameters", lambda model, _: parameters_csv(model).encode()
-    ),
     "merl": _of_values("binary", _BINARY, "a table of values in the MERL format, 35 MB", merl_table),
     "glsl": _of_values("glsl", _TEXT, "a function for shaders", lambda source: glsl_function(source).encode()),
     "brdf": _of_values(
         "brdf", _TEXT, "a shader for Disney's BRDF Explorer", lambda source: brdf_explorer_file(source).encode()
+    ),
+    "csv": ExportFormat(
+        "csv", "text/csv; charset=utf-8", "a table of the parameters", lambda model, _: parameters_csv(model).encode()
     ),
     "bsdf": _of_values("bsdf", _BINARY, "a file for Mitsuba 3", rgl_bsdf),
     "bsdf-spectral": _of_values(
