@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve docs test check audit fix bench soak prove lock clean
+.PHONY: help demo serve docs test quick check audit fix bench soak prove lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -41,6 +41,20 @@ docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 
 test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+
+# Browsers, Dask, processes that are killed, folders that are damaged, slow clients, figures, fits of whole measurements.
+SLOW := $(addprefix tests/library/,engines paper cli/test_demo.py cli/test_fit_command.py \
+  fitting/test_global_method.py fitting/test_global_method_data.py fitting/test_matching_pursuit.py \
+  fitting/test_critical_values.py fitting/test_lobe_selection.py fitting/test_paper_method.py \
+  fitting/test_report_warnings.py output/test_figures.py output/export/test_glsl.py output/export/test_materialx.py)
+SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_content_encoding.py \
+  http/test_limits.py http/test_openapi_conformance.py jobs/test_computations.py operations/test_readiness.py \
+  operations/test_request_log.py routes/test_figures.py routes/test_lists.py routes/test_point_limits.py \
+  storage/test_damage.py storage/test_folder.py storage/test_restore.py test_client.py)
+
+quick: $(READY)  ## run the tests of library and service that take little time
+	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \
+	  tests/library tests/service
 
 check: $(READY)  ## check format, lint, types and security
 	$(BIN)/ruff format --check .

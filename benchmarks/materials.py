@@ -81,8 +81,8 @@ def through(url: str, stack: ExitStack) -> Runner:
     client = stack.enter_context(Client(url))
 
     def run(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
-        done = client.fit(material, options)
-        return done.metrics or {}, done.model
+        result = client.fit(material, options)
+        return asdict(result.report.metrics), result.model
 
     return run
 

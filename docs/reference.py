@@ -110,7 +110,7 @@ def _operation(name: str, operation: Document, everywhere: Set[Answer]) -> Itera
 
 
 def _problems() -> str:
-    rows = [(f"`{kind}`", status, title) for kind, (status, title, _, _) in problems.KINDS.items()]
+    rows = [(f"`{kind}`", status, title) for kind, (status, title, _) in problems.KINDS.items()]
     intro = """## Problems
 
 Errors are `application/problem+json` (RFC 9457). Their `type` is `urn:dsbrdf:problem:` and one of these kinds; their

@@ -38,7 +38,7 @@ from service.settings import FLAGS, Settings, unknown_settings
 from service.storage.database import own_folder
 from service.storage.store import Store
 
-_CLEANUP_SECONDS = 5.0  # that the end of the service may take after the open requests have ended
+_CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
 
 logger = logging.getLogger(__name__)
 

@@ -49,7 +49,10 @@ _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in 
 `POST /v1/fits` with a file as the body answers with the fitted model; the fit then gives BRDF values and its
 decomposition into specular spike, specular lobe and diffuse part. Angles are in degrees, directions are unit
 vectors about the normal (0, 0, 1), values are in 1/sr, in the order red, green, blue. Errors are RFC 9457
-problem documents.
+problem documents; `Retry-After` says when asking again may help.
+
+Every answer names its request in `X-Request-ID`, as the service's log does. Answers with an `ETag` can be asked for
+again with `If-None-Match`; `Link` with `rel="next"` leads to the next page of a list.
 """
 
 
@@ -168,7 +171,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation
-        # A resource that can be had can be asked for.
+        # HEAD is answered wherever GET is.
         if route.methods and "GET" in route.methods and route.path not in with_head:
             route.methods.add("HEAD")
     app.router.routes.extend(given)

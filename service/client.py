@@ -1,87 +1,98 @@
-"""Python clients of the service: the same objects and the same errors as the library, over HTTP.
+"""Python clients of the service: the library's own objects and errors, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
-    fit = client.fit("nickel.binary")
-    fit.model.evaluate(theta_half, theta_diff)
-    fit.components["diffuse"].albedo
+    result = client.fit("nickel.binary")  # as dsbrdf.fit returns it
+    result.model.evaluate(theta_half, theta_diff)
 
 async with AsyncClient("http://127.0.0.1:8000") as client:
-    fits = await asyncio.gather(client.fit("nickel.binary"), client.fit("brass.binary"))
-    models = [await fit.model() for fit in fits]
+    results = await asyncio.gather(client.fit("nickel.binary"), client.fit("brass.binary"))
 """
 
-import asyncio
+import hashlib
+import json
 import os
 import time
-from collections.abc import AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, TypeVar
+from functools import wraps
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import httpx
+from anyio import CapacityLimiter, to_thread
 
-from dsbrdf import DSBRDF, Decomposition, FitOptions, FitReport, Measurement
-from service.client_requests import (
-    POLL,
-    AccessError,
-    FitState,
-    LimitError,
-    Loaded,
-    Progress,
-    Removal,
-    Requests,
-    ServiceError,
-    Source,
-    opened,
-    parts_of,
-    sha256_of,
-)
+from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
+from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.output.serialize import result_from_json
+from service.wire.fit_options import from_wire, to_wire
+from service.wire.names import check_name
 
-__all__ = ["AccessError", "AsyncClient", "AsyncFit", "Client", "Fit", "LimitError", "ServiceError", "Source"]
+__all__ = ["AccessError", "AsyncClient", "Client", "Fit", "LimitError", "ServiceError", "Source"]
 
-_Result = TypeVar("_Result")
+Source = str | os.PathLike[str] | bytes | Measurement
+Progress = Callable[[float], None]
+Removal = Literal["cancel", "delete"]
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_POLL = 20.0  # seconds that one request waits for a fit
+_PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
+_PIECE = 1 << 20  # bytes of a file that are read at a time
+_REFUSED_FOR_NOW = (429, 503)
+_WITHOUT_DOCUMENT = {401: "The service wants a valid API key.", 429: "The API key has made too many requests."}
+_LIBRARY_ERRORS: dict[str, type[Exception]] = {
+    "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
+    "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
+    "urn:dsbrdf:problem:invalid-argument": InvalidArgumentError,
+    "urn:dsbrdf:problem:fit-impossible": FitError,
+}
+
+
+class ServiceError(Exception):
+    """The service could not do what was asked, for a reason other than the measurement or the options.
+
+    `problem` is the problem document, or what is known of the fault under the same names.
+    """
+
+    def __init__(self, problem: Mapping[str, Any]) -> None:
+        super().__init__(problem.get("detail") or problem.get("title") or "the service failed")
+        self.problem = dict(problem)
+
+
+class AccessError(ServiceError):
+    """The service wants an API key, or does not take the one that was sent."""
+
+
+class LimitError(ServiceError):
+    """The key has reached its rate of requests, its unfinished fits or its stored bytes.
+
+    `retry_after` is the time after which it is worth asking again [s]; None if waiting does not help.
+    """
+
+    def __init__(self, problem: Mapping[str, Any], retry_after: float | None) -> None:
+        super().__init__(problem)
+        self.retry_after = retry_after
 
 
 @dataclass(frozen=True)
-class Fit(FitState):
-    """The state of a fit when `Client` asked for it, with its model and components."""
+class Fit:
+    """The state of a fit when the service was asked for it."""
+
+    id: str
+    status: str
+    progress: float  # finished share, 0 to 1
+    measurement: str  # its sha256
+    name: str | None
+    options: FitOptions
+    metrics: dict[str, float | None] | None  # as in the library's report, once the fit has succeeded
+    error: dict[str, str] | None  # origin, type and message if it has failed
 
     @property
-    def model(self) -> DSBRDF:
-        """The fitted model, bit for bit as the library fits it."""
-        return self._result[0]
-
-    @property
-    def report(self) -> FitReport | None:
-        """The library's report of the fit."""
-        return self._result[1]
-
-    @cached_property
-    def components(self) -> Decomposition:
-        """The components that `dsbrdf.decompose` finds in the model, computed by the service."""
-        return _finish(self._decompose(self.id, self.model))
-
-    @cached_property
-    def _result(self) -> Loaded:
-        return _finish(self._load(self.id))
-
-
-@dataclass(frozen=True)
-class AsyncFit(FitState):
-    """The state of a fit when `AsyncClient` asked for it; what `Fit` has as properties are methods, to be awaited."""
-
-    async def model(self) -> DSBRDF:
-        """Return the fitted model, bit for bit as the library fits it."""
-        return (await self._load(self.id))[0]
-
-    async def report(self) -> FitReport | None:
-        """Return the library's report of the fit."""
-        return (await self._load(self.id))[1]
-
-    async def components(self) -> Decomposition:
-        """Return the components that `dsbrdf.decompose` finds in the model, computed by the service."""
-        return await self._decompose(self.id, await self.model())
+    def ended(self) -> bool:
+        """Whether the fit is over, well or not."""
+        return self.status not in ("accepted", "running")
 
 
 class Client:
@@ -96,8 +107,8 @@ class Client:
     timeout : float
         Longest time without an answer, other than while waiting for a fit [s].
     patience : float
-        Longest time that a request is repeated which the service refuses for now, because of a limit of the key or too
-        much work, after the time that it names each time (``Retry-After``) [s]; 0 repeats nothing.
+        A request that the service refuses for now, because of a limit of the key or too much work, is repeated after
+        the time that the service names (``Retry-After``); this is the longest sum of those times [s].
     """
 
     def __init__(
@@ -108,8 +119,17 @@ class Client:
         timeout: float = 30.0,
         patience: float = 30.0,
     ) -> None:
-        self._http = httpx.Client(**_settings(base_url, key, timeout))
-        self._requests = Requests(_Blocking(self._http), Fit, patience)
+        key = os.environ.get("DSBRDF_KEY") if key is None else key
+        if key and not (key.isascii() and key.isprintable() and " " not in key):
+            raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
+        self._patience = patience
+        self._http = httpx.Client(
+            base_url=base_url,
+            headers={"Authorization": f"Bearer {key}"} if key else {},
+            timeout=httpx.Timeout(timeout, read=timeout + _POLL),
+            # The service closes a connection that has been idle for 5 s: one that it may be closing is not used again.
+            limits=httpx.Limits(keepalive_expiry=2.0),
+        )
 
     def __enter__(self) -> "Client":
         return self
@@ -128,8 +148,8 @@ class Client:
         *,
         name: str | None = None,
         progress: Progress | None = None,
-    ) -> Fit:
-        """Fit a measurement and return when the fit has succeeded.
+    ) -> FitResult:
+        """Fit a measurement; return what `dsbrdf.fit` returns, bit for bit.
 
         Parameters
         ----------
@@ -149,69 +169,119 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        return _finish(self._requests.fit(measurement, options, name=name, progress=progress))
+        fit = self.submit(measurement, options, name=name)
+        while not fit.ended:
+            if progress is not None:
+                progress(fit.progress)
+            fit = self.get(fit.id, wait=_POLL if progress is None else _PROGRESS_POLL)
+        if fit.status != "succeeded":
+            raise _error_of(fit)
+        if progress is not None:
+            progress(1.0)
+        return self.result(fit.id)
 
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        return _finish(self._requests.submit(measurement, options, name=name))
+        document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
+        asynchronous = {"Prefer": "respond-async"}
+        return _fit(self._call("POST", "/v1/fits", json=document, headers=asynchronous, params=_query(name)).json())
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _finish(self._requests.get(fit_id, wait=wait))
+        return _fit(self._call("GET", f"/v1/fits/{fit_id}", params={"wait": wait}).json())
+
+    def result(self, fit_id: str) -> FitResult:
+        """Return the model and the report of a fit that has succeeded."""
+        return result_from_json(self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"}).text)
 
     def fits(self, *, name: str | None = None) -> Iterator[Fit]:
         """Yield the service's fits, or those of one name, newest first."""
-        fits = self._requests.fits(name=name)  # takes its steps as a coroutine does
-        with suppress(StopAsyncIteration):
-            while True:
-                yield _finish(anext(fits))
+        url: str | None = str(httpx.URL("/v1/fits", params=_query(name)))
+        while url is not None:
+            page = self._call("GET", url)
+            yield from map(_fit, page.json()["items"])
+            url = page.links.get("next", {}).get("url")
 
     def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
         """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
 
         With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
         """
-        return _finish(self._requests.delete(fit_id, only=only))
+        params = {} if only is None else {"only": only}
+        return str(self._call("DELETE", f"/v1/fits/{fit_id}", params=params).json()["status"])
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
 
         One that is sent gets the `name`, by default its own.
         """
-        return _finish(self._requests.upload(measurement, name=name))
+        source = encode_merl(measurement) if isinstance(measurement, Measurement) else measurement
+        digest, size = hashlib.sha256(), 0
+        for piece in _pieces(source):
+            digest.update(piece)
+            size += len(piece)
+        sha256 = digest.hexdigest()
+        if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
+            headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
+            params = _query(name or _own_name(measurement))
+            self._call("POST", "/v1/measurements", body=source, headers=headers, params=params)
+        return sha256
 
     def measurement(self, sha256: str) -> Measurement:
         """Return a measurement that the service has."""
-        return _finish(self._requests.measurement(sha256))
+        return parse_merl(self._call("GET", f"/v1/measurements/{sha256}").content, sha256)
 
     def delete_measurement(self, sha256: str) -> None:
         """Delete a measurement; its finished fits stay."""
-        _finish(self._requests.delete_measurement(sha256))
+        self._call("DELETE", f"/v1/measurements/{sha256}")
 
-    def wait_until_ready(self, seconds: float = 30.0) -> None:
-        """Return when the service can take work.
-
-        Raises
-        ------
-        ServiceError
-            If it cannot after `seconds`.
-        """
-        _finish(self._requests.wait_until_ready(seconds))
-
-
-class AsyncClient(Requests[AsyncFit]):
-    """Connection to a service for programs with an event loop; parameters, methods and errors as `Client`."""
-
-    def __init__(
+    def _call(
         self,
-        base_url: str = "http://127.0.0.1:8000",
+        method: str,
+        url: str,
         *,
-        key: str | None = None,
-        timeout: float = 30.0,
-        patience: float = 30.0,
-    ) -> None:
-        self._http = httpx.AsyncClient(**_settings(base_url, key, timeout))
-        super().__init__(_Waiting(self._http), AsyncFit, patience)
+        body: bytes | str | os.PathLike[str] | None = None,
+        missing: bool = False,
+        **arguments: Any,
+    ) -> httpx.Response:
+        """Return a response that is a success, or says that something is `missing`; repeat what is refused for now."""
+        left = self._patience
+        while True:
+            content = None if body is None else _pieces(body)
+            answer = self._http.request(method, url, content=content, **arguments)
+            if answer.is_success or (missing and answer.status_code == 404):
+                return answer
+            seconds = _retry_after(answer)
+            if answer.status_code not in _REFUSED_FOR_NOW or seconds is None or seconds > left:
+                raise _error(answer)
+            left -= seconds
+            time.sleep(seconds)
+
+
+def _in_thread(
+    method: Callable[Concatenate[Client, P], T],
+) -> "Callable[Concatenate[AsyncClient, P], Coroutine[Any, Any, T]]":
+    """Return a method of `Client` as one of `AsyncClient`, which calls it in a thread."""
+
+    @wraps(method)
+    async def call(self: "AsyncClient", /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await to_thread.run_sync(
+            lambda: method(self.blocking, *args, **kwargs), abandon_on_cancel=True, limiter=self.threads
+        )
+
+    return call
+
+
+class AsyncClient:
+    """Connection to a service for programs with an event loop: parameters, methods and errors are those of `Client`.
+
+    Each call runs in a thread, at most 100 at once; a `progress` is called in that thread.  A call that is cancelled
+    returns at once, and its thread ends with its fit or with the connections.
+    """
+
+    def __init__(self, base_url: str = "http://127.0.0.1:8000", **settings: Any) -> None:
+        self.blocking = Client(base_url, **settings)
+        self.threads = CapacityLimiter(100)
 
     async def __aenter__(self) -> "AsyncClient":
         return self
@@ -219,72 +289,75 @@ class AsyncClient(Requests[AsyncFit]):
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def close(self) -> None:
-        """Close the connections."""
-        await self._http.aclose()
+    fit = _in_thread(Client.fit)
+    submit = _in_thread(Client.submit)
+    get = _in_thread(Client.get)
+    result = _in_thread(Client.result)
+    delete = _in_thread(Client.delete)
+    upload = _in_thread(Client.upload)
+    measurement = _in_thread(Client.measurement)
+    delete_measurement = _in_thread(Client.delete_measurement)
+    close = _in_thread(Client.close)
+
+    async def fits(self, *, name: str | None = None) -> AsyncIterator[Fit]:
+        """Yield the service's fits, or those of one name, newest first."""
+        fits = self.blocking.fits(name=name)
+        while fit := await to_thread.run_sync(next, fits, None, limiter=self.threads):
+            yield fit
 
 
-class _Blocking:
-    """The transport of `Client`: each call has ended when it returns, so there is nothing to wait for."""
-
-    def __init__(self, http: httpx.Client) -> None:
-        self._http, self.address = http, http.base_url
-
-    async def request(self, method: str, url: str, **arguments: Any) -> httpx.Response:
-        return self._http.request(method, url, **arguments)
-
-    async def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-    async def digest(self, source: bytes | str | os.PathLike[str]) -> str:
-        return sha256_of(source)
-
-    def content(self, source: bytes | str | os.PathLike[str]) -> Iterator[bytes]:
-        with opened(source) as file:
-            yield from parts_of(file)
+def _error_of(fit: Fit) -> Exception:
+    """Return the exception for a fit that has failed or was cancelled."""
+    error = fit.error or {"origin": "system", "type": "Cancelled", "message": "The fit was cancelled."}
+    if error["origin"] == "input":
+        return FitError(error["message"])
+    return ServiceError({**error, "title": error["type"], "detail": error["message"]})
 
 
-class _Waiting:
-    """The transport of `AsyncClient`; files are read in threads."""
-
-    def __init__(self, http: httpx.AsyncClient) -> None:
-        self._http, self.address = http, http.base_url
-
-    async def request(self, method: str, url: str, **arguments: Any) -> httpx.Response:
-        return await self._http.request(method, url, **arguments)
-
-    async def sleep(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
-
-    async def digest(self, source: bytes | str | os.PathLike[str]) -> str:
-        return await asyncio.to_thread(sha256_of, source)
-
-    async def content(self, source: bytes | str | os.PathLike[str]) -> AsyncIterator[bytes]:
-        with opened(source) as file:
-            parts = parts_of(file)
-            while part := await asyncio.to_thread(next, parts, b""):
-                yield part
+def _fit(document: Mapping[str, Any]) -> Fit:
+    names = ("id", "status", "progress", "measurement", "name", "metrics", "error")
+    return Fit(**{name: document[name] for name in names}, options=from_wire(document["options"]))
 
 
-def _finish(coroutine: Coroutine[Any, Any, _Result]) -> _Result:
-    """Run a coroutine of `Requests` over a `_Blocking` transport, which ends without an event loop."""
+def _pieces(source: bytes | str | os.PathLike[str]) -> Iterator[bytes]:
+    """Yield bytes, or those of a file, piece by piece."""
+    with BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb") as file:
+        while piece := file.read(_PIECE):
+            yield piece
+
+
+def _error(answer: httpx.Response) -> Exception:
+    """Return the exception for a response that is no success."""
     try:
-        coroutine.send(None)
-    except StopIteration as end:
-        result: _Result = end.value
-        return result
-    raise RuntimeError("a blocking transport has waited for an event loop")
+        problem = answer.json()
+    except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request
+        status, title = answer.status_code, answer.reason_phrase
+        problem = {"status": status, "title": title, "detail": _WITHOUT_DOCUMENT.get(status, title)}
+    kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
+    if kind is not None:
+        return kind(problem["detail"])
+    if answer.status_code == 401:
+        return AccessError(problem)
+    if answer.status_code == 429 or problem.get("type") == "urn:dsbrdf:problem:storage-quota":
+        return LimitError(problem, _retry_after(answer))
+    return ServiceError(problem)
 
 
-def _settings(base_url: str, key: str | None, timeout: float) -> dict[str, Any]:
-    """Return what both of httpx's clients take."""
-    key = os.environ.get("DSBRDF_KEY") if key is None else key
-    if key and not (key.isascii() and key.isprintable() and " " not in key):
-        raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
-    return {
-        "base_url": base_url,
-        "headers": {"Authorization": f"Bearer {key}"} if key else {},
-        "timeout": httpx.Timeout(timeout, read=timeout + POLL),
-        # The service closes a connection that nobody uses for 5 s; none that it may be about to close is used again.
-        "limits": httpx.Limits(keepalive_expiry=2.0),
-    }
+def _retry_after(answer: httpx.Response) -> float | None:
+    """Return the time after which the service wants to be asked again, if it names one [s]."""
+    seconds = answer.headers.get("retry-after", "")
+    return float(seconds) if seconds.isdecimal() else None
+
+
+def _own_name(measurement: Source) -> str | None:
+    """Return the name of a measurement or of its file, if the service would take it."""
+    if isinstance(measurement, bytes):
+        return None
+    name = measurement.name if isinstance(measurement, Measurement) else Path(measurement).stem
+    with suppress(InvalidArgumentError):
+        return check_name(name)
+    return None
+
+
+def _query(name: str | None) -> dict[str, str]:
+    return {} if name is None else {"name": name}

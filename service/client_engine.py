@@ -7,7 +7,6 @@ import httpx
 
 from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
-from dsbrdf.fitting.report import FitResult
 from service.client import AccessError, Client, ServiceError
 
 
@@ -61,10 +60,7 @@ class ClientEngine:
             on_progress(share)
 
         try:
-            fit = self._client.fit(task.path, task.options, progress=report)
-            if fit.report is None:
-                raise ConnectionError(f"{self._url}: the service has sent a fit without its report")
-            return FitResult(fit.model, fit.report)
+            return self._client.fit(task.path, task.options, progress=report)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except AccessError as error:

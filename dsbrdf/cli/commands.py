@@ -3,7 +3,6 @@
 cyclopts belongs to the extra ``cli``.  The module of a command is imported when the command is called.
 """
 
-import json
 import shutil
 import sys
 from collections.abc import Sequence
@@ -47,7 +46,6 @@ _COMMANDS = {
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
         "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
-        "schema": ("commands:schema", "Print the JSON Schema of stored models."),
     },
     "More": {
         "completion": ("commands:completion", "Print what makes a shell complete commands and options."),
@@ -152,12 +150,4 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """
     script = application().generate_completion(shell=shell)  # nosec B604
     print(script)
-    return 0
-
-
-def schema() -> int:
-    """Print the JSON Schema of stored models; return the exit code."""
-    from dsbrdf.output.json_schema import stored_model_schema  # the other commands need no NumPy to start
-
-    print(json.dumps(stored_model_schema(), indent=2))
     return 0

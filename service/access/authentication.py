@@ -2,9 +2,9 @@
 
 A request sees the rows of its owner.
 
-A key is asked for where other machines reach the service. On loopback there is a user without one, and then it has to
-be this user who asks: not a page of another site that is open in the user's browser, nor one whose name has been made
-to lead here.
+A key is needed where other machines can reach the service. On loopback the local user needs none; the request must then
+be this user's own: not one from a page of another site in the user's browser, nor one to a foreign host name that has
+been made to resolve to this machine.
 
 The web page sends the key in a cookie. Browsers send cookies of their own accord, so with one a request may change
 something only if it comes from a page of the service itself.
@@ -36,7 +36,7 @@ _SAFE_METHODS = ("GET", "HEAD")
 CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
 CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
 _LOCAL = Caller()
-# A name without a dot is the machine's or the local network's: nobody outside can make it lead here.
+# A name without a dot is the machine's or the local network's: nobody outside can make it resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _RETURNS_PER_SECOND = 20.0  # requests of one caller that had too many in progress
 _LONGEST_RETURN = 60.0  # seconds
@@ -86,7 +86,7 @@ class AuthenticationMiddleware:
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
         if number >= self._free:
-            detail = f"{number} requests of this caller are in progress, as many as may be now; let some of them end."
+            detail = f"{number} requests of this caller are in progress, the most allowed now; wait for some to end."
             headers = {"Connection": "close", "Retry-After": str(self._return_after(caller))}
             raise ProblemError("too-many-at-once", detail, headers)
         self._in_progress[caller] = number + 1
@@ -112,7 +112,7 @@ class AuthenticationMiddleware:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""
         names = {name for name, _ in scope["headers"]}
         if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
-            detail = "The body's end is told twice, by Content-Length and by Transfer-Encoding; send one of them."
+            detail = "Content-Length and Transfer-Encoding both say where the body ends; send one of them."
             raise ProblemError("bad-request", detail, {"Connection": "close"})
         if scope["path"] in OPEN_PATHS:
             return
@@ -162,7 +162,7 @@ class AuthenticationMiddleware:
         if self._local_only:
             hosts = [value for name, value in headers if name == b"host"]
             if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
-                detail = "Without an API key the service goes by 127.0.0.1, localhost and names without a dot only."
+                detail = "Without an API key the service answers to 127.0.0.1, localhost and names without a dot only."
                 raise ProblemError("misdirected", detail)
             is_link = (b"sec-fetch-dest", b"document") in headers and PAGE_PATHS.fullmatch(scope["path"])
             if from_another_site(headers) and not (is_link and scope["method"] == "GET"):
@@ -180,7 +180,7 @@ def _counted(key: ActiveKey) -> ActiveKey:
 
 
 def same_origin(headers: _Headers) -> bool:
-    """Return whether a request comes from a page of this service, as browsers tell; nothing else can."""
+    """Return whether a browser says that a request comes from a page of this service."""
     given = dict(headers)
     if b"sec-fetch-site" in given:
         return given[b"sec-fetch-site"] == b"same-origin"

@@ -153,7 +153,7 @@ class Keys:
         return key
 
     def write_uses(self, database: Database) -> None:
-        """Write when keys were used last, all at once: a write for each request would cost more than most of them."""
+        """Write when keys were used last, all at once: a write at every request would take longer than most."""
         used, self._used = self._used, {}
         rows = [(when, key_id) for key_id, when in tuple(used.items())]
         if not rows:

@@ -1,6 +1,7 @@
 """The command ``dsbrdf doctor``: check the stored database and every stored file, without changing anything.
 
-Whether a server can take work, ``GET /health/ready`` tells; this reads all that it has stored, which takes longer.
+``GET /health/ready`` says whether a server can take work; this command reads everything that is stored, which takes
+longer.
 """
 
 import sqlite3

@@ -24,7 +24,7 @@ _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
-# A fit that remains keeps its measurement; one that is old is about to go.
+# A fit that remains keeps its measurement; an old fit is removed before.
 _OLD_MEASUREMENTS = (
     "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f"  # noqa: S608
     " WHERE f.owner = m.owner AND f.measurement = m.sha256"

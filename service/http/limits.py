@@ -1,4 +1,4 @@
-"""Limits on heads, bodies and connections that uvicorn lacks: their number, slow clients, and what is not HTTP.
+"""Limits that uvicorn lacks: the number of connections, long heads, slow clients, and what is not HTTP.
 
 A connection that is refused here has not reached the application; the response is a problem document all the same.
 """
@@ -39,7 +39,7 @@ class Connection(HttpToolsProtocol):
     _n_received = _n_head = _n_body = 0  # bytes of the request that is being received
 
     _answering: RequestResponseCycle | None = None  # the request that is being answered; `cycle` is the last one
-    _refusal: ProblemError | None = None  # of what has come behind it, to be sent when it is answered
+    _refusal: ProblemError | None = None  # of what followed it, sent when it has been answered
 
     _header_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
@@ -54,7 +54,7 @@ class Connection(HttpToolsProtocol):
     def data_received(self, data: bytes) -> None:
         """Take the next bytes; an excess connection gets 503."""
         if self._excess:
-            detail = f"{self.max_connections} connections are open, as many as may; try again later."
+            detail = f"{self.max_connections} connections are open, the most allowed; try again later."
             self._refuse(ProblemError("overloaded", detail, _CLOSE))
             return
         if self._refusal is not None:
@@ -82,7 +82,7 @@ class Connection(HttpToolsProtocol):
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Begin to answer the request; HTTP/1.1 wants the name of the host once, and one in the target counts more."""
+        """Begin to answer the request; HTTP/1.1 needs exactly one Host, and a host in the target overrides it."""
         if self.parser.get_http_version() == "1.1" and [name for name, _ in self.headers].count(b"host") != 1:
             raise ValueError("not one Host")
         if not self.url.startswith(b"/") and self.url != b"*":
@@ -117,7 +117,7 @@ class Connection(HttpToolsProtocol):
         super()._start_asgi_task(cycle, app)
 
     def on_response_complete(self) -> None:
-        """Go on with the next request; when all are answered, refuse what came behind them."""
+        """Go on with the next request; when all are answered, send the refusal of what followed them."""
         super().on_response_complete()
         if self._refusal is not None and self._idle():
             self._refuse(self._refusal)

@@ -1,7 +1,7 @@
 """HTML pages: rendered from the templates of ``service/page``, with what else a browser loads for them.
 
-Nothing is loaded from elsewhere, so they work without the internet, and nothing in a page itself runs.  Addresses in a
-page are relative, those of a template begin with ``root``, so that they hold behind a proxy that adds a prefix.
+Nothing is loaded from elsewhere, so they work without the internet, and no script stands in a page itself.  Addresses
+in a page are relative, those of a template begin with ``root``, so that they hold behind a proxy that adds a prefix.
 """
 
 import re
@@ -17,7 +17,7 @@ import dsbrdf
 _OURS = files("service") / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
-_SCRIPTS = ("upload", "progress", "list", "fit", "compare", "sphere", "profiles", "polar")
+_SCRIPTS = ("index", "progress", "fit", "sphere", "plots")
 STATIC_FILES = {
     "/docs": (_OURS / "docs.html", "text/html; charset=utf-8"),
     "/docs/page.js": (_OURS / "docs.js", _SCRIPT),

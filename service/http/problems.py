@@ -24,51 +24,48 @@ TYPE_PREFIX = "urn:dsbrdf:problem:"
 
 
 class Kind(NamedTuple):
-    """A kind of problem: its status, its title, a detail as an example, and when it is worth asking again [s]."""
+    """A kind of problem: its status, its title, and when it is worth asking again [s]."""
 
     status: int
     title: str
-    example: str
     retry_after: int | None = None
 
 
 _FULL = "The service has no disk space left for this request; try again when space has been freed."
 _BROKEN = "The service failed at this request; its log says why."
 KINDS: dict[str, Kind] = {
-    "bad-request": Kind(400, "The request cannot be understood", "The client went away before the body's end."),
-    "bad-encoding": Kind(400, "The body does not decode", "The body is not valid gzip: it is cut off."),
-    "unauthorized": Kind(401, "A valid API key is needed", "An API key is needed here; send it as Bearer."),
-    "foreign-origin": Kind(403, "The request comes from another site", "A page of another site has sent it."),
-    "storage-quota": Kind(403, "The key's storage is full", "this key has stored 90.0 of 99.0 MB; delete some."),
-    "not-found": Kind(404, "There is no such resource", "There is no fit '0'; GET /v1/fits lists those there are."),
-    "measurement-damaged": Kind(404, "The measurement has to be uploaded again", "The stored measurement is damaged."),
-    "method-not-allowed": Kind(405, "The resource does not support this method", "PUT is not supported here."),
-    "not-acceptable": Kind(406, "No acceptable representation", "Accept application/json or application/x-npy."),
-    "request-timeout": Kind(408, "The request did not arrive in time", "The body stopped for 30 s."),
-    "measurement-in-use": Kind(409, "Unfinished fits use the measurement", "1 unfinished fits use it; cancel them."),
-    "fit-not-finished": Kind(409, "The fit has not finished", "The fit is running; it has no model yet.", 1),
-    "fit-without-result": Kind(409, "The fit has no result", "The fit failed and has no model."),
-    "fit-ended": Kind(409, "The fit has ended", "The fit has ended as succeeded."),
-    "too-large": Kind(413, "The body is too large", "2000000 points are more than the 1000000 allowed."),
-    "measurement-too-large": Kind(413, "The file is too long", "The data is longer than 34992012 bytes."),
-    "unsupported-media-type": Kind(415, "The body's type or encoding is not supported", "Send a MERL file or JSON."),
-    "range-not-satisfiable": Kind(416, "The file has no such part", "The range begins beyond the end of the file."),
-    "misdirected": Kind(421, "The service has another name", "Without a key it goes by 127.0.0.1 and localhost."),
-    "measurement-format": Kind(422, "Not an acceptable measurement", "The data has only 17 bytes."),
-    "invalid-argument": Kind(422, "An argument is not acceptable", "n_lobes must be an integer from 1 to 8, not 9."),
-    "fit-impossible": Kind(422, "The measurement cannot be fitted with these options", "No sample is left to fit."),
-    "rate-limited": Kind(429, "Too many requests", "This key may make 100 requests per second; ask again in 0.2 s."),
-    "too-many-at-once": Kind(429, "Too many requests of the caller at once", "64 requests are in progress.", 5),
-    "queue-quota": Kind(429, "Too many fits of the key are waiting", "100 fits of this key are unfinished.", 5),
-    "internal": Kind(500, "The service failed", _BROKEN),
-    "not-installed": Kind(501, "The service lacks a library", "matplotlib must be installed for figures."),
-    "queue-full": Kind(503, "Too many fits are waiting", "1000 fits are waiting already; ask again later.", 10),
-    "overloaded": Kind(503, "Too many requests are in progress", "512 requests are in progress; ask again later.", 1),
-    "shutting-down": Kind(503, "The service is shutting down", "The service is shutting down; ask again later.", 10),
-    "not-ready": Kind(
-        503, "The service is not ready", "The disk is not ready: 100 MB are free, 256 MB are needed.", 10
-    ),
-    "disk-full": Kind(507, "The service's disk is full", _FULL, 30),
+    "bad-request": Kind(400, "The request cannot be understood"),
+    "bad-encoding": Kind(400, "The body does not decode"),
+    "unauthorized": Kind(401, "A valid API key is needed"),
+    "foreign-origin": Kind(403, "The request comes from another site"),
+    "storage-quota": Kind(403, "The key's storage is full"),
+    "not-found": Kind(404, "There is no such resource"),
+    "measurement-damaged": Kind(404, "The measurement has to be uploaded again"),
+    "method-not-allowed": Kind(405, "The resource does not support this method"),
+    "not-acceptable": Kind(406, "No acceptable representation"),
+    "request-timeout": Kind(408, "The request did not arrive in time"),
+    "measurement-in-use": Kind(409, "Unfinished fits use the measurement"),
+    "fit-not-finished": Kind(409, "The fit has not finished", 1),
+    "fit-without-result": Kind(409, "The fit has no result"),
+    "fit-ended": Kind(409, "The fit has ended"),
+    "too-large": Kind(413, "The body is too large"),
+    "measurement-too-large": Kind(413, "The file is too long"),
+    "unsupported-media-type": Kind(415, "The body's type or encoding is not supported"),
+    "range-not-satisfiable": Kind(416, "The file has no such part"),
+    "misdirected": Kind(421, "The service has another name"),
+    "measurement-format": Kind(422, "Not an acceptable measurement"),
+    "invalid-argument": Kind(422, "An argument is not acceptable"),
+    "fit-impossible": Kind(422, "The measurement cannot be fitted with these options"),
+    "rate-limited": Kind(429, "Too many requests"),
+    "too-many-at-once": Kind(429, "Too many requests of the caller at once", 5),
+    "queue-quota": Kind(429, "Too many fits of the key are waiting", 5),
+    "internal": Kind(500, "The service failed"),
+    "not-installed": Kind(501, "The service lacks a library"),
+    "queue-full": Kind(503, "Too many fits are waiting", 10),
+    "overloaded": Kind(503, "Too many requests are in progress", 1),
+    "shutting-down": Kind(503, "The service is shutting down", 10),
+    "not-ready": Kind(503, "The service is not ready", 10),
+    "disk-full": Kind(507, "The service's disk is full", 30),
 }
 
 # The kinds of the errors that are not the service's own.

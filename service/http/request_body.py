@@ -22,7 +22,7 @@ from service.storage.uploads import Sink, UploadBody
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
 SUPPORTED_ENCODINGS = "gzip, zstd"
-_BLOCK = 1 << 14  # encoded bytes that are decoded at a time, so that a body has one verdict however it arrives
+_BLOCK = 1 << 14  # encoded bytes that are decoded at a time, so that the answer does not depend on how a body was cut
 _MAX_MEMBERS = 10_000
 _ZSTD_WINDOW_LOG = 23  # 8 MiB, what RFC 9659 asks every decoder of zstd content to support
 
@@ -87,7 +87,7 @@ async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[byt
     n_encoded = 0
     async for piece in request.stream():
         n_encoded += len(piece)
-        if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing can be endless
+        if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing could go on
             raise too_large
         if n_encoded > IN_MEMORY:
             await run_in_threadpool(encoded.feed, piece)
@@ -182,7 +182,7 @@ class _MemberDecoder:
 
 
 def _reason(error: Exception) -> str:
-    """Return what is wrong with a member; of a damaged frame zstd says no more than that, in many words."""
+    """Return what is wrong with a member; zstd's own sentence about a damaged frame is long and says no more."""
     if isinstance(error, zlib.error):
         return str(error)
     if "too much memory" in str(error):

@@ -1,6 +1,6 @@
 """The outermost middleware: every request gets an id, a line in the log, and is counted; every response has the id.
 
-It also bounds what requests may hold: their number, and the time that a body may take to arrive.
+It also limits the number of requests in progress and the time that a body may take to arrive.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ from service.settings import Settings
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 _SAFE_METHODS = ("GET", "HEAD")
 HEALTH = "/health/"
-"""How paths begin that are answered however busy the service is."""
+"""Prefix of the paths that are answered even when the service is overloaded."""
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class RequestLogMiddleware:
     async def _answer(self, scope: Scope, receive: Receive, exchange: "_Exchange") -> None:
         path = scope["path"]
         if self._in_progress > self._settings.limit_concurrency and not path.startswith(HEALTH):
-            detail = f"{self._settings.limit_concurrency} requests are in progress, as many as may; ask again later."
+            detail = f"{self._settings.limit_concurrency} requests are in progress, the most allowed; ask again later."
             await problem_response(ProblemError("overloaded", detail), path)(scope, receive, exchange.send)
             return
         try:

@@ -8,10 +8,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 from urllib.parse import urlencode
 
-from fastapi import Header
 from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -21,8 +20,6 @@ from service.errors import ProblemError
 from service.storage.schema import FitRow, MeasurementRow
 from service.wire.schemas import Page
 from service.wire.values import JSON, number_of
-
-IfNoneMatch = Annotated[str, Header(alias="If-None-Match", description="The `ETag` of what the client has.")]
 
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -57,7 +54,7 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
 def prefix_of(request: Request) -> str:
     """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
 
-    Whoever sends it, it changes only what this client is told of where things are.
+    Anyone may send it: it changes only the addresses in this answer.
     """
     given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
     return given if _PREFIX.fullmatch(given) else ""
@@ -68,18 +65,20 @@ def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str
     return Response(document.model_dump_json(), status, dict(headers or {}), JSON)
 
 
-def json_text_reply(content: Mapping[str, object], if_none_match: str) -> Response:
-    """Return plain content as a JSON response with an ETag."""
-    return tagged_reply(json.dumps(content, allow_nan=False).encode(), if_none_match)
-
-
 def tagged_reply(
-    content: bytes, if_none_match: str, media_type: str = JSON, headers: Mapping[str, str] | None = None
+    request: Request,
+    content: bytes | BaseModel | dict[str, Any],
+    media_type: str = JSON,
+    headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return `content` with its hash as a strong ETag, or 304 if the client has it."""
+    """Return bytes, a document or JSON's types with their hash as a strong ETag, or 304 if the client has them."""
+    if isinstance(content, BaseModel):
+        content = content.model_dump_json().encode()
+    elif isinstance(content, dict):
+        content = json.dumps(content, allow_nan=False).encode()
     etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     tagged = {**(headers or {}), "ETag": etag}
-    if is_current(etag, if_none_match):
+    if is_current(request, etag):
         return Response(None, 304, tagged)
     return Response(content, 200, tagged, media_type)
 
@@ -89,11 +88,10 @@ def tag_of(*parts: object) -> str:
     return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
 
 
-def is_current(etag: str, if_none_match: str) -> bool:
-    """Return whether `etag` is among those of an ``If-None-Match`` header: what the client has is current."""
-    return if_none_match.strip() == "*" or etag in (
-        part.strip().removeprefix("W/") for part in if_none_match.split(",")
-    )
+def is_current(request: Request, etag: str) -> bool:
+    """Return whether `etag` is among those of the request's ``If-None-Match``: what the client has is current."""
+    given = [part.strip() for part in ",".join(request.headers.getlist("if-none-match")).split(",")]
+    return given == ["*"] or etag in (part.removeprefix("W/") for part in given)
 
 
 class OpenFileResponse(FileResponse):

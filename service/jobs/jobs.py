@@ -10,7 +10,6 @@ import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
@@ -25,7 +24,7 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.storage.uploads import UploadBody, in_write_thread
+from service.storage.uploads import in_write_thread
 from service.wire.fit_options import from_wire
 
 logger = logging.getLogger(__name__)
@@ -107,19 +106,15 @@ class Jobs:
             logger.warning("the next start of the service will find its fits interrupted (%s)", error)
 
     async def submit(
-        self, caller: Caller, measurement: str | UploadBody, options: dict[str, Any], name: str | None = None
+        self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or of one that is stored first, or find the same one.
+        """Accept a fit of a stored measurement, or find the same one.
 
         `options` are all options in their wire form. Return the fit's row, which is durable, and whether it is computed
         because of this call. It gets the `name`, if there is one.
         """
-        add = partial(self._store.add_fit, caller, options=options, queue_limit=self._settings.queue_limit, name=name)
-        if isinstance(measurement, str):
-            row, new = await in_write_thread(add, measurement)
-        else:
-            with self._metrics.timing("upload"):
-                row, new = await self._store.uploads.receive(caller, measurement, add)
+        limit = self._settings.queue_limit
+        row, new = await in_write_thread(self._store.add_fit, caller, sha256, options, limit, name)
         if new and not self._stopping.done():
             self._begin(row.key)
         return row, new

@@ -26,7 +26,7 @@ _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 # What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
-_LONGEST = 500  # characters of what a line tells
+_LONGEST = 500  # characters of one value in a line
 _LONGEST_TRACEBACK = 20_000
 _encode = JSONEncoder(default=str).encode
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
@@ -51,7 +51,7 @@ class LineFormatter(logging.Formatter):
         self._console = ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0) if text else None
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line; a traceback in a text takes more of them."""
+        """Return the line; as text, a traceback adds lines to it."""
         line: dict[str, Any] = {
             "time": f"{datetime.fromtimestamp(record.created, UTC):%Y-%m-%dT%H:%M:%S.%fZ}",
             "level": record.levelname.lower(),

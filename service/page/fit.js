@@ -1,14 +1,12 @@
-// The page of one fit: its sphere, the pictures beside it, the profiles, and the buttons that copy.
-import { startPolar } from "./polar.js";
-import { startProfiles } from "./profiles.js";
+// The page of one fit, or of two: their spheres; of one, the pictures beside it and the plots.
+import { startPolar, startProfiles } from "./plots.js";
 import { startSpheres } from "./sphere.js";
 
 const root = document.documentElement.dataset.root;
 const beside = document.getElementById("beside");
-const id = beside.dataset.fit;
 const CAPTIONS = { measured: "measured", fit: "fitted", difference: "difference × 4" };
 
-function showPictures(names) {
+function showPictures(id, names) {
   const box = document.getElementById("pictures");
   for (const name of Object.keys(CAPTIONS).filter((caption) => names.includes(caption))) {
     const figure = document.createElement("figure");
@@ -24,19 +22,12 @@ function showPictures(names) {
     : "The measurement is not stored any more, so the fit is shown alone.";
 }
 
-for (const button of document.querySelectorAll(".copy")) {
-  button.addEventListener("click", async () => {
-    try {
-      await navigator.clipboard.writeText(button.parentElement.querySelector("code").textContent);
-      button.textContent = "Copied";
-    } catch { // not allowed, or not on https
-      getSelection().selectAllChildren(button.parentElement.querySelector("code"));
-      button.textContent = "Selected";
-    }
-  });
+const views = startSpheres();
+if (beside) {
+  const id = beside.dataset.fit;
+  startProfiles(id);
+  startPolar(id);
+  const view = (await views).get(id);
+  if (view) showPictures(id, view.pictures);
+  else document.getElementById("pictures-note").textContent = "The pictures could not be drawn.";
 }
-startProfiles(id);
-startPolar(id);
-const views = await startSpheres();
-if (views.has(id)) showPictures(views.get(id).pictures);
-else document.getElementById("pictures-note").textContent = "The pictures could not be drawn.";

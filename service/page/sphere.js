@@ -1,7 +1,6 @@
 // A lit sphere of a fit by WebGL 2. Its material is a GLSL function that the service exports, as it is: the fit's, or,
 // once a component is hidden, that of a component, which has the weights of all.
 const root = document.documentElement.dataset.root;
-const LABELS = ["specular_spike", "specular_lobe", "diffuse"];
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 // The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame.
@@ -142,7 +141,7 @@ export class Sphere {
     gl.uniform1i(places.count, lights.length);
     gl.uniform3fv(places.towards, padded(directions));
     gl.uniform3fv(places.irradiance, padded(lights.map((light) => light.irradiance)));
-    gl.uniform3fv(places.shown, LABELS.map((label) => Number(!hidden.includes(label))));
+    gl.uniform3fv(places.shown, view.labels.map((label) => Number(!hidden.includes(label))));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     canvas.dataset.painted = String(Number(canvas.dataset.painted ?? 0) + 1);
   }

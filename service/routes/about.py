@@ -14,20 +14,13 @@ from service.wire.schemas import Health, Readiness
 
 router = APIRouter(tags=["health"])
 
-_METRICS = """# HELP dsbrdf_fits Fits by state; the accepted ones are the queue.
-# TYPE dsbrdf_fits gauge
-dsbrdf_fits{state="running"} 2.0
-"""
-_READY = {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0}
-
 
 @router.get(
     "/health/live",
     dependencies=NO_QUERY,
     response_model=Health,
     summary="Is the process alive?",
-    responses=openapi.response("The service is live.", {"status": "live", "version": dsbrdf.__version__})
-    | openapi.problems(behind_a_key=False),
+    responses=openapi.problems(behind_a_key=False),
 )
 async def get_live() -> Response:
     """Answer whenever the process answers at all."""
@@ -39,7 +32,7 @@ async def get_live() -> Response:
     dependencies=NO_QUERY,
     response_model=Readiness,
     summary="Can it take work?",
-    responses=openapi.response("The service is ready.", _READY) | openapi.problems("not-ready", behind_a_key=False),
+    responses=openapi.problems("not-ready", behind_a_key=False),
 )
 async def get_ready(context: TheContext) -> Response:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
@@ -58,11 +51,7 @@ async def get_ready(context: TheContext) -> Response:
     dependencies=NO_QUERY,
     response_class=PlainTextResponse,
     summary="Counts and times",
-    responses=openapi.response(
-        "Metrics in Prometheus' text format.",
-        content={"text/plain": {"schema": {"type": "string"}, "example": _METRICS}},
-    )
-    | openapi.problems("not-found"),
+    responses=openapi.problems("not-found"),
 )
 async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""

@@ -16,7 +16,7 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from service.errors import ProblemError
 from service.http import openapi
 from service.http.request_body import IN_MEMORY, media_type_of, receive_body
-from service.http.responses import IfNoneMatch, tagged_reply
+from service.http.responses import tagged_reply
 from service.jobs.computations import Place
 from service.jobs.results import LoadedFit
 from service.routes.dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
@@ -88,16 +88,11 @@ _BATCH = openapi.body(
         NPY: openapi.file(NPY),
     },
 )
-_TRIPLES = "One RGB triple for each point."
-_GET_RESPONSES = openapi.response(_TRIPLES, examples.VALUES) | openapi.problems(
-    "not-found", "fit-not-finished", "invalid-argument"
-)
-_POST_RESPONSES = openapi.response(
-    _TRIPLES, content={JSON: {"example": examples.VALUES}, NPY: openapi.file(NPY)}
-) | openapi.problems(
+_GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished", "invalid-argument")
+_POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
     "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
-_get = partial(router.get, response_model=Values, responses=_GET_RESPONSES, openapi_extra=_QUERY)
+_get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
 _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)
 
 
@@ -135,17 +130,15 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
     dependencies=NO_QUERY,
     response_model=ComponentList,
     summary="The components of a fit",
-    responses=openapi.response("The components, from narrow to wide.", examples.COMPONENTS, headers=["ETag"])
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "fit-not-finished"),
+    responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished"),
 )
-async def get_components(context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
 
     Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
     """
     document = ComponentList.model_validate({"items": (await context.models.get(fit)).components})
-    return tagged_reply(document.model_dump_json().encode(), if_none_match)
+    return tagged_reply(request, document)
 
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
@@ -217,7 +210,7 @@ def _from_json(body: bytes, max_points: int) -> Points:
 
 
 def _accepted_type(request: Request) -> str:
-    """Return which of JSON and .npy ``Accept`` prefers; what is said of a type itself goes before any range."""
+    """Return which of JSON and .npy ``Accept`` prefers; a quality of the type itself counts before that of a range."""
     ranges: dict[str, float] = {}
     for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
         media_type, _, parameters = entry.partition(";")

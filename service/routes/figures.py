@@ -10,7 +10,7 @@ from starlette.responses import Response
 import dsbrdf
 from dsbrdf.extras import require
 from service.http import openapi
-from service.http.responses import IfNoneMatch, is_current, tag_of
+from service.http.responses import is_current, tag_of
 from service.jobs.drawing import FIGURES, StoredMeasurement, figure_step, sphere_step
 from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 from service.wire.fit_options import from_wire
@@ -20,10 +20,8 @@ router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
 _PNG = _MEDIA_TYPES["png"]
-_PICTURE = openapi.response("The picture.", content={_PNG: openapi.file(_PNG)}, headers=["ETag"]) | openapi.NOT_MODIFIED
-_FIGURE = openapi.response(
-    "The figure.", content={kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()}, headers=["ETag"]
-)
+_PICTURE = openapi.response("The picture.", {_PNG: openapi.file(_PNG)}) | openapi.NOT_MODIFIED
+_FIGURE = openapi.response("The figure.", {kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()})
 _Figure = Annotated[
     str,
     Path(pattern=f"^({'|'.join(FIGURES)})$", description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
@@ -44,7 +42,6 @@ async def draw_sphere(
     context: TheContext,
     fit: TheFit,
     wanted: Annotated[FitSphere, Query()],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
 
@@ -54,7 +51,7 @@ async def draw_sphere(
     loaded = await context.models.get(fit)
     part = None if wanted.component is None else loaded.part(wanted.component)
     step = sphere_step, loaded.model, part, wanted.lighting, wanted.size
-    return await _drawn(request, context, fit.owner, etag, if_none_match, _PNG, *step)
+    return await _drawn(request, context, fit.owner, etag, _PNG, *step)
 
 
 @router.get(
@@ -72,7 +69,6 @@ async def draw_figure(
     fit: TheFit,
     figure: _Figure,
     image_format: _ImageFormat,
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -86,7 +82,7 @@ async def draw_figure(
     require("plot", "matplotlib", purpose="figures")
     etag, media_type = tag_of(dsbrdf.__version__, fit.id, row.name, figure, image_format), _MEDIA_TYPES[image_format]
     step = figure_step, figure, image_format, model, stored, from_wire(row.options).horizon_cutoff
-    return await _drawn(request, context, fit.owner, etag, if_none_match, media_type, *step)
+    return await _drawn(request, context, fit.owner, etag, media_type, *step)
 
 
 @router.get(
@@ -101,13 +97,12 @@ async def draw_measurement(
     caller: TheCaller,
     sha256: Sha256,
     wanted: Annotated[Sphere, Query()],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
     stored = await _stored(context, caller.owner, sha256)
     etag = tag_of(dsbrdf.__version__, sha256, wanted)
     step = sphere_step, stored, None, wanted.lighting, wanted.size
-    return await _drawn(request, context, caller.owner, etag, if_none_match, _PNG, *step)
+    return await _drawn(request, context, caller.owner, etag, _PNG, *step)
 
 
 async def _drawn(
@@ -115,13 +110,12 @@ async def _drawn(
     context: Context,
     owner: str,
     etag: str,
-    if_none_match: str,
     media_type: str,
     step: Callable[..., bytes],
     *arguments: Any,
 ) -> Response:
     """Return a picture, which `step` draws unless the client has it."""
-    if is_current(etag, if_none_match):
+    if is_current(request, etag):
         return Response(None, 304, {"ETag": etag})
     headers = {"ETag": etag, "Content-Type": media_type}
     content = await context.computations.run_in_process(

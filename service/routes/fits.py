@@ -23,7 +23,7 @@ from service.errors import FitNotFoundError, ProblemError
 from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
-from service.http.responses import IfNoneMatch, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from service.http.responses import json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from service.jobs.computations import departure
 from service.routes.dependencies import (
     NO_QUERY,
@@ -36,9 +36,9 @@ from service.routes.dependencies import (
     revocation,
 )
 from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.uploads import UploadBody, in_write_thread
+from service.storage.uploads import in_write_thread
 from service.wire import examples, schemas
-from service.wire.fit_options import OPTIONS_SCHEMA, canonical, from_query, from_wire
+from service.wire.fit_options import canonical, from_query, from_wire
 from service.wire.model_document import model_document
 from service.wire.names import MAX_LENGTH, content_disposition
 from service.wire.values import JSON
@@ -48,11 +48,8 @@ exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITI
 
 _MAX_JSON = 1 << 16
 _LOSSLESS = ("json", "npz")  # what the Python client asks for
-_FOLLOWERS = ("get_fit", "follow_fit", "get_values", "post_values", "get_components", "export_fit", "delete_fit")
-_LINKS = openapi.links(*_FOLLOWERS, fit_id="$response.body#/id")
-_submitted_as = partial(openapi.response, model=schemas.FitDocument, links=_LINKS)
 _PREFER = openapi.header_parameter(
-    "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait.", "wait=10"
+    "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
 )
 CONTENT_ENCODING = openapi.header_parameter(
     "Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip", "zstd"]
@@ -60,13 +57,14 @@ CONTENT_ENCODING = openapi.header_parameter(
 
 
 def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return an option as a query parameter: `none` for null, and a list with commas."""
+    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas."""
     none = {"type": "string", "const": "none"}
     choices = [none if choice["type"] == "null" else choice for choice in schema.get("anyOf", ())]
-    default = "none" if schema["default"] is None else schema["default"]
-    schema = {**schema, "default": default} | ({"anyOf": choices} if choices else {})
-    explained = {"style": "form", "explode": False, "description": "Option of a raw upload."}
-    return {"name": name, "in": "query", **explained, "schema": schema}
+    schema = {**schema, "default": "none"} if schema["default"] is None else dict(schema)
+    description = schema.pop("description")
+    if choices:
+        schema["anyOf"] = choices
+    return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}
 
 
 NAMES = [
@@ -75,23 +73,20 @@ NAMES = [
         "in": "query",
         "description": "Name of the measurement and of the fit; exports are called after it.",
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
-        "example": "nickel",
     },
-    openapi.header_parameter(
-        "Content-Disposition", "The file's name, where no `name` is given.", 'attachment; filename="nickel.binary"'
-    ),
+    openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
 ]
-_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
+_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in schemas.OPTIONS_SCHEMA["properties"].items()]
 _SUBMISSION_BODY = openapi.body(
     "A MERL file, or a reference to a stored measurement.",
     {
         BINARY: openapi.file(BINARY, maxLength=FILE_SIZE),
-        JSON: {"schema": openapi.reference(schemas.FitRequest), "example": examples.SUBMISSION},
+        JSON: {"schema": openapi.reference(schemas.FitRequest)},
     },
 )
 
 _EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
-_EXPORTED[JSON] = {"schema": {"type": "object"}, "example": openapi.kept(examples.STORED_MODEL)}
+_EXPORTED[JSON] = {"schema": {"type": "object"}}
 
 
 @router.post(
@@ -99,9 +94,9 @@ _EXPORTED[JSON] = {"schema": {"type": "object"}, "example": openapi.kept(example
     status_code=201,
     response_model=schemas.FitDocument,
     summary="Fit a measurement",
-    responses=_submitted_as("The fit has ended.", examples.FIT, status=201, headers=["Location"])
-    | _submitted_as("The same request was made before; its fit has ended.", examples.FIT, headers=["Location"])
-    | _submitted_as("The fit has not ended.", examples.RUNNING_FIT, status=202, headers=["Location", "Retry-After"])
+    response_description="The fit has ended; `Location` is its address.",
+    responses=openapi.response("The same request was made before; its fit has ended.", model=schemas.FitDocument)
+    | openapi.response("The fit has not ended; ask again at `Location`.", status=202, model=schemas.FitDocument)
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={"parameters": [*NAMES, *_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
 )
@@ -113,19 +108,20 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
     `Location` tells where to ask again.
     """
-    measurement: str | UploadBody
     name = name_of(request)
     given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
     if media_type_of(request, BINARY, JSON) == BINARY:
-        measurement = upload_body(request)
         options = canonical(from_query(given))
+        with context.metrics.timing("upload"):
+            measurement, _ = await context.store.receive_measurement(caller, upload_body(request), name)
+        sha256 = measurement.sha256
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
         body = await receive_body(request, _MAX_JSON, context.store.blobs.temporary)
         document = schemas.parse_document(schemas.FitRequest, bytes(body))
-        measurement, options = document.measurement, canonical(from_wire(document.options))
-    row, new = await context.jobs.submit(caller, measurement, options, name)
+        sha256, options = document.measurement, canonical(from_wire(document.options))
+    row, new = await context.jobs.submit(caller, sha256, options, name)
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
@@ -139,8 +135,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     "",
     response_model=schemas.FitList,
     summary="List the fits",
-    responses=openapi.response("Fits, newest first.", examples.FIT_LIST, optional_headers=["Link"])
-    | openapi.problems("invalid-argument"),
+    responses=openapi.problems("invalid-argument"),
 )
 async def list_fits(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[schemas.Page, Query()]
@@ -157,15 +152,7 @@ async def list_fits(
     "/{fit_id}",
     response_model=schemas.FitDocument,
     summary="Look a fit up",
-    responses=openapi.response(
-        "The fit.",
-        examples.FIT,
-        headers=["ETag"],
-        optional_headers=["Retry-After"],
-        links=openapi.links("get_values", "get_components", "export_fit", "delete_fit", fit_id="$response.body#/id"),
-    )
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "invalid-argument"),
+    responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "invalid-argument"),
 )
 async def get_fit(
     request: Request,
@@ -173,21 +160,19 @@ async def get_fit(
     caller: TheCaller,
     fit: TheFit,
     waiting: Annotated[schemas.Waiting, Query()],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
-    return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=headers)
+    return tagged_reply(request, document, headers=headers)
 
 
 @router.delete(
     "/{fit_id}",
     response_model=schemas.RemovedFit,
     summary="Cancel or delete a fit",
-    responses=openapi.response("The fit is cancelled or deleted, as the answer says.", examples.REMOVED_FIT)
-    | openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
+    responses=openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
 )
 async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Removal, Query()]) -> Response:
     """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
@@ -211,7 +196,7 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     "/{fit_id}/export",
     response_class=Response,
     summary="A fit for another program",
-    responses=openapi.response("The file.", content=_EXPORTED, headers=["Content-Disposition"])
+    responses=openapi.response("The file; `Content-Disposition` names it.", _EXPORTED)
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(
@@ -273,7 +258,7 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     summary="Follow a fit",
     responses=openapi.response(
         "Events until the fit has ended; the data of each is a `Progress` document.",
-        content={"text/event-stream": {"example": examples.EVENTS}},
+        {"text/event-stream": {"example": examples.EVENTS}},
     )
     | openapi.problems("not-found"),
 )

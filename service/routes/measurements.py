@@ -13,7 +13,6 @@ from service.http import openapi
 from service.http.openapi import BINARY
 from service.http.request_body import media_type_of, upload_body
 from service.http.responses import (
-    IfNoneMatch,
     OpenFileResponse,
     check_range,
     is_current,
@@ -35,25 +34,16 @@ from service.routes.dependencies import (
 from service.routes.fits import CONTENT_ENCODING, NAMES
 from service.storage.schema import MeasurementRow
 from service.storage.uploads import in_write_thread
-from service.wire import examples
 from service.wire.names import content_disposition
 from service.wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
 from service.wire.values import JSON
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
-_LINKS = openapi.links(
-    "download_measurement", "probe_measurement", "delete_measurement", sha256="$response.body#/sha256"
-)
-_uploaded_as = partial(openapi.response, model=MeasurementDocument, headers=["Location", "ETag"], links=_LINKS)
-_FIRST_WITH_OPTIONS = {"measurement": "$response.body#/items/0/sha256", "options": {"method": "paper", "n_lobes": 1}}
-_FIT_LINK = {"submit_fit": {"operationId": "submit_fit", "requestBody": _FIRST_WITH_OPTIONS}}
 _VARY = {"Vary": "Accept"}
 _MOST_FITS = 200
-_ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.", BINARY)
-_RANGE = openapi.header_parameter(
-    "Range", "One range of bytes; what is no such range is ignored (RFC 9110).", "bytes=0-11"
-)
+_ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.")
+_RANGE = openapi.header_parameter("Range", "One range of bytes, such as `bytes=0-11` (RFC 9110); others are ignored.")
 
 
 @router.post(
@@ -61,8 +51,8 @@ _RANGE = openapi.header_parameter(
     status_code=201,
     response_model=MeasurementDocument,
     summary="Upload a measurement",
-    responses=_uploaded_as("The measurement is stored.", examples.MEASUREMENT, status=201)
-    | _uploaded_as("The measurement was stored before.", examples.MEASUREMENT)
+    response_description="The measurement is stored; `Location` is its address.",
+    responses=openapi.response("The measurement was stored before.", model=MeasurementDocument)
     | openapi.problems("invalid-argument", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={
         "parameters": [*NAMES, CONTENT_ENCODING],
@@ -73,9 +63,9 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
     media_type_of(request, BINARY)
     await no_query(request, "name")
-    add = partial(context.store.add_measurement, caller, name=name_of(request))
+    name = name_of(request)
     with context.metrics.timing("upload"):
-        row, new = await context.store.uploads.receive(caller, upload_body(request), add)
+        row, new = await context.store.receive_measurement(caller, upload_body(request), name)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
@@ -84,10 +74,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     "",
     response_model=MeasurementList,
     summary="List the measurements",
-    responses=openapi.response(
-        "Measurements, newest first.", examples.MEASUREMENT_LIST, optional_headers=["Link"], links=_FIT_LINK
-    )
-    | openapi.problems("invalid-argument"),
+    responses=openapi.problems("invalid-argument"),
 )
 async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
@@ -105,37 +92,23 @@ async def list_measurements(
     summary="Download a measurement",
     responses=openapi.response(
         "The file, byte for byte as it was uploaded; or what is known of it.",
-        content={
-            BINARY: openapi.file(BINARY),
-            JSON: {
-                "schema": openapi.reference(MeasurementDetails),
-                "example": openapi.kept(examples.MEASUREMENT_WITH_FITS),
-            },
-        },
-        headers=["ETag"],
-        optional_headers=["Accept-Ranges", "Content-Disposition"],
+        {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}},
     )
-    | openapi.response(
-        "The part of the file that was asked for.",
-        status=206,
-        headers=["ETag", "Content-Range", "Content-Disposition"],
-    )
+    | openapi.response("The part of the file that was asked for.", {BINARY: openapi.file(BINARY)}, status=206)
     | openapi.NOT_MODIFIED
     | openapi.problems("not-found", "measurement-damaged", "range-not-satisfiable"),
     openapi_extra={"parameters": [_RANGE, _ACCEPT]},
 )
-async def download_measurement(
-    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
-) -> Response:
+async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it.
 
     With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
     """
     row = await context.measurement_row(caller.owner, sha256)
     if _wants_document(request):
-        return await _details(context, row, if_none_match)
+        return await _details(request, context, row)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    if is_current(headers["ETag"], if_none_match):
+    if is_current(request, headers["ETag"]):
         return Response(None, 304, headers)
     check_range(request, row.size)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}.binary")
@@ -152,19 +125,17 @@ async def download_measurement(
     dependencies=NO_QUERY,
     response_class=Response,
     summary="Ask for a measurement",
-    responses=openapi.response("The measurement is stored.", headers=["ETag", "Content-Length"])
+    responses=openapi.response("The measurement is stored; `Content-Length` is its size.")
     | openapi.NOT_MODIFIED
     | openapi.problems("not-found", "measurement-damaged"),
 )
-async def probe_measurement(
-    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, if_none_match: IfNoneMatch = ""
-) -> Response:
+async def probe_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Tell whether the measurement is stored and sound, so that an upload can be spared."""
     row = await context.measurement_row(caller.owner, sha256)
     if _wants_document(request):
-        return await _details(context, row, if_none_match)
+        return await _details(request, context, row)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    if is_current(headers["ETag"], if_none_match):
+    if is_current(request, headers["ETag"]):
         return Response(None, 304, headers)
     await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
@@ -177,10 +148,9 @@ def _wants_document(request: Request) -> bool:
     return JSON in named and BINARY not in named
 
 
-async def _details(context: Context, row: MeasurementRow, if_none_match: str) -> Response:
+async def _details(request: Request, context: Context, row: MeasurementRow) -> Response:
     fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
-    document = from_row(MeasurementDetails, row, fits=fits)
-    return tagged_reply(document.model_dump_json().encode(), if_none_match, headers=_VARY)
+    return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
 
 
 @router.delete(

@@ -14,28 +14,27 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import lobes_phrase
 from service.access.authentication import COOKIE, from_another_site, same_origin
 from service.errors import ProblemError
 from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from service.http.problems import KINDS, problem_of
 from service.http.request_body import receive_body
-from service.http.responses import IfNoneMatch, json_text_reply, prefix_of, tagged_reply
+from service.http.responses import tagged_reply
 from service.jobs.drawing import LARGEST_LIGHT, LIGHT_STEP
 from service.jobs.results import FitView
 from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from service.routes.page_text import (
     COMPONENT_MEANINGS,
-    DOWNLOADS,
     FIGURES,
     component_facts,
     facts_of,
     metrics_in_words,
-    model_lobes,
     options_in_words,
-    reproduction,
 )
 from service.storage.schema import FitKey, FitRow
 from service.wire.schemas import Page, Plain
@@ -102,13 +101,11 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     return _render(
         "fit.html",
         request,
-        code=reproduction(row, f"{str(request.base_url).rstrip('/')}{prefix_of(request)}/"),
-        downloads=DOWNLOADS,
+        downloads=FORMATS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
         model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",
-        lobes=model_lobes(model),
         meanings=COMPONENT_MEANINGS,
         **await _shown(context, row),
     )
@@ -126,25 +123,24 @@ async def get_comparison(
 
 
 @router.get("/fits/{fit_id}/view")
-async def get_view(request: Request, context: TheContext, fit: TheFit, if_none_match: IfNoneMatch = "") -> Response:
+async def get_view(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return what the sphere of a page needs: the exposure, the lights, which pictures there are."""
     view = await _view(request, context, fit)
     lights = [{"direction": light.direction, "irradiance": light.irradiance} for light in THREE_LIGHTS]
-    return json_text_reply(
-        {"exposure": view.drawn.exposure, "lights": lights, "pictures": [*view.drawn.pictures]}, if_none_match
+    return tagged_reply(
+        request,
+        {"exposure": view.drawn.exposure, "lights": lights, "labels": LABELS, "pictures": [*view.drawn.pictures]},
     )
 
 
 @router.get("/fits/{fit_id}/spheres/{name}.png")
-async def get_sphere(
-    request: Request, context: TheContext, fit: TheFit, name: str, if_none_match: IfNoneMatch = ""
-) -> Response:
+async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
     view = await _view(request, context, fit, _PNG)
     pictures = view.drawn.pictures
     if name not in pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
-    return tagged_reply(pictures[name], if_none_match, _PNG)
+    return tagged_reply(request, pictures[name], _PNG)
 
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
@@ -153,12 +149,11 @@ async def get_profile(
     context: TheContext,
     fit: TheFit,
     theta_diff_deg: Annotated[int, Plain, Path(ge=0, le=89)],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and its components over theta_half, at one theta_diff."""
     view = await _view(request, context, fit)
     key, draw = ("profile", fit, theta_diff_deg), partial(view.profile, theta_diff_deg)
-    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
+    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
 
 
 @router.get("/fits/{fit_id}/polar/{theta_in_deg}")
@@ -167,25 +162,24 @@ async def get_polar(
     context: TheContext,
     fit: TheFit,
     theta_in_deg: Annotated[int, Plain, Path(ge=0, le=LARGEST_LIGHT, multiple_of=LIGHT_STEP)],
-    if_none_match: IfNoneMatch = "",
 ) -> Response:
     """Return the measured values, the fit and its components in the plane of incidence, for one direction of light."""
     view = await _view(request, context, fit)
     key, draw = ("polar", fit, theta_in_deg), partial(view.plane_of_incidence, theta_in_deg)
-    return json_text_reply(await context.computations.run(request, key, draw, {"Content-Type": JSON}), if_none_match)
+    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
 
 
 @router.get("/docs")
 @router.get("/docs/{name}")
 @router.get("/page/{name}")
-async def get_static(request: Request, if_none_match: IfNoneMatch = "") -> Response:
+async def get_static(request: Request) -> Response:
     """Return the page that shows the OpenAPI document, or a script, style sheet or picture that the pages load."""
     path = request.scope["path"]
     if path not in STATIC_FILES:
         raise HTTPException(404)
     file, media_type = STATIC_FILES[path]
     headers = {"Content-Security-Policy": POLICY_WITHOUT_FORMS} if path == "/docs" else {}
-    return tagged_reply(await run_in_threadpool(file.read_bytes), if_none_match, media_type, headers)
+    return tagged_reply(request, await run_in_threadpool(file.read_bytes), media_type, headers)
 
 
 @router.get("/sign-in")
@@ -245,5 +239,5 @@ async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
         "options": options_in_words(row.options),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
-        "components": [component_facts(component) for component in loaded.decomposition],
+        "components": [component_facts(component) for component in loaded.components],
     }

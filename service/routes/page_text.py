@@ -1,19 +1,14 @@
 """What the pages say of a fit in words."""
 
-import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dsbrdf import DSBRDF, Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
-from dsbrdf.model.lobes import half_width
-from dsbrdf.output.export import FORMATS
 from service.storage.schema import FitRow
 from service.wire.fit_options import DEFAULTS, canonical
 
@@ -25,8 +20,6 @@ _LOOKS = (
 )
 
 
-DOWNLOADS = {name: kind.purpose for name, kind in FORMATS.items()}
-"""Formats of the export, and what each is for."""
 FIGURES = {
     "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),
     "residual": ("Difference of fit and measurement over theta_half and theta_diff", 326),
@@ -35,14 +28,13 @@ FIGURES = {
 COMPONENT_MEANINGS = {
     "colour": "Red, green and blue of the albedo, over the largest.",
     "half width": "θ_half at which its lobe has half the height; the median for θ_diff from 0° to 60°.",
-    "tail": "How steeply its lobe falls outside: 2 as GGX does, less more slowly, 10 nearly as a Gaussian.",
+    "tail": "How steeply its lobe falls outside: 2 as GGX does, a smaller number more slowly, 10 nearly as a Gaussian.",
     "height in 1/sr": "Of its lobe, at normal incidence.",
     "albedo": "Share of light at normal incidence that it reflects.",
     "clarity": "Its share of all light where it shines. Near 1 nothing else shines there; at 0.5 other components "
     "shine there as much, and a small change of the measurement can move light from one to the other.",
 }
 """Numbers of a component that the pages show, and what they mean."""
-_LOBE_ANGLES = (0, 30, 60)  # theta_diff at which the model's own lobes are shown [degrees]
 
 
 @dataclass(frozen=True)
@@ -63,32 +55,6 @@ class Facts:
     error: str
 
 
-@dataclass(frozen=True)
-class ComponentFacts:
-    """What the pages show of a component: its label, its colour on a screen, and numbers by name, one or three each."""
-
-    label: str
-    swatch: str
-    numbers: dict[str, list[str]]
-
-    @property
-    def name(self) -> str:
-        """The label in words."""
-        return self.label.replace("_", " ")
-
-
-@dataclass(frozen=True)
-class LobeFacts:
-    """One of the model's own lobes at one theta_diff."""
-
-    name: str
-    theta_diff: str
-    height: list[str]
-    half_width: str
-    center: str
-    elongation: str
-
-
 def facts_of(row: FitRow) -> Facts:
     """Return the facts of a fit."""
     error = (row.metrics or {}).get("relative_rms")
@@ -107,39 +73,20 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
     return found
 
 
-def component_facts(component: Component) -> ComponentFacts:
-    """Return what the pages show of a component, whose albedo and clarity are known already."""
-    at_normal = component.parameters_at(0.0)
+def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the pages show of a component's document: its name, its colour on a screen, and numbers as text."""
+    lobe, color = component["lobe"], component["color"]  # the lobe's first angle is normal incidence
     numbers = {
-        "colour": _written(component.color, ".2f"),
-        "half width": [f"{np.degrees(component.half_width):.3g}°"],
-        "tail": [f"{float(at_normal.tail):.2g}"],
-        "height in 1/sr": _written(at_normal.height, ".3g"),
-        "albedo": _written(component.albedo, ".3f"),
-        "clarity": [f"{component.clarity:.2f}"],
+        "colour": _written(color, ".2f"),
+        "half width": [f"{component['half_width_deg']:.3g}°"],
+        "tail": _written(lobe["tail"][:1], ".2g"),
+        "height in 1/sr": _written(lobe["height"][0], ".3g"),
+        "albedo": _written(component["albedo"], ".3f"),
+        "clarity": _written([component["clarity"]], ".2f"),
     }
-    swatch = "#" + bytes(np.rint(255.0 * displayed(component.color)).astype(np.uint8).tolist()).hex()
-    return ComponentFacts(component.label, swatch, numbers)
-
-
-def model_lobes(model: DSBRDF) -> list[LobeFacts]:
-    """Return the model's own lobes at some theta_diff; of shapes for each channel, the green one's."""
-    at = model.parameters_at(np.radians(_LOBE_ANGLES))
-    channel = at["kappa"].shape[1] // 2
-    kappa, gamma, center = (at[name][:, channel] for name in ("kappa", "gamma", "center"))
-    widths = np.degrees(half_width(kappa, gamma, model.lobe))
-    return [
-        LobeFacts(
-            f"{'ring lobe' if model.is_ring[lobe] else 'lobe'} {lobe}",
-            f"{angle}°",
-            _written(at["amplitude"][row, :, lobe], ".3g"),
-            f"{widths[row, lobe]:.3g}°",
-            f"{np.degrees(center[row, lobe]):.3g}°" if model.is_ring[lobe] else "–",
-            f"{at['elongation'][row, lobe]:.2f}",
-        )
-        for lobe in range(model.n_lobes)
-        for row, angle in enumerate(_LOBE_ANGLES)
-    ]
+    swatch = "#" + bytes(np.rint(255.0 * displayed(np.array(color))).astype(np.uint8).tolist()).hex()
+    label = component["label"]
+    return {"label": label, "name": label.replace("_", " "), "swatch": swatch, "numbers": numbers}
 
 
 def options_in_words(options: Mapping[str, Any]) -> str:
@@ -147,43 +94,8 @@ def options_in_words(options: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {_word(value)}" for name, value in _unusual(options).items()) or "default options"
 
 
-def reproduction(row: FitRow, address: str) -> dict[str, str]:
-    """Return the lines that give the same model from Python and by curl."""
-    name, given = row.name or row.measurement[:12], _unusual(row.options)
-    arguments = "".join(f", {option}={value!r}" for option, value in given.items() if not option.endswith("_deg"))
-    angles = {option: value for option, value in given.items() if option.endswith("_deg")}
-    for option, value in angles.items():
-        radians = "None" if value is None else f"numpy.radians({value})"
-        arguments += f", {option.removesuffix('_deg')}={radians}"
-    options = f", dsbrdf.FitOptions({arguments[2:]})" if given else ""
-    python = [
-        "import dsbrdf" + ("\nimport numpy" if angles else ""),
-        "",
-        f'measurement = dsbrdf.read_merl("{name}.binary")',
-        f"result = dsbrdf.fit(measurement{options})",
-        'print(result.report.metrics["relative_rms"])',
-        "for component in dsbrdf.decompose(result):",
-        "    print(component.label, component.half_width, component.albedo)",
-        f'dsbrdf.save(result, "{name}.json")',
-    ]
-    query = "&".join(f"{option}={_word(value)}" for option, value in given.items())
-    fits = f"{address}v1/fits"
-    curl = [
-        "# the fit, from the file",
-        f"curl --data-binary {shlex.quote(f'@{name}.binary')} -H 'Content-Type: application/octet-stream' \\",
-        f"  '{fits}{'?' if query else ''}{query}'",
-        "# a picture of it",
-        f"curl -o sphere.png '{fits}/{row.id}/figures/sphere.png?size=256'",
-        "# its components, each with a lobe that a person can read",
-        f"curl '{fits}/{row.id}/components'",
-        "# values of the BRDF in 1/sr",
-        f"curl '{fits}/{row.id}/brdf?theta_half_deg=10&theta_diff_deg=30'",
-    ]
-    return {"Python": "\n".join(python), "curl": "\n".join(curl)}
-
-
-def _written(values: NDArray[np.float64], form: str) -> list[str]:
-    return [format(value, form) for value in values.tolist()]
+def _written(values: Sequence[float], form: str) -> list[str]:
+    return [format(value, form) for value in values]
 
 
 def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,10 +118,10 @@ def _percent(share: float) -> str:
 # Beside psnr: the name of a metric, how its value is written, and what it means.
 _METRICS: tuple[tuple[str, Callable[[float], str], str], ...] = (
     ("relative_rms", _percent, "Error of the values, relative to their size."),
-    ("symmetric_floor", _percent, "What that error is for the best reciprocal model."),
-    ("floor", _percent, "What it is for the best model that ignores φ_diff."),
-    ("excess", "{:.3f}".format, "Error / floor; below 1, the fit gains by regarding φ_diff."),
-    ("albedo_error", _percent, "Mean error of how much light is reflected in all."),
+    ("symmetric_floor", _percent, "The same error of the best reciprocal model."),
+    ("floor", _percent, "The same error of the best model that ignores φ_diff."),
+    ("excess", "{:.3f}".format, "Error / floor; below 1, the fit gains from its dependence on φ_diff."),
+    ("albedo_error", _percent, "Mean error of the albedo: of all the light that is reflected."),
     ("male", "{:.4f}".format, "Mean error of the logarithm, which counts dark parts as well."),
     ("ssim", "{:.4f}".format, "Likeness of the two spheres' structure; 1 is equal."),
 )

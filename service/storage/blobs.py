@@ -71,7 +71,7 @@ class Blobs:
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
         self._lost = folder / "lost"  # made when it is needed
-        self.temporary = folder / "tmp"  # for bodies too that are too long for the memory
+        self.temporary = folder / "tmp"  # also for request bodies that are too long for the memory
         self._verified: dict[str, tuple[int, ...]] = {}  # fingerprints of files whose bytes were found to be right
 
     def make_folders(self) -> None:
@@ -130,7 +130,7 @@ class Blobs:
 
     @contextmanager
     def removal(self) -> Iterator[Callable[[str], None]]:
-        """Give the block a function that removes a measurement's file.
+        """Yield a function that removes a measurement's file.
 
         The files go when the block ends well; if it raises, they stay. If this process ends in the middle, the next
         start does the one or the other, as the rows say.

@@ -126,8 +126,8 @@ class MeasurementRow:
 class FitRow:
     """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner.
 
-    `attempts` counts the processes that were begun for it, without those that ended because the service did;
-    `interruptions` those that ran when the service broke off.
+    `attempts` counts the processes that were started for it, except those that the end of the service ended;
+    `interruptions` counts how often the service was killed while one ran.
     """
 
     owner: str

@@ -29,7 +29,7 @@ from service.storage.schema import (
     checksum,
     columns,
 )
-from service.storage.uploads import Received, Uploads, check_queue, check_storage
+from service.storage.uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
 
 _Row = TypeVar("_Row")
 
@@ -56,9 +56,9 @@ _RENAME_MEASUREMENT = (
 )
 
 
-def fit_identity(measurement: str, options: Mapping[str, Any]) -> str:
+def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
     """Return the id of a fit: a hash of the measurement, the options on the wire and the algorithm's version."""
-    parts = {"measurement": measurement, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
+    parts = {"measurement": sha256, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
@@ -116,6 +116,13 @@ class Store:
             self.blobs.place(incoming, sha256)
         return MeasurementRow(*row), known is None
 
+    async def receive_measurement(
+        self, caller: Caller, body: UploadBody, name: str | None
+    ) -> tuple[MeasurementRow, bool]:
+        """Receive and store an upload; returns as `add_measurement`, raises as that and as `Uploads.receive`."""
+        async with self.uploads.receive(caller, body) as received:
+            return await in_thread(self.add_measurement, caller, received, name)
+
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
         query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
@@ -162,23 +169,19 @@ class Store:
     def add_fit(
         self,
         caller: Caller,
-        measurement: str | Received,
+        sha256: str,
         options: Mapping[str, Any],
         queue_limit: int,
         name: str | None = None,
     ) -> tuple[FitRow, bool]:
-        """Accept a fit, or find the same one; the flag says whether it has to be computed.
+        """Accept a fit of a stored measurement, or find the same one; the flag says whether it has to be computed.
 
-        `measurement` is the sha256 of a stored one, or a received file, which is stored first and stays stored even if
-        the fit is refused. `options` are in their wire form; at most `queue_limit` fits may be waiting. The fit and a
-        received file get the `name`; a fit without any has that of its measurement.
+        `options` are in their wire form; at most `queue_limit` fits may be waiting. The fit gets the `name`; without
+        one, it has that of its measurement.
 
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
-        if isinstance(measurement, Received):
-            self.add_measurement(caller, measurement, name)
-            measurement = measurement.sha256
-        key = FitKey(caller.owner, fit_identity(measurement, options))
+        key = FitKey(caller.owner, fit_identity(sha256, options))
         found = self.fit(key)
         if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
@@ -190,9 +193,9 @@ class Store:
                 (values,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
                 return FitRow.from_values(values), False
             query = f"SELECT name FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
-            stored = db.execute(query, (caller.owner, measurement)).fetchone()
+            stored = db.execute(query, (caller.owner, sha256)).fetchone()
             if stored is None:
-                raise MeasurementNotFoundError(measurement)
+                raise MeasurementNotFoundError(sha256)
             name = name or (known and known.name) or stored[0]
             check_queue(db, caller)
             check_storage(db, caller, 0)
@@ -200,11 +203,11 @@ class Store:
             if waiting >= queue_limit:
                 raise ProblemError(
                     "queue-full",
-                    f"{waiting} fits are waiting already, as many as may; the measurement is stored, ask again later.",
+                    f"{waiting} fits are waiting, the most allowed; the measurement is stored, ask again later.",
                 )
             # A fit that runs again is a new row, at the head of the list.
             db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608
-            new = (caller.owner, *key, name, measurement, json.dumps(options), *versions, time.time())
+            new = (caller.owner, *key, name, sha256, json.dumps(options), *versions, time.time())
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
@@ -216,10 +219,10 @@ class Store:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
         return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
 
-    def fits_of(self, owner: str, measurement: str, limit: int) -> list[str]:
+    def fits_of(self, owner: str, sha256: str, limit: int) -> list[str]:
         """Return the ids of a measurement's fits, newest first."""
         query = "SELECT id FROM fits WHERE measurement = ? AND owner = ? ORDER BY seq DESC LIMIT ?"
-        return [fit_id for (fit_id,) in self.database.rows(query, measurement, owner, limit)]
+        return [fit_id for (fit_id,) in self.database.rows(query, sha256, owner, limit)]
 
     def result(self, key: FitKey) -> str | None:
         """Return the document of a fit that succeeded; raise ProblemError if it is not what was written."""

@@ -28,7 +28,7 @@ _PIECE = 1 << 19  # bytes that are worth a switch to another thread
 _SMALL_PIECE = 1 << 16  # of many uploads at once
 _BLOCK = 1 << 18  # bytes that are read back from the file at a time
 _CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
-# Few threads for all uploads: each that has ever worked keeps memory for its next piece.
+# Few threads for all uploads, because each keeps the memory of its last piece.
 _threads = CapacityLimiter(4)
 # Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
 _writers = CapacityLimiter(4)
@@ -76,22 +76,23 @@ class Uploads:
         self._blobs = blobs
         self._in_progress: Counter[str] = Counter()  # changed by the event loop alone
 
-    async def receive(self, caller: Caller, body: UploadBody, store: Callable[[Received], T]) -> T:
-        """Receive and check the MERL file that is the body; return what `store` returns, which stores it.
+    @asynccontextmanager
+    async def receive(self, caller: Caller, body: UploadBody) -> AsyncIterator[Received]:
+        """Receive and check the MERL file that is the body; yield it to be stored, without which nothing of it stays.
 
         Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, it
-        does not decode, or the caller may not store it; and whatever `store` raises. Then nothing of it stays.
+        does not decode, or the caller may not store it.
         """
         if body.length not in (None, FILE_SIZE):
             await _refuse_early(body.parts, body.length or 0)
         async with self.incoming(caller) as incoming:
             valid_nodes = await _write(body, incoming, at_once=self._in_progress.total() <= _CHECKED_AT_ONCE)
             sha256 = await in_thread(incoming.close)
-            return await in_thread(store, Received(incoming, sha256, valid_nodes))
+            yield Received(incoming, sha256, valid_nodes)
 
     @asynccontextmanager
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
-        """Give the block a new file, which is removed afterwards unless it was stored; count the upload meanwhile.
+        """Yield a new file, which is removed afterwards unless it was stored; the upload counts as long as that takes.
 
         One upload at a time is let in for a caller that has no room left: its file may be one that is stored already.
 
@@ -168,7 +169,7 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
                 raise ProblemError("too-large", most)
             writing = asyncio.ensure_future(in_thread(feed, piece))
-            if not _threads.available_tokens:  # other uploads use them all: a piece ahead is memory for nothing
+            if not _threads.available_tokens:  # all are busy: reading ahead would only take memory
                 await writing
         await writing
         if decoder is not None:
@@ -224,7 +225,7 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
     if unfinished >= caller.queued_fits:
         raise ProblemError(
             "queue-quota",
-            f"{unfinished} fits of this key are unfinished, as many as may be; ask again when one has ended.",
+            f"{unfinished} fits of this key are unfinished, the most allowed; ask again when one has ended.",
         )
 
 

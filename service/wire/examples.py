@@ -1,13 +1,11 @@
-"""Example documents for the OpenAPI document; a test checks each against its schema."""
+"""Example documents for the OpenAPI document, by the model of each; a test checks them."""
 
-import json
 from typing import Any
 
 import numpy as np
 
 import dsbrdf
 from dsbrdf import DSBRDF
-from dsbrdf.output.serialize import to_json
 from service.wire.fit_options import DEFAULTS
 from service.wire.model_document import model_document
 
@@ -15,19 +13,16 @@ FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 _CREATED, _STARTED, _FINISHED = (f"2026-11-21T09:30:{second}Z" for second in ("01.000000", "01.100000", "02.500000"))
 
-MEASUREMENT: dict[str, Any] = {
+_MEASUREMENT: dict[str, Any] = {
     "sha256": SHA256,
     "name": "nickel",
     "size": 34_992_012,
     "valid_nodes": 1_005_210,
     "created": _CREATED,
 }
-MEASUREMENT_WITH_FITS: dict[str, Any] = {**MEASUREMENT, "fits": [FIT_ID]}
-MEASUREMENT_LIST: dict[str, Any] = {"items": [MEASUREMENT]}
 
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
-STORED_MODEL: dict[str, Any] = json.loads(to_json(_MODEL))
-COMPONENTS: dict[str, Any] = {
+_COMPONENTS: dict[str, Any] = {
     "items": [
         {
             "label": "specular_lobe",
@@ -84,22 +79,26 @@ _SUMMARY: dict[str, Any] = {
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
 }
-FIT: dict[str, Any] = {**_SUMMARY, "warnings": [], "components": COMPONENTS["items"], "model": model_document(_MODEL)}
-FIT_LIST: dict[str, Any] = {"items": [_SUMMARY]}
-_WITHOUT_RESULT = dict.fromkeys(("metrics", "components", "model"))
-CANCELLED_FIT: dict[str, Any] = {**FIT, "status": "cancelled", "progress": 0.0, **_WITHOUT_RESULT}
-REMOVED_FIT: dict[str, Any] = {"id": FIT_ID, "status": "cancelled"}
-RUNNING_FIT: dict[str, Any] = {**CANCELLED_FIT, "status": "running", "progress": 0.42, "finished": None}
-
-SUBMISSION: dict[str, Any] = {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}}
-ANGLES: dict[str, Any] = {
-    "theta_half_deg": [0, 10, 20],
-    "theta_diff_deg": [0, 30, 30],
-    "phi_diff_deg": [90, 90, 45],
-}
 DIRECTIONS: dict[str, Any] = {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}
-VALUES: dict[str, Any] = {"values": [[0.42, 0.21, 0.11]]}
-
+ANGLES: dict[str, Any] = {"theta_half_deg": [0, 10], "theta_diff_deg": [0, 30], "phi_diff_deg": [90, 45]}
+BY_MODEL: dict[str, dict[str, Any]] = {
+    "MeasurementDocument": _MEASUREMENT,
+    "MeasurementDetails": {**_MEASUREMENT, "fits": [FIT_ID]},
+    "MeasurementList": {"items": [_MEASUREMENT]},
+    "FitRequest": {"measurement": SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}},
+    "FitDocument": {
+        **_SUMMARY,
+        "warnings": [],
+        "components": _COMPONENTS["items"],
+        "model": model_document(_MODEL),
+    },
+    "FitList": {"items": [_SUMMARY]},
+    "RemovedFit": {"id": FIT_ID, "status": "cancelled"},
+    "ComponentList": _COMPONENTS,
+    "Values": {"values": [[0.42, 0.21, 0.11]]},
+    "Health": {"status": "live", "version": dsbrdf.__version__},
+    "Readiness": {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0},
+}
 EVENTS = (
     f'event: running\ndata: {{"id":"{FIT_ID}","status":"running","progress":0.42,"error":null}}\n\n'
     f'event: succeeded\ndata: {{"id":"{FIT_ID}","status":"succeeded","progress":1.0,"error":null}}\n\n'

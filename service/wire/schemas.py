@@ -3,20 +3,33 @@
 Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order.
 """
 
+import re
 from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
+from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES, FitOptions
 from dsbrdf.model.render import LIGHTINGS
 from dsbrdf.output.export import FORMATS, GUIDE, PARTS
 from service.errors import validation_sentence
 from service.storage.schema import FitRow, MeasurementRow, Status
-from service.wire.fit_options import OPTIONS_SCHEMA
+from service.wire.fit_options import DEFAULTS, WIRE_NAMES
 from service.wire.model_document import ModelDocument
 from service.wire.values import check_plain
 
@@ -51,6 +64,34 @@ class _Input(BaseModel):
         return given
 
 
+_WHOLE_DEGREES = {"type": "integer", "minimum": 0, "maximum": THETA_DIFF.size - 1}
+_BOUNDS: dict[str, dict[str, Any]] = {
+    "n_lobes": {"minimum": 1, "maximum": MAX_LOBES},
+    "ring_lobes": {"minimum": 0, "maximum": MAX_RING_LOBES},
+    "knots": {"items": _WHOLE_DEGREES, "minItems": 2, "maxItems": THETA_DIFF.size, "uniqueItems": True},
+    "horizon_cutoff": {"exclusiveMinimum": 0, "maximum": 90},
+    "mask": {"minimum": 0, "maximum": MAX_MASK},
+    "em_iterations": {"minimum": 1, "maximum": MAX_EM_ITERATIONS},
+}
+
+
+def _options_schema() -> dict[str, Any]:
+    """Return the schema of the options: the types and sentences of the library's dataclass, under their wire names."""
+    declared = TypeAdapter(FitOptions).json_schema()["properties"]
+    sentences = dict(re.findall(r"^ {4}(\w+) : .*\n((?: {8}.*\n)+)", FitOptions.__doc__ or "", re.MULTILINE))
+    properties = {}
+    for name, wire in WIRE_NAMES.items():
+        schema = declared[name]
+        del schema["title"]
+        (schema["anyOf"][0] if "anyOf" in schema else schema).update(_BOUNDS.get(name, {}))
+        description = " ".join(sentences[name].split()).replace("[rad]", "[degrees]")
+        properties[wire] = {**schema, "default": DEFAULTS[wire], "description": description}
+    description = "Options of a fit; what is not given is the default."
+    head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}
+    return {**head, "properties": properties}
+
+
+OPTIONS_SCHEMA = _options_schema()
 _Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
 _Document = TypeVar("_Document", bound=BaseModel)
 
@@ -186,7 +227,7 @@ class FitSummary(BaseModel):
     progress: Share
     measurement: Annotated[str, Field(pattern=SHA256)]
     options: _Options
-    metrics: dict[str, float | None] | None
+    metrics: Metrics | None
     error: FitFault | None
     created: datetime
     started: datetime | None
@@ -285,7 +326,7 @@ class Export(_Input):
 
     format: Annotated[
         Literal[*FORMATS],  # type: ignore[valid-type]
-        Field(description="; ".join(f"`{name}`: {kind.purpose}" for name, kind in FORMATS.items())),
+        Field(description="; ".join(f"`{name}`: {kind.purpose}" for name, kind in FORMATS.items()) + "."),
     ]
     component: Annotated[
         Literal[*PARTS] | None,  # type: ignore[valid-type]

@@ -204,7 +204,7 @@ def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
 
 
 def _broadcast(names: Sequence[str], columns: Sequence[Array]) -> Sequence[Array]:
-    """Return columns of one length; of a parameter that is given once, the value counts for all points."""
+    """Return columns of one length; a column of one value counts for all points."""
     counts = [len(column) for column in columns]
     if min(counts) == max(counts):
         return columns

@@ -113,13 +113,9 @@ def test_every_error_is_public() -> None:
     assert {name for name, value in vars(errors).items() if inspect.isclass(value)} <= set(dsbrdf.__all__)
 
 
-def test_every_module_has_a_docstring() -> None:
+def test_modules_and_public_names_have_docstrings() -> None:
     trees = {path: ast.parse(path.read_text()) for path in SOURCES}
-    without = [path for path, tree in trees.items() if not ast.get_docstring(tree)]
-    assert [path for path in without if trees[path].body or path.name != "__init__.py"] == []
-
-
-def test_every_public_name_has_a_docstring() -> None:
+    assert [name_of(path) for path, tree in trees.items() if tree.body and not ast.get_docstring(tree)] == []
     values = {name: getattr(dsbrdf, name) for name in dsbrdf.__all__}
     assert [name for name, value in values.items() if callable(value) and not inspect.getdoc(value)] == []
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import httpx
 
-from service.client import Client
 from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import children, wait_until
@@ -50,8 +49,7 @@ class Server:
     def start(self) -> "Server":
         """Start the process and return when it is ready."""
         self.connect(self.launch())
-        with Client(str(self.http.base_url)) as client:
-            client.wait_until_ready(60.0)
+        wait_until(lambda: self.http.get("/health/ready").is_success, 60.0)
         return self
 
     def connect(self, begin: int) -> None:

@@ -51,6 +51,8 @@ class ExportFormat:
         Of the file's name, without the dot.
     media_type : str
         For HTTP.
+    purpose : str
+        What the file is for, in a few words.
     encode : callable
         Returns the content of the file for a model and, if there is one, its report.
     encode_component : callable, optional
@@ -87,15 +89,15 @@ FORMATS = {
         lambda model, report: to_json(model, report).encode(),
     ),
     "npz": ExportFormat("the same for NumPy", "npz", _BINARY, to_npz),
+    "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
+    "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
+    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
     "csv": ExportFormat(
         "a table of the parameters",
         "csv",
         "text/csv; charset=utf-8",
         lambda model, _: parameters_csv(model).encode(),
     ),
-    "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
-    "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
-    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
     "bsdf": _of_values("for Mitsuba 3", "bsdf", _BINARY, rgl_bsdf, "medium"),
     "bsdf-spectral": _of_values(
         "for spectral variants of Mitsuba 3, and pbrt-v4",
@@ -112,6 +114,7 @@ FORMATS = {
         time="long",
     ),
 }
+"""Name -> format; a new one has a row here, and a file of its own."""
 
 
 def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component:
@@ -143,7 +146,7 @@ def export_model(source: DSBRDF | Component, file_format: str, report: FitReport
     ----------
     source : DSBRDF or Component
     file_format : str
-        One of `FORMATS`.
+        A key of `FORMATS`, which says what each is for.
     report : FitReport, optional
         Stored by ``json`` and ``npz``.
 

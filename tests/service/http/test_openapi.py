@@ -1,6 +1,5 @@
 """The service's own description, and its health."""
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +11,8 @@ from pydantic import BaseModel
 
 import service
 from dsbrdf import FitOptions
-from dsbrdf.output.serialize import from_json
 from service.app import create_app
-from service.http.problems import KINDS, TYPE_PREFIX
+from service.http.problems import KINDS
 from service.settings import Settings
 from service.wire import schemas
 from service.wire.fit_options import to_wire
@@ -82,8 +80,9 @@ def test_every_operation_has_a_description_and_examples(document: dict[str, Any]
         assert operation["description"], name
         assert operation["operationId"], name
     for name, media_type, entry in media(document):
-        if media_type in ("application/json", "application/problem+json", "text/event-stream"):
-            assert "example" in entry or "examples" in entry, name
+        plain = media_type == "application/json" and "$ref" in entry.get("schema", {})
+        if plain or media_type == "text/event-stream":
+            assert "example" in entry, name
 
 
 def examples(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], Any]]:
@@ -99,16 +98,12 @@ def test_every_example_is_valid(document: dict[str, Any]) -> None:
     for name, schema, example in examples(document):
         references = [entry["$ref"] for entry in (schema, *schema.get("oneOf", ())) if "$ref" in entry]
         if not references:
-            assert schema["type"] in ("string", "object"), name
-            if schema["type"] == "string":
-                assert isinstance(example, str), name
-            else:  # a stored model, which the library reads
-                assert from_json(json.dumps(example))[0].n_lobes == 1
+            assert isinstance(example, str), name
             continue
         models = [getattr(schemas, reference.rpartition("/")[2]) for reference in references]
         assert any(is_valid(model, example) for model in models), (name, example)
         count += 1
-    assert count > 40
+    assert count > 15
 
 
 def is_valid(model: type[BaseModel], example: object) -> bool:
@@ -125,11 +120,6 @@ def test_operations_document_their_problems(document: dict[str, Any]) -> None:
     assert {"404", "409", "500"} <= set(paths["/v1/fits/{fit_id}/components"]["get"]["responses"])
     for name, operation in operations(document):
         assert "500" in operation["responses"], name
-    for _, media_type, entry in media(document):
-        if media_type == "application/problem+json":
-            for kind, example in entry["examples"].items():
-                assert example["value"]["type"] == TYPE_PREFIX + kind
-                assert example["value"]["status"] == KINDS[kind][0]
 
 
 def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
@@ -137,23 +127,6 @@ def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
     raised = set(re.findall(r"""\b(?:ProblemError|super\(\).__init__|_response)\(\s*["']([a-z-]+)["']""", text))
     assert len(raised) > 20
     assert raised <= set(KINDS)
-
-
-def test_links_name_operations_and_their_parameters(document: dict[str, Any]) -> None:
-    parameters = {
-        operation["operationId"]: {parameter["name"] for parameter in operation.get("parameters", ())}
-        for _, operation in operations(document)
-    }
-    links = [
-        link
-        for _, operation in operations(document)
-        for answer in operation["responses"].values()
-        for link in answer.get("links", {}).values()
-    ]
-    assert len(links) > 20
-    for link in links:
-        assert set(link.get("parameters", ())) <= parameters[link["operationId"]]
-    assert len(parameters) == len(list(operations(document)))
 
 
 def test_options_are_described_with_their_defaults(document: dict[str, Any], server: Server, stored: str) -> None:

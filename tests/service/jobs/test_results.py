@@ -22,7 +22,8 @@ PATIENCE = 60.0  # seconds
 def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
     incoming = store.blobs.incoming()
-    key = store.add_fit(Caller(), Received(incoming, incoming.close(), 1), {}, 1)[0].key
+    row, _ = store.add_measurement(Caller(), Received(incoming, incoming.close(), 1))
+    key = store.add_fit(Caller(), row.sha256, {}, 1)[0].key
     store.start_fit(key)
     model = DSBRDF(np.zeros(1), np.ones((3, 1, 1)), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
     store.complete_fit(key, to_json(model, None, dsbrdf.decompose(model)), {})

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable
-from html import unescape
 from pathlib import Path
 
 import pytest
@@ -90,9 +89,7 @@ def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Cal
 @pytest.mark.parametrize(
     ("given", "expected"), [("/brdf", "/brdf"), ("/a/b/", "/a/b"), ("//evil.example", ""), ("/x y", ""), ("x", "")]
 )
-def test_addresses_begin_with_the_prefix_of_the_proxy(
-    server: Server, data: bytes, fitted: str, given: str, expected: str
-) -> None:
+def test_addresses_begin_with_the_prefix_of_the_proxy(server: Server, data: bytes, given: str, expected: str) -> None:
     headers = {"X-Forwarded-Prefix": given}
     stored = server.http.post("/v1/measurements", content=data, headers=headers)
     assert stored.headers["location"] == f"{expected}/v1/measurements/{stored.json()['sha256']}"
@@ -100,8 +97,6 @@ def test_addresses_begin_with_the_prefix_of_the_proxy(
     assert fit.headers["location"] == f"{expected}/v1/fits/{fit.json()['id']}"
     page = server.http.get("/v1/fits?limit=1", headers=headers)
     assert page.headers["link"].startswith(f"<{expected}/v1/fits?limit=1&cursor=")
-    code = unescape(server.http.get(f"/fits/{fitted}", headers=headers).text)
-    assert f"curl '{str(server.http.base_url).rstrip('/')}{expected}/v1/fits/{fitted}/brdf?" in code
 
 
 def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> None:

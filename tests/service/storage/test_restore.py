@@ -133,7 +133,8 @@ def test_damaged_table_or_index_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.setattr("service.__main__._run", lambda *_: 0)  # it must not come to that
     store = Store(tmp_path)
-    store.add_fit(LOCAL, receive(store, b"content"), {}, 10)
+    row, _ = store.add_measurement(LOCAL, receive(store, b"content"))
+    store.add_fit(LOCAL, row.sha256, {}, 10)
     add_key(store.database, "someone", KeyLimits())
     store.close()
     harm_page(tmp_path, name, content)

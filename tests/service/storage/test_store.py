@@ -111,7 +111,6 @@ def test_upload_that_cannot_be_placed_leaves_no_row(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(store.blobs, "place", fail)
     with pytest.raises(OSError, match="No space"):
-        store.add_fit(LOCAL, received, OPTIONS, 10)
+        store.add_measurement(LOCAL, received)
     assert store.measurements("", 9, None) == []
-    assert store.fits("", 9, None) == []
     store.close()

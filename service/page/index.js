@@ -1,4 +1,5 @@
-// Sends a dropped or chosen file: its SHA-256 first, the file itself only if the service does not have it.
+// The page of all fits. A dropped or chosen file: its SHA-256 is sent first, the file itself only if the service does not
+// have it.
 const root = document.documentElement.dataset.root;
 const form = document.getElementById("upload");
 const file = document.getElementById("file");
@@ -91,3 +92,24 @@ addEventListener("drop", (event) => {
   if (dropped.length === 1) submit(dropped[0]);
   else fail("Drop one file at a time.");
 });
+
+// Filters the list by name while one types, and lets two fits be ticked for comparison.
+const search = document.getElementById("search");
+if (search) {
+  const cards = [...document.querySelectorAll(".card")];
+  const none = document.getElementById("no-match");
+  search.addEventListener("input", () => {
+    const wanted = search.value.trim().toLowerCase();
+    for (const card of cards) card.hidden = !card.dataset.name.toLowerCase().includes(wanted);
+    none.hidden = cards.some((card) => !card.hidden);
+  });
+  const boxes = [...document.querySelectorAll('input[name="fit"]')];
+  const button = document.getElementById("compare-button");
+  const update = () => {
+    const ticked = boxes.filter((box) => box.checked).length;
+    button.disabled = ticked !== 2;
+    for (const box of boxes) box.disabled = ticked === 2 && !box.checked;
+  };
+  for (const box of boxes) box.addEventListener("change", update);
+  update();
+}

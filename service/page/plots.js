@@ -1,23 +1,24 @@
-// Profiles over theta_half at one theta_diff, as SVG: measured points, the fit and its components.
+// Two plots as SVG of measured points, the fit and its components: profiles over theta_half at one theta_diff, and
+// values in the plane of incidence for one direction of the light.
 const root = document.documentElement.dataset.root;
 const SVG = "http://www.w3.org/2000/svg";
-export const CHANNELS = ["red", "green", "blue"];
+const CHANNELS = ["red", "green", "blue"];
 const MARGIN = { left: 62, right: 14, top: 12, bottom: 42 };
 const HEIGHT = 340;
 
-export function element(name, attributes, text) {
+function element(name, attributes, text) {
   const made = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (text !== undefined) made.textContent = text;
   return made;
 }
 
-export function choice(name) {
+function choice(name) {
   return document.querySelector(`input[name="${name}"]:checked`).value;
 }
 
 // What a plot draws: points and curves, each with a class for its colour; in one channel a component has its own colour.
-export function seriesOf({ fit, measured, components }, channel) {
+function seriesOf({ fit, measured, components }, channel) {
   if (channel !== "all") {
     const c = Number(channel);
     const parts = components.map(({ label, values }) => ({ label: label.replace("_", " "), colour: label, y: values[c], part: true }));
@@ -30,7 +31,7 @@ export function seriesOf({ fit, measured, components }, channel) {
   return [...points, ...parts, ...ofChannels(fit, (name) => ({ label: `${name}, fit` }))];
 }
 
-export const classOf = ({ points, colour, dash }) => `${points ? "point" : "curve"} c-${colour} ${dash ? `dash-${dash}` : ""}`;
+const classOf = ({ points, colour, dash }) => `${points ? "point" : "curve"} c-${colour} ${dash ? `dash-${dash}` : ""}`;
 
 function limits(data, series, axis, range) {
   const curves = series.filter((one) => !one.part);
@@ -46,7 +47,7 @@ function limits(data, series, axis, range) {
   return { end, low: low / 1.6, high: 1.6 * top };
 }
 
-export function linearTicks(high) {
+function linearTicks(high) {
   const raw = high / 5;
   const power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= raw);
@@ -114,7 +115,7 @@ function draw(group, one, { px, py, low, axis, end }) {
 }
 
 // The legend below a plot; where a component is drawn in three channels, its dashes are shown once.
-export function showLegend(series, box) {
+function showLegend(series, box) {
   const items = series.filter((one, i) => series.findIndex(({ label }) => label === one.label) === i).map((one) => {
     const item = document.createElement("li");
     const svg = element("svg", { viewBox: "0 0 30 12", "aria-hidden": "true" });
@@ -127,7 +128,7 @@ export function showLegend(series, box) {
 }
 
 // Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes.
-export function followSlider({ slider, panel, box, address, draw }) {
+function followSlider({ slider, panel, box, address, draw }) {
   const [input, place, fault, output] = [slider, box, `${panel}-fault`, `${slider}-value`].map((name) => document.getElementById(name));
   const known = new Map();
   let busy = false;
@@ -170,4 +171,61 @@ export function followSlider({ slider, panel, box, address, draw }) {
 export function startProfiles(id) {
   const draw = (box, data) => plot(box, data, choice("channel"), choice("axis"), choice("range"));
   followSlider({ slider: "theta-diff", panel: "profiles", box: "plot", address: `fits/${id}/profiles`, draw });
+}
+
+const DECADES = [4, 7]; // of the logarithmic axis, below the largest value: at least, and at most
+const SPACE = 34; // beside and below the half circle
+
+function radialAxis(series, kind) {
+  const top = Math.max(...series.flatMap((one) => one.y), 1e-6);
+  if (kind === "linear") {
+    const ticks = linearTicks(top).filter((tick) => tick > 0);
+    return { share: (value) => value / (1.04 * top), ticks };
+  }
+  const end = Math.ceil(Math.log10(top));
+  const usual = series.filter((one) => !one.part).flatMap((one) => one.y).sort((a, b) => a - b);
+  const needed = end - Math.floor(Math.log10(Math.max(usual[usual.length >> 1], 1e-30))) + 1; // so that the ground is seen
+  const decades = Math.min(Math.max(needed, DECADES[0]), DECADES[1]);
+  const ticks = Array.from({ length: decades }, (_, i) => 10 ** (end - i));
+  return { share: (value) => Math.max(0, 1 - (end - Math.log10(Math.max(value, 1e-30))) / decades), ticks };
+}
+
+function plotPolar(box, data, kind, channel) {
+  const width = Math.max(box.clientWidth, 280);
+  const radius = Math.min(width / 2 - SPACE, 320);
+  const height = radius + 2 * SPACE;
+  const middle = { x: width / 2, y: height - SPACE };
+  const series = seriesOf(data, channel);
+  const { share, ticks } = radialAxis(series, kind);
+  const at = (degrees, length) => {
+    const angle = (degrees * Math.PI) / 180;
+    return [middle.x + radius * length * Math.sin(angle), middle.y - radius * length * Math.cos(angle)];
+  };
+  const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+  const label = `BRDF in the plane of incidence for light at ${data.theta_in_deg} degrees, ${kind} axis`;
+  const svg = element("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+  for (const tick of ticks) {
+    const r = radius * share(tick);
+    svg.append(element("path", { class: "grid", d: `M${middle.x - r} ${middle.y}A${r} ${r} 0 0 1 ${middle.x + r} ${middle.y}` }));
+    svg.append(element("text", { x: middle.x + r, y: middle.y + 16, "text-anchor": "middle" }, String(Number(tick.toPrecision(2)))));
+  }
+  for (let degrees = -90; degrees <= 90; degrees += 30) {
+    svg.append(element("path", { class: "grid", d: path([at(degrees, 0), at(degrees, 1)]) }));
+    const [x, y] = at(degrees, 1.07);
+    svg.append(element("text", { x, y: y + 4, "text-anchor": "middle" }, `${Math.abs(degrees)}°`));
+  }
+  svg.append(element("path", { class: "axis", d: path([at(-90, 1), at(90, 1)]) }));
+  svg.append(element("path", { class: "light", d: path([at(-data.theta_in_deg, 1), at(0, 0)]) }));
+  for (const one of series) {
+    const places = one.y.map((value, i) => at(data.theta_out_deg[i], share(value)));
+    const squares = () => places.filter((_, i) => i % 3 === 1).map(([x, y]) => `M${(x - 2.5).toFixed(1)} ${(y - 2.5).toFixed(1)}h5v5h-5z`);
+    svg.append(element("path", { class: classOf(one), d: one.points ? squares().join("") : path(places) }));
+  }
+  box.replaceChildren(svg);
+  showLegend(series, box);
+}
+
+export function startPolar(id) {
+  const draw = (box, data) => plotPolar(box, data, choice("polar-axis"), choice("polar-channel"));
+  followSlider({ slider: "theta-in", panel: "polar", box: "polar-plot", address: `fits/${id}/polar`, draw });
 }

@@ -1,3 +1,0 @@
-import { startSpheres } from "./sphere.js";
-
-startSpheres();
