@@ -123,7 +123,7 @@ def grow(
     while not only_noise and failures <= _PATIENCE and (kinds := _kinds_wanted(mixture.structure, n_lobes, ring_lobes)):
         on_try()
         allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in kinds}
-        must = n_lobes != "auto" or (ring_lobes != "auto" and mixture.structure.n_rings < ring_lobes)
+        must = n_lobes != "auto" or (ring_lobes != "auto" and mixture.structure.n_rings < ring_lobes) or not steps
         least = 0.0 if must else PAYS * error + NEGLIGIBLE * signal
         mixture = _with_next_lobe(fitted, held_out, mixture, allowed, error - least)
         if n_lobes == ring_lobes == "auto":
