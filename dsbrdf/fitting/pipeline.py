@@ -85,6 +85,8 @@ def fit(
     report_progress(0.0)
     if isinstance(measurement, ScatteredSamples):
         result = _fit_samples(measurement, options, report_progress, clock)
+    elif options.cosine is not None:
+        raise InvalidArgumentError("cosine is for scattered samples; leave it out for a measurement on a grid")
     else:
         data = profiles_for(measurement, options)
         clock.lap("profiles")
@@ -139,6 +141,7 @@ def _fit_samples(
     """
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
+    samples = samples if options.cosine is None else samples.divided_by_cosine(options.cosine)
     order = np.random.default_rng(0).permutation(len(samples.values))
     parts = samples.take(order % _HELD_OUT != 0), samples.take(order % _HELD_OUT == 0)
     model: DSBRDF | None = None
@@ -154,7 +157,8 @@ def _fit_samples(
         clock.lap("refine")
     result = _result(found, data, options, clock)
     metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
-    return replace(result, report=replace(result.report, metrics=metrics))
+    warnings_of_all = samples.notes + result.report.warnings
+    return replace(result, report=replace(result.report, metrics=metrics, warnings=warnings_of_all))
 
 
 def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:

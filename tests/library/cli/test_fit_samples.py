@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dsbrdf.cli.main import main
-from dsbrdf.data.scattered_samples import DIRECTIONS
+from dsbrdf.data.sample_columns import VECTORS
 from dsbrdf.output.serialize import load_result
 from tests.support.command_line import Capture
 from tests.support.mixtures import mixture
@@ -23,7 +23,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
     path = tmp_path_factory.mktemp("samples") / "felt.csv"
     columns = [first, second, TRUTH.evaluate_directions(first, second)]
-    head = ",".join((*DIRECTIONS, "red", "green", "blue"))
+    head = ",".join((*VECTORS, "red", "green", "blue"))
     np.savetxt(path, np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
     return path
 
