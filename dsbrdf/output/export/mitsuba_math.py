@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["Number", "Table", "expm1", "find", "lobe_value", "log1p"]
+__all__ = ["Number", "Table", "expm1", "lobe_value", "log1p"]
 
 Number = Any
 """A float or int of Python, or an array of drjit."""
@@ -31,18 +31,6 @@ class Table:
 
     def __getitem__(self, index: Number) -> Number:
         return self._values[index] if self._float is float else self._drjit.gather(self._float, self._values, index)
-
-
-def find(table: Table, start: Number, count: int, value: Number) -> Number:
-    """First of ``count`` increasing numbers, from an index on, that is above a value; the last one if none is."""
-    dr, index_type = import_module("drjit"), import_module("mitsuba").UInt32
-    found, step = index_type(0), 1 << (count.bit_length() - 1)
-    while step:
-        probe = found + step
-        below = (probe < count) & (table[start + dr.minimum(probe, count - 1) - 1] <= value)
-        found = dr.select(below, probe, found)
-        step //= 2
-    return found
 
 
 def log1p(x: Number) -> Number:
