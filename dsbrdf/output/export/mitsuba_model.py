@@ -1,21 +1,28 @@
 """Values, density and samples of a model on the numbers of a variant of Mitsuba.
 
-Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision.
+Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision.  In variants
+that differentiate, values have derivatives in the model's parameters, which are finite everywhere.
 """
 
+from dataclasses import replace
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES, DirectionSampler
-from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, lobe_value
-from dsbrdf.output.export.single_precision import bernstein_pieces
+from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, lobe_value, log1p, safe_root
+from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pieces
 
-__all__ = ["MitsubaModel"]
+__all__ = ["PARAMETERS", "MitsubaModel"]
+
+PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
+"""Parameters that can be changed, arrays of `DSBRDF`."""
+_LEAST = 1e-9  # of a parameter whose logarithm is taken
 
 
 class _Angles(NamedTuple):
@@ -42,17 +49,71 @@ class MitsubaModel:
     Parameters
     ----------
     model : DSBRDF
+
+    Attributes
+    ----------
+    parameters : dict of str to TensorXf
+        Those of `PARAMETERS`, of the shapes that they have in `DSBRDF`; call `update` after a change.
     """
 
     def __init__(self, model: DSBRDF) -> None:
         self._dr, self._mitsuba = import_module("drjit"), import_module("mitsuba")
         pieces = bernstein_pieces(model, "Mitsuba")
+        self.parameters: dict[str, Any] = {
+            name: self._mitsuba.TensorXf(getattr(model, name).astype(np.float32)) for name in PARAMETERS
+        }
+        self._delta = pieces.coefficients[-3:]
         self._model = model
         self._n_rows, self._n_pieces = pieces.coefficients.shape[:2]
-        self._coefficients = Table(pieces.coefficients)
         self._breaks = pieces.breaks.tolist()
         self._starts, self._widths = Table(pieces.breaks), Table(np.diff(pieces.breaks))
         self._mixture = _Mixture(model.sampler)
+        self.update()
+
+    def changed_model(self) -> DSBRDF:
+        """Return the model with the parameters as they are now."""
+        arrays = {
+            name: np.array(tensor, dtype=np.float64).reshape(getattr(self._model, name).shape)
+            for name, tensor in self.parameters.items()
+        }
+        for name in self._bounds:
+            arrays[name] = np.maximum(arrays[name], self._bounds[name])
+        return replace(self._model, **arrays)  # type: ignore[arg-type]  # the fields of these names are arrays
+
+    @property
+    def _bounds(self) -> dict[str, float]:
+        """The least values of parameters; a logarithm needs more than 0."""
+        least = _LEAST if self._model.interpolation == "spline" else 0.0
+        return {"amplitude": least, "kappa": _LEAST, "gamma": least}
+
+    def update(self) -> None:
+        """Take the parameters as they are now, with their derivatives; the densities of samples stay as they were."""
+        if self._mitsuba.Float is float:
+            self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba").coefficients)
+            return
+        rows = [self._rows_of(name, basis) for name, basis in bernstein_bases(self._model).items()]
+        self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
+
+    def _rows_of(self, name: str, basis: NDArray[np.float64]) -> Number:
+        """Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
+        dr, index = self._dr, self._mitsuba.UInt32
+        values = self._mitsuba.Float(self.parameters[name].array)
+        if name in self._bounds:
+            values = dr.maximum(values, self._bounds[name])
+            if self._model.interpolation == "spline":
+                values = dr.log(values)
+            elif name == "amplitude":
+                values = log1p(values)
+        shape = getattr(self._model, name).shape
+        n_controls, n_lobes = shape[-2:]
+        n_rows, size = int(np.prod(shape[:-2])) * n_lobes, basis[0].size
+        row, place = (index(part.astype(np.uint32).ravel()) for part in np.indices((n_rows, size)))
+        first = row // n_lobes * (n_controls * n_lobes) + row % n_lobes
+        table, total = Table(basis), self._mitsuba.Float(0.0)
+        for control in range(n_controls):
+            value = dr.gather(self._mitsuba.Float, values, first + control * n_lobes)
+            total = total + table[place + control * size] * value
+        return total
 
     def brdf(self, omega_in: Number, omega_out: Number) -> list[Number]:
         """Values in red, green and blue [1/sr] of directions above the horizon."""
@@ -111,7 +172,7 @@ class MitsubaModel:
     def _visible_normal(self, omega_out: Number, along: Number, across: Number, two: Number) -> Number:
         dr = self._dr
         x, y = self._heading(omega_out)
-        radius = dr.sqrt(omega_out.x * omega_out.x + omega_out.y * omega_out.y)
+        radius = safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y)
         seen = dr.normalize(self._mitsuba.Vector2f(along * radius, omega_out.z))
         z = (1.0 - two.x) * (1.0 + seen.y) - seen.y
         ring, turn = dr.sqrt(dr.maximum(1.0 - z * z, 0.0)), 2.0 * np.pi * two.y
@@ -123,17 +184,18 @@ class MitsubaModel:
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
-        radius, height = dr.sqrt(radius2), dr.maximum(total.z, 1e-15)
+        radius, height = safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
         # The difference along and across the heading of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
         across = x * difference.y - y * difference.x
         length2 = along * along + across * across
-        cos2_phi = dr.select(length2 > 0.0, along * along / dr.maximum(length2, 1e-30), 1.0)
+        some = length2 > 1e-30
+        cos2_phi = dr.select(some, along * along / dr.select(some, length2, 1.0), 1.0)
         cos2_diff = sum2 / (sum2 + difference2)
         fourth = GRAZING_COSINE**4
         log_cos = 0.25 * dr.log(fourth + (1.0 - fourth) * cos2_diff * cos2_diff)
-        theta_diff = dr.atan2(dr.sqrt(difference2), dr.sqrt(sum2))
+        theta_diff = dr.atan2(safe_root(difference2), dr.sqrt(sum2))
         squared = dr.minimum(radius2 / (height * height), 1e30)
         return _Angles(theta_diff, radius / height, squared, cos2_phi, log_cos)
 
@@ -162,14 +224,15 @@ class MitsubaModel:
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
         """Cosine and sine of the azimuth, 1 and 0 along the normal."""
-        radius = self._dr.sqrt(omega.x * omega.x + omega.y * omega.y)
-        inverse = self._dr.rcp(self._dr.maximum(radius, 1e-30))
-        return self._dr.select(radius > 0.0, omega.x * inverse, 1.0), omega.y * inverse
+        radius2 = omega.x * omega.x + omega.y * omega.y
+        some = radius2 > 1e-30
+        inverse = self._dr.rsqrt(self._dr.select(some, radius2, 1.0))
+        return self._dr.select(some, omega.x * inverse, 1.0), self._dr.select(some, omega.y * inverse, 0.0)
 
     def _row_of(self, omega_out: Number) -> Number:
         """Index in `ANGLES` of the angle nearest to a direction."""
         dr = self._dr
-        theta = dr.atan2(dr.sqrt(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
+        theta = dr.atan2(safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
         nearest = dr.clip(dr.round(theta / float(ANGLES[1])), 0.0, float(ANGLES.size - 1))
         return self._mitsuba.UInt32(nearest)
 
