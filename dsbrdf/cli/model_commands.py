@@ -16,6 +16,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.export.export_file import format_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
@@ -111,22 +112,13 @@ def export(
     output
         The file to write.
     """
-    name = file_format or _format_of(output)
+    name = file_format or format_of(output)
     stored, report = read_model(model)
     content = export_model(named_part(model, stored, component), name, report if component is None else None)
     write_atomically(output, [content])
     if json:
         print_json({"output": str(output), "format": name, "bytes": len(content)})
     return 0
-
-
-def _format_of(path: Path) -> str:
-    suffix = path.suffix.lower().removeprefix(".")
-    for name, file_format in FORMATS.items():
-        if file_format.suffix == suffix:
-            return name
-    known = ", ".join(dict.fromkeys(f".{file_format.suffix}" for file_format in FORMATS.values()))
-    raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or --format must name its format")
 
 
 _SUFFIXES = (".binary", ".bsdf")
