@@ -45,7 +45,6 @@ def test_a_table_is_fitted_and_stored(table: Path, tmp_path: Path, capsys: Captu
     ("command", "words"),
     [
         (["fit", "felt.csv", "--method", "paper"], "cannot be fitted with method 'paper'"),
-        (["convert", "felt.csv", "a.binary"], "felt.csv: scattered samples are no measurement on a grid"),
         (["render", "felt.csv", "-o", "a.png"], "felt.csv: scattered samples are no measurement on a grid"),
     ],
 )
