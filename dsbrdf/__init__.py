@@ -8,7 +8,8 @@
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
 Wings, each calling only those to its left: errors, version, extras, process_settings, data, model, fitting, output,
-engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`.
+engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
+`dsbrdf.output.export.export_file`.
 """
 
 from importlib import import_module
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from dsbrdf.model.environment import EnvironmentMap, read_environment
     from dsbrdf.model.furnace import FurnaceReport, white_furnace
     from dsbrdf.model.render import render_sphere
+    from dsbrdf.output.export.export_file import export
     from dsbrdf.output.serialize import load, load_result, save
     from dsbrdf.version import ALGORITHM_VERSION, __version__
 
@@ -62,6 +64,7 @@ __all__ = [
     "ScatteredSamples",
     "__version__",
     "decompose",
+    "export",
     "fit",
     "load",
     "load_result",
@@ -101,6 +104,7 @@ _DEFINED_IN = {
     "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
     "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
     "dsbrdf.model.render": ("render_sphere",),
+    "dsbrdf.output.export.export_file": ("export",),
     "dsbrdf.output.serialize": ("load", "load_result", "save"),
     "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),
 }

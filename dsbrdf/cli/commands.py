@@ -45,7 +45,7 @@ _COMMANDS = {
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
-        "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
+        "convert": ("convert_command:convert", "Write a measurement as another kind of file."),
     },
     "More": {
         "completion": ("commands:completion", "Print what makes a shell complete commands and options."),

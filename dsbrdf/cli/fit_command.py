@@ -82,7 +82,8 @@ def fit(
     Parameters
     ----------
     files
-        A MERL .binary file, a folder of them, an RGL .bsdf file, or a .csv table of scattered samples.
+        A MERL .binary file, a folder of them, an RGL .bsdf file, or a table of scattered samples, .csv,
+        .tsv or .txt.
     csv
         Write the metrics of all files as a table.
     plot

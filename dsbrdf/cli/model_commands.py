@@ -8,15 +8,13 @@ from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, Points
-from dsbrdf.cli.source_files import named_part, read_grid, read_model
+from dsbrdf.cli.source_files import named_part, read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.export import FORMATS, export_model
-from dsbrdf.output.export.rgl import rgl_bsdf
+from dsbrdf.output.export.export_file import format_of
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
 
@@ -111,47 +109,10 @@ def export(
     output
         The file to write.
     """
-    name = file_format or _format_of(output)
+    name = file_format or format_of(output)
     stored, report = read_model(model)
     content = export_model(named_part(model, stored, component), name, report if component is None else None)
     write_atomically(output, [content])
     if json:
         print_json({"output": str(output), "format": name, "bytes": len(content)})
-    return 0
-
-
-def _format_of(path: Path) -> str:
-    suffix = path.suffix.lower().removeprefix(".")
-    for name, file_format in FORMATS.items():
-        if file_format.suffix == suffix:
-            return name
-    known = ", ".join(dict.fromkeys(f".{file_format.suffix}" for file_format in FORMATS.values()))
-    raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or --format must name its format")
-
-
-_SUFFIXES = (".binary", ".bsdf")
-
-
-def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> int:
-    """Write a measurement as another kind of file; return the exit code.
-
-    Parameters
-    ----------
-    source
-        A MERL .binary or an isotropic RGL .bsdf file.
-    target
-        The file to write; .bsdf is for Mitsuba 3, .binary a MERL table.
-    spectral
-        Spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba.
-    """
-    suffix = target.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise InvalidArgumentError(f"{target}: the output must end in {' or '.join(_SUFFIXES)}")
-    measurement = read_grid(source)
-    content = (
-        rgl_bsdf(measurement, measurement.name, spectral=spectral) if suffix == ".bsdf" else encode_merl(measurement)
-    )
-    write_atomically(target, [content])
-    if json:
-        print_json({"output": str(target), "format": suffix[1:], "bytes": len(content)})
     return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.report import FitReport
@@ -14,7 +15,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import part_of
 from dsbrdf.output.serialize import read_model_file
 
-MEASUREMENTS = (".binary", ".bsdf", ".csv")
+MEASUREMENTS = (".binary", ".bsdf", *TABLE_SUFFIXES)
 """Suffixes of measurements."""
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.scattered_samples import ScatteredSamples, read_samples
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES, read_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 
 __all__ = ["read_measurement"]
 
@@ -17,8 +18,8 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
     Parameters
     ----------
     path : path-like
-        ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv`` is a table of scattered
-        samples; any other file is a MERL ``.binary`` file.
+        ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and
+        ``.txt`` are tables of scattered samples; any other file is a MERL ``.binary`` file.
 
     Returns
     -------
@@ -34,4 +35,4 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
     suffix = Path(path).suffix.lower()
     if suffix == ".bsdf":
         return read_rgl(path).measurement()
-    return read_samples(path) if suffix == ".csv" else read_merl(path)
+    return read_samples(path) if suffix in TABLE_SUFFIXES else read_merl(path)

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
 _LARGEST_FILE = 1 << 28  # [bytes]; those of the data base have at most 100 MB
 _POINTS_AT_ONCE = 32768
+_N_PAIRS, _LEAST_COSINE = 4000, float(np.cos(np.radians(75.0)))  # where reciprocity is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,30 @@ class RglMaterial:
             block = above[start : start + _POINTS_AT_ONCE]
             values[block] = self._values(first[block], second[block])
         return values
+
+    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """BRDF values (..., 3) at angles (...) [rad]; phi_diff + pi is the other order of the two directions."""
+        first, second = directions(theta_half, theta_diff, phi_diff)
+        return self.evaluate_directions(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape)
+
+    def non_reciprocity(self) -> float:
+        """How much swapped directions differ: the median of the difference of their values over their mean.
+
+        Directions are spread evenly over the hemisphere, up to 75 degrees from the normal; one of a pair in four is
+        near the mirror direction.
+        """
+        random = np.random.default_rng(0)
+        cosine, turn = (
+            random.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)),
+            random.uniform(0.0, 2.0 * np.pi, (2, _N_PAIRS)),
+        )
+        sine = np.sqrt(1.0 - cosine**2)
+        first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+        near = first[::4] * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.05, first[::4].shape)
+        second[::4] = near / np.linalg.norm(near, axis=1)[:, np.newaxis]
+        one, other = (self.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))
+        light = one + other > 0.0
+        return float(np.median(2.0 * np.abs(one - other)[light] / (one + other)[light]))
 
     def _values(self, first: Array, second: Array) -> Array:
         half = first + second

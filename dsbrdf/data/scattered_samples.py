@@ -1,36 +1,22 @@
-"""Scattered samples: values of a BRDF at any pairs of directions, from a table of comma-separated values.
-
-The first line of a table names its columns, in any order: ``omega_in_x``, ``omega_in_y``, ``omega_in_z`` and the same
-of ``omega_out``, the unit vectors towards the light and the viewer with the normal along z; ``red``, ``green`` and
-``blue`` in 1/sr; and, if samples are not to count alike, ``weight``.
-"""
+"""Scattered samples: values of a BRDF at any pairs of directions."""
 
 import hashlib
-import os
 from collections.abc import Sized
 from dataclasses import dataclass, replace
-from io import StringIO
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.file_kinds import known_kind
-from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.merl_validation import LARGEST_VALUE
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["FEWEST_SAMPLES", "ScatteredSamples", "parse_samples", "read_samples"]
+__all__ = ["FEWEST_SAMPLES", "ScatteredSamples"]
 
 Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 200
 """Fewer samples than this do not determine a model."""
-DIRECTIONS = tuple(f"{name}_{axis}" for name in ("omega_in", "omega_out") for axis in "xyz")
-_REQUIRED = (*DIRECTIONS, *CHANNELS)
-_WEIGHT = "weight"
-_UNIT_TOLERANCE = 1e-3  # tables have few digits
-_LARGEST_FILE = 1 << 30  # [bytes]
+_UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +35,8 @@ class ScatteredSamples:
         The material's name.
     sha256 : str
         Hexadecimal digest of the arrays: the identity of the samples.
+    notes : tuple of str
+        What the reader of a table decided, a sentence each; the report of a fit begins its warnings with them.
     """
 
     omega_in: Array
@@ -57,11 +45,17 @@ class ScatteredSamples:
     weight: Array
     name: str
     sha256: str
+    notes: tuple[str, ...] = ()
 
     def take(self, chosen: NDArray[np.bool_]) -> "ScatteredSamples":
         """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
+
+    def divided_by_cosine(self, side: str) -> "ScatteredSamples":
+        """Return the samples, values divided by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
+        cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
+        return replace(self, values=self.values / cosine[:, np.newaxis])
 
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
@@ -74,6 +68,7 @@ class ScatteredSamples:
         values: ArrayLike,
         weight: ArrayLike | None = None,
         name: str = "samples",
+        notes: tuple[str, ...] = (),
     ) -> "ScatteredSamples":
         """Return checked samples.
 
@@ -87,6 +82,8 @@ class ScatteredSamples:
             Positive; 1 by default.
         name : str, optional
             The material's name.
+        notes : tuple of str, optional
+            See the attribute.
 
         Returns
         -------
@@ -120,66 +117,7 @@ class ScatteredSamples:
         for array in arrays.values():
             digest.update(array.astype("<f8").tobytes())
             array.flags.writeable = False
-        return cls(**arrays, name=name, sha256=digest.hexdigest())
-
-
-def read_samples(path: str | os.PathLike[str]) -> ScatteredSamples:
-    """Read a table of scattered samples.
-
-    Parameters
-    ----------
-    path : path-like
-        A ``.csv`` file, see the module; its stem becomes the name.
-
-    Returns
-    -------
-    ScatteredSamples
-
-    Raises
-    ------
-    MeasurementFormatError
-        With one sentence that says what is wrong and what would be right.
-    OSError
-        If the file does not exist or cannot be read.
-    """
-    source = Path(path)
-    if source.stat().st_size > _LARGEST_FILE:
-        raise MeasurementFormatError(f"The table is longer than {_LARGEST_FILE} bytes.")
-    return parse_samples(source.read_bytes(), source.stem)
-
-
-def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
-    """Return the samples in the bytes of a table; errors are those of `read_samples`."""
-    kind = known_kind(data[:16])
-    if kind is not None:
-        raise MeasurementFormatError(f"The data is {kind}; scattered samples are a table of comma-separated values.")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise MeasurementFormatError("The table is not a text in UTF-8.") from None
-    head, _, body = text.partition("\n")
-    columns = [column.strip().lower() for column in head.split(",")]
-    missing = [column for column in _REQUIRED if column not in columns]
-    if missing:
-        raise MeasurementFormatError(
-            f"The first line of the table must name its columns; it lacks {missing[0]!r} of {', '.join(_REQUIRED)}."
-        )
-    unknown = [column for column in columns if column not in (*_REQUIRED, _WEIGHT)]
-    if unknown or len(set(columns)) != len(columns):
-        fault = f"the unknown column {unknown[0]!r}" if unknown else "a column twice"
-        raise MeasurementFormatError(f"The table has {fault}; besides the required ones there may be {_WEIGHT!r}.")
-    try:
-        rows = np.loadtxt(StringIO(body), delimiter=",", ndmin=2) if body.strip() else np.empty((0, len(columns)))
-    except ValueError as error:
-        reason = str(error).partition(";")[0].rstrip(".")
-        raise MeasurementFormatError(f"A row of the table is not {len(columns)} numbers: {reason}.") from None
-    if rows.shape[1] != len(columns):
-        raise MeasurementFormatError(f"The rows of the table have {rows.shape[1]} numbers, not {len(columns)}.")
-    of = {column: rows[:, index] for index, column in enumerate(columns)}
-    omega_in, omega_out, values = (
-        np.stack([of[column] for column in part], axis=1) for part in (DIRECTIONS[:3], DIRECTIONS[3:], CHANNELS)
-    )
-    return ScatteredSamples.from_arrays(omega_in, omega_out, values, of.get(_WEIGHT), name)
+        return cls(**arrays, name=name, sha256=digest.hexdigest(), notes=notes)
 
 
 def _numbers(name: str, array: ArrayLike, shape: tuple[int, ...]) -> Array:

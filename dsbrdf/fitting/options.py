@@ -15,6 +15,7 @@ METHODS = ("global", "paper")
 MAX_RING_LOBES = MAX_LOBES - 1
 VARIATIONS = ("full", "parametric")
 WEIGHTINGS = ("balanced", "plain", "cosine", "log")
+COSINES = ("in", "out")
 MAX_MASK = 10.0
 MAX_EM_ITERATIONS = 10_000
 
@@ -55,6 +56,9 @@ class FitOptions:
         Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half.
     em_iterations : int
         Bound on the iterations of Algorithm 1.
+    cosine : {"in", "out"} or None
+        The values of scattered samples are the BRDF times the cosine of theta_in or of theta_out, by which the fit
+        divides them; None are those of the BRDF.  Measurements on a grid have no such values.
 
     Raises
     ------
@@ -73,6 +77,7 @@ class FitOptions:
     weighting: Literal["balanced", "plain", "cosine", "log"] | None = None
     robust: bool = False
     em_iterations: int = 100
+    cosine: Literal["in", "out"] | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
@@ -121,6 +126,8 @@ class FitOptions:
             raise InvalidArgumentError(
                 f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
             )
+        if self.cosine is not None and self.cosine not in COSINES:
+            raise InvalidArgumentError(f"cosine must be one of {', '.join(COSINES)}, not {self.cosine!r}")
 
     @property
     def resolved_weighting(self) -> str:

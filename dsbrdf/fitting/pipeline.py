@@ -20,9 +20,11 @@ from dsbrdf.fitting.global_method import GlobalFit, fit_global, refine_at_sample
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import PaperFit, fit_slicewise
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, KnotReport
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
+from dsbrdf.fitting.sample_warnings import coverage_warnings, unit_warnings
+from dsbrdf.fitting.usual_materials import typical_error, usual_material, with_usual_values
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.process_settings import one_blas_thread
 from dsbrdf.version import versions
@@ -85,6 +87,8 @@ def fit(
     report_progress(0.0)
     if isinstance(measurement, ScatteredSamples):
         result = _fit_samples(measurement, options, report_progress, clock)
+    elif options.cosine is not None:
+        raise InvalidArgumentError("cosine is for scattered samples; leave it out for a measurement on a grid")
     else:
         data = profiles_for(measurement, options)
         clock.lap("profiles")
@@ -135,10 +139,16 @@ def _fit_samples(
 ) -> FitResult:
     """Fit samples in bins, again with the samples moved to their bins by the model found, then where they are.
 
-    A robust fit ends in the bins, where it compares samples with their neighbours.
+    Values of the usual material, with little weight, tell what no sample tells; where a fit of all parameters follows
+    the samples worse than that material, it is the model.  A robust fit ends in the bins, where it compares samples
+    with their neighbours.
     """
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
+    samples = samples if options.cosine is None else samples.divided_by_cosine(options.cosine)
+    usual = usual_material(samples)
+    measured, (samples, far) = samples, with_usual_values(samples, usual.model)
+    clock.lap("usual material")
     order = np.random.default_rng(0).permutation(len(samples.values))
     parts = samples.take(order % _HELD_OUT != 0), samples.take(order % _HELD_OUT == 0)
     model: DSBRDF | None = None
@@ -152,9 +162,20 @@ def _fit_samples(
     for _ in range(0 if options.robust else _EXACT_ROUNDS):
         found = refine_at_samples(sample_rows(exact, data, options, found.model), found)
         clock.lap("refine")
+    is_usual = typical_error(usual.model, measured) < typical_error(found.model, measured)
+    if is_usual:
+        found = replace(found, model=usual.model, knots=_whole(usual.model))
     result = _result(found, data, options, clock)
-    metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
-    return replace(result, report=replace(result.report, metrics=metrics))
+    metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
+    of_units = unit_warnings(measured, usual, np.array(result.report.albedo.albedo))
+    sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual), *result.report.warnings)
+    return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
+
+
+def _whole(model: DSBRDF) -> KnotReport:
+    """What the report says of the knots of a usual material, which are fitted together."""
+    seen = np.ones((3, model.theta_diff.size), dtype=np.bool_)
+    return KnotReport.from_arrays(model.theta_diff, seen, True, 0, False)
 
 
 def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:

@@ -17,6 +17,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import Versions
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from matplotlib.figure import Figure
 
     from dsbrdf.data.measurement import Measurement
@@ -152,6 +154,12 @@ class FitResult:
         from dsbrdf.output.notebook import result_html
 
         return result_html(self)
+
+    def export(self, path: "str | PathLike[str]", file_format: str | None = None) -> None:
+        """Write the model to a file for another program, see `dsbrdf.export`."""
+        from dsbrdf.output.export.export_file import export
+
+        export(self, path, file_format)
 
     def plot(self, measurement: "Measurement | None" = None) -> "Figure":
         """Draw the fit; needs matplotlib.

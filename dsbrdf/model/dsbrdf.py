@@ -26,7 +26,7 @@ from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
 from dsbrdf.model.parameter_checks import check_parameters
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
-from dsbrdf.model.sampling import ANGLES, DirectionSampler, LobesAtAngles, Samples, direction_sampler
+from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -244,8 +244,8 @@ class DSBRDF(ReflectanceModel):
         """
         towards = check_directions("omega_out", omega_out)
         flat = towards.reshape(-1, 3)
-        omega_in = self._sampler.sample(flat, rng)
-        pdf = self._sampler.pdf(omega_in, flat)
+        omega_in = self.sampler.sample(flat, rng)
+        pdf = self.sampler.pdf(omega_in, flat)
         cosine = omega_in[:, 2] / np.where(pdf > 0.0, pdf, np.inf)
         weight = self.evaluate_directions(omega_in, flat) * cosine[:, None]
         return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
@@ -271,22 +271,12 @@ class DSBRDF(ReflectanceModel):
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
-        return self._sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
-
-    @property
-    def sampler(self) -> DirectionSampler:
-        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
-        return self._sampler
+        return self.sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
 
     @cached_property
-    def _sampler(self) -> DirectionSampler:
-        at = self.parameters_at(ANGLES)
-        shape = ANGLES.size, self.kappa.shape[0], self.n_lobes
-        at["elongation"] = np.broadcast_to(at["elongation"][:, None], shape)
-        rows = {
-            name: at[name].reshape(shape[0], shape[1] * shape[2]) for name in ("kappa", "gamma", "center", "elongation")
-        }
-        return direction_sampler(LobesAtAngles(**rows, family=self.lobe), self.evaluate_unmasked)
+    def sampler(self) -> DirectionSampler:
+        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
+        return direction_sampler(self.evaluate_unmasked)
 
     @cached_property
     def _has_delta(self) -> bool:

@@ -250,7 +250,9 @@ def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
 def _suffix(path: str | os.PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in (".json", ".npz"):
-        raise InvalidArgumentError(f"A model's file must end in .json or .npz, unlike {Path(path).name!r}.")
+        raise InvalidArgumentError(
+            f"A model's file must end in .json or .npz, unlike {Path(path).name!r}; dsbrdf.export writes other kinds."
+        )
     return suffix
 
 

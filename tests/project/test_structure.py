@@ -121,7 +121,8 @@ def test_modules_and_public_names_have_docstrings() -> None:
 
 
 PACKAGES = ("dsbrdf", "service")
-DISPLAY = "dsbrdf.output.notebook"  # what `_repr_html_` and `plot` of the wings to its left call
+# What `_repr_html_`, `plot` and `export` of the wings to their left call.
+OF_METHODS = {"dsbrdf.output.notebook", "dsbrdf.output.export.export_file"}
 
 
 def module_name(path: Path) -> str:
@@ -147,7 +148,7 @@ def imports_of(path: Path, modules: Collection[str]) -> set[str]:
             found |= names & set(modules)
             if names - set(modules):
                 found.add(parent)
-    return found & set(modules) - {DISPLAY}
+    return found & set(modules) - OF_METHODS
 
 
 def wings_of(package: str) -> list[str]:

@@ -7,6 +7,11 @@
     register()
     bsdf = mitsuba.load_dict({"type": "dsbrdf", "filename": "nickel.json"})
 
+`mitsuba.traverse` shows the model's parameters, with derivatives in the variants that have them: tensors amplitude
+(channel, control value, lobe), kappa, gamma and center (shape, control value, lobe) and elongation (control value,
+lobe), the arrays of `dsbrdf.DSBRDF`.  ``bsdf.model()`` is the model with the parameters as they are then.  Samples keep
+the densities of the model that was loaded, which are right for any model.
+
 All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
 once.  Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
 
@@ -15,10 +20,12 @@ Formulas and names are those of `dsbrdf.model.lobes` and `dsbrdf.model.sampling`
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.mitsuba_math import Number, Table
 from dsbrdf.output.export.mitsuba_model import MitsubaModel
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
@@ -32,7 +39,7 @@ _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB
 def register() -> None:
     """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
 
-    Its only parameter is ``filename``, of a model in JSON or ``.npz``.
+    Its only property is ``filename``, of a model in JSON or ``.npz``.
 
     Raises
     ------
@@ -50,6 +57,26 @@ def register() -> None:
     mitsuba.register_bsdf("dsbrdf", _bsdf_class(mitsuba))
 
 
+def _filename(mitsuba: Any, properties: Any) -> str:
+    name = properties.get("filename", None)
+    if not isinstance(name, str):
+        raise InvalidArgumentError(
+            'the BSDF "dsbrdf" needs the property "filename", a text: the .json or .npz file of a model'
+        )
+    return str(mitsuba.file_resolver().resolve(name))
+
+
+def _loaded(filename: str) -> DSBRDF:
+    if not Path(filename).is_file():
+        raise InvalidArgumentError(
+            f'there is no file {filename}; the BSDF "dsbrdf" needs the .json or .npz file of a model'
+        )
+    try:
+        return load(filename)
+    except DSBRDFError as error:
+        raise type(error)(f"{filename}: {error}") from None
+
+
 def _bsdf_class(mitsuba: Any) -> Any:
     """Return the class of BSDF for the variant that is set."""
     dr = import_module("drjit")
@@ -57,8 +84,8 @@ def _bsdf_class(mitsuba: Any) -> Any:
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            self.filename = str(mitsuba.file_resolver().resolve(properties["filename"]))
-            self.material = MitsubaModel(load(self.filename))
+            self.filename = _filename(mitsuba, properties)
+            self.material = MitsubaModel(_loaded(self.filename))
             self.spectra = Table(SPECTRA)
             self.m_components = [mitsuba.BSDFFlags.GlossyReflection | mitsuba.BSDFFlags.FrontSide]
             self.m_flags = self.m_components[0]
@@ -83,6 +110,16 @@ def _bsdf_class(mitsuba: Any) -> Any:
             drawn = result.pdf > 0.0
             weight = self.eval(context, surface, result.wo, active & drawn) / dr.select(drawn, result.pdf, 1.0)
             return result, weight
+
+        def traverse(self, callback: Any) -> None:
+            for name, tensor in self.material.parameters.items():
+                callback.put(name, tensor, mitsuba.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: Any) -> None:  # noqa: ARG002 (all of them are taken)
+            self.material.update()
+
+        def model(self) -> DSBRDF:
+            return self.material.changed_model()
 
         def to_string(self) -> str:
             return f"DirectionalStatistics[filename = {self.filename}]"

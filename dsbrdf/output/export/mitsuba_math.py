@@ -1,15 +1,15 @@
 """Functions on the numbers of the variant of Mitsuba that is set: floats of Python, or arrays of drjit.
 
 What single precision would lose is kept: ``expm1`` and ``log1p``, which drjit does not have, are series near 0.
+Derivatives stay finite: also the branch that is not taken must not have an infinite one, for zero times it is not zero.
 """
 
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-__all__ = ["Number", "Table", "expm1", "find", "lobe_value", "log1p"]
+__all__ = ["Number", "Table", "expm1", "lobe_value", "log1p", "safe_root"]
 
 Number = Any
 """A float or int of Python, or an array of drjit."""
@@ -20,29 +20,20 @@ class Table:
 
     Parameters
     ----------
-    values : array_like
+    values : array_like, or a flat array of drjit
         Of any shape; the index is that of the flat array.
     """
 
-    def __init__(self, values: ArrayLike) -> None:
+    def __init__(self, values: Any) -> None:
         self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
-        flat = np.ravel(np.asarray(values, dtype=np.float32))
-        self._values = flat.tolist() if self._float is float else self._float(flat)
+        if self._drjit.is_array_v(values):
+            self._values = values
+        else:
+            flat = np.ravel(np.asarray(values, dtype=np.float32))
+            self._values = flat.tolist() if self._float is float else self._float(flat)
 
     def __getitem__(self, index: Number) -> Number:
         return self._values[index] if self._float is float else self._drjit.gather(self._float, self._values, index)
-
-
-def find(table: Table, start: Number, count: int, value: Number) -> Number:
-    """First of ``count`` increasing numbers, from an index on, that is above a value; the last one if none is."""
-    dr, index_type = import_module("drjit"), import_module("mitsuba").UInt32
-    found, step = index_type(0), 1 << (count.bit_length() - 1)
-    while step:
-        probe = found + step
-        below = (probe < count) & (table[start + dr.minimum(probe, count - 1) - 1] <= value)
-        found = dr.select(below, probe, found)
-        step //= 2
-    return found
 
 
 def log1p(x: Number) -> Number:
@@ -57,8 +48,16 @@ def log1p(x: Number) -> Number:
 def expm1(x: Number) -> Number:
     """Exponential of x less 1."""
     dr = import_module("drjit")
-    series = x * (1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x * (1.0 / 720.0))))))
+    y = dr.clip(x, -0.3, 0.3)
+    series = y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))))
     return dr.select(dr.abs(x) < 0.3, series, dr.exp(dr.clip(x, -80.0, 88.0)) - 1.0)
+
+
+def safe_root(x: Number) -> Number:
+    """Square root of x, zero or positive, with a derivative that is 0 at 0."""
+    dr = import_module("drjit")
+    positive = x > 0.0
+    return dr.select(positive, dr.sqrt(dr.select(positive, x, 1.0)), 0.0)
 
 
 def lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | None, family: str) -> Number:
@@ -66,7 +65,7 @@ def lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | N
     dr = import_module("drjit")
     top_squared: Number = 0.0
     if center is not None:
-        root, tan_center = dr.sqrt(squared), dr.tan(center)
+        root, tan_center = safe_root(squared), dr.tan(center)
         tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
         squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
     if family == "student":

@@ -1,24 +1,28 @@
 """Values, density and samples of a model on the numbers of a variant of Mitsuba.
 
-Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision.
+Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision.  In variants
+that differentiate, values have derivatives in the model's parameters, which are finite everywhere.
 """
 
+from dataclasses import replace
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES, DirectionSampler
-from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, find, lobe_value, log1p
-from dsbrdf.output.export.single_precision import bernstein_pieces
+from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, lobe_value, log1p, safe_root
+from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pieces
 
-__all__ = ["MitsubaModel"]
+__all__ = ["PARAMETERS", "MitsubaModel"]
 
-_DISC = 1.0 - float(np.cos(CENTER_CUTOFF))
-"""Of the cosine of theta_half, over the disc of the delta term."""
+PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
+"""Parameters that can be changed, arrays of `DSBRDF`."""
+_LEAST = 1e-9  # of a parameter whose logarithm is taken
 
 
 class _Angles(NamedTuple):
@@ -45,17 +49,71 @@ class MitsubaModel:
     Parameters
     ----------
     model : DSBRDF
+
+    Attributes
+    ----------
+    parameters : dict of str to TensorXf
+        Those of `PARAMETERS`, of the shapes that they have in `DSBRDF`; call `update` after a change.
     """
 
     def __init__(self, model: DSBRDF) -> None:
         self._dr, self._mitsuba = import_module("drjit"), import_module("mitsuba")
         pieces = bernstein_pieces(model, "Mitsuba")
+        self.parameters: dict[str, Any] = {
+            name: self._mitsuba.TensorXf(getattr(model, name).astype(np.float32)) for name in PARAMETERS
+        }
+        self._delta = pieces.coefficients[-3:]
         self._model = model
         self._n_rows, self._n_pieces = pieces.coefficients.shape[:2]
-        self._coefficients = Table(pieces.coefficients)
         self._breaks = pieces.breaks.tolist()
         self._starts, self._widths = Table(pieces.breaks), Table(np.diff(pieces.breaks))
-        self._sampling = _SamplingTables(model.sampler)
+        self._mixture = _Mixture(model.sampler)
+        self.update()
+
+    def changed_model(self) -> DSBRDF:
+        """Return the model with the parameters as they are now."""
+        arrays = {
+            name: np.array(tensor, dtype=np.float64).reshape(getattr(self._model, name).shape)
+            for name, tensor in self.parameters.items()
+        }
+        for name in self._bounds:
+            arrays[name] = np.maximum(arrays[name], self._bounds[name])
+        return replace(self._model, **arrays)  # type: ignore[arg-type]  # the fields of these names are arrays
+
+    @property
+    def _bounds(self) -> dict[str, float]:
+        """The least values of parameters; a logarithm needs more than 0."""
+        least = _LEAST if self._model.interpolation == "spline" else 0.0
+        return {"amplitude": least, "kappa": _LEAST, "gamma": least}
+
+    def update(self) -> None:
+        """Take the parameters as they are now, with their derivatives; the densities of samples stay as they were."""
+        if self._mitsuba.Float is float:
+            self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba").coefficients)
+            return
+        rows = [self._rows_of(name, basis) for name, basis in bernstein_bases(self._model).items()]
+        self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
+
+    def _rows_of(self, name: str, basis: NDArray[np.float64]) -> Number:
+        """Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
+        dr, index = self._dr, self._mitsuba.UInt32
+        values = self._mitsuba.Float(self.parameters[name].array)
+        if name in self._bounds:
+            values = dr.maximum(values, self._bounds[name])
+            if self._model.interpolation == "spline":
+                values = dr.log(values)
+            elif name == "amplitude":
+                values = log1p(values)
+        shape = getattr(self._model, name).shape
+        n_controls, n_lobes = shape[-2:]
+        n_rows, size = int(np.prod(shape[:-2])) * n_lobes, basis[0].size
+        row, place = (index(part.astype(np.uint32).ravel()) for part in np.indices((n_rows, size)))
+        first = row // n_lobes * (n_controls * n_lobes) + row % n_lobes
+        table, total = Table(basis), self._mitsuba.Float(0.0)
+        for control in range(n_controls):
+            value = dr.gather(self._mitsuba.Float, values, first + control * n_lobes)
+            total = total + table[place + control * size] * value
+        return total
 
     def brdf(self, omega_in: Number, omega_out: Number) -> list[Number]:
         """Values in red, green and blue [1/sr] of directions above the horizon."""
@@ -82,65 +140,62 @@ class MitsubaModel:
 
     def pdf(self, omega_in: Number, omega_out: Number) -> Number:
         """Density per solid angle [1/sr] of omega_in, both directions being above the horizon."""
-        dr, tables = self._dr, self._sampling
-        total = omega_in + omega_out
-        length, height = dr.norm(total), dr.maximum(total.z, 1e-12)
-        heading = self._heading(omega_out)
-        along = ((total.x * heading[0] + total.y * heading[1]) / height) ** 2
-        across = ((total.y * heading[0] - total.x * heading[1]) / height) ** 2
-        cos_half, row = height / length, self._row_of(omega_out)
-        result = self._mitsuba.Float(0.0)
-        for lobe in range(tables.n_lobes):
-            ratio = tables.ratio[row * tables.n_lobes + lobe]
-            squared = along / ratio + across * ratio
-            slope = (1.0 + squared) * cos_half * cos_half
-            density = tables.density(row, lobe, squared) / (slope * dr.sqrt(slope))
-            result = result + tables.share[row * tables.width + lobe] * density
-        inside = along + across < float(np.tan(CENTER_CUTOFF)) ** 2
-        disc = tables.share[row * tables.width + tables.n_lobes] / (2.0 * np.pi * _DISC)
-        result = (result + dr.select(inside, disc, 0.0)) / (2.0 * length)
-        return result + tables.share[row * tables.width + tables.n_lobes + 1] * omega_in.z / np.pi
+        dr, mixture = self._dr, self._mixture
+        total, row = omega_in + omega_out, self._row_of(omega_out)
+        x, y = self._heading(omega_out)
+        toward2, aside2 = (total.x * x + total.y * y) ** 2, (total.y * x - total.x * y) ** 2
+        height2, length2 = total.z * total.z, dr.squared_norm(total)
+        radius2 = omega_out.x * omega_out.x + omega_out.y * omega_out.y
+        result = mixture.share[row * mixture.width + mixture.width - 1] * omega_in.z / np.pi
+        for part in range(mixture.width - 1):
+            at = row * (mixture.width - 1) + part
+            along, across = mixture.along[at], mixture.across[at]
+            slopes = height2 + toward2 / (along * along) + aside2 / (across * across)
+            visible = omega_out.z + dr.sqrt(omega_out.z * omega_out.z + along * along * radius2)
+            density = (length2 / slopes) ** 2 / (2.0 * np.pi * along * across * visible)
+            result = result + mixture.share[row * mixture.width + part] * density
+        return result
 
     def sample(self, omega_out: Number, one: Number, two: Number) -> Number:
         """Direction omega_in, perhaps below the horizon, from one and from two uniform numbers."""
-        dr, tables = self._dr, self._sampling
+        dr, mixture = self._dr, self._mixture
         row = self._row_of(omega_out)
-        chosen = find(tables.cumulative, row * tables.width, tables.width, one)
-        # What is left of the number that chose the lobe is uniform again.
-        share = tables.share[row * tables.width + chosen]
-        rest = one - tables.cumulative[row * tables.width + chosen] + share
-        rest = dr.clip(rest / dr.maximum(share, 1e-12), 0.0, 1.0 - 1e-7)
-        is_lobe = chosen < tables.n_lobes
-        tangent = dr.sqrt(rest * _DISC * (2.0 - rest * _DISC)) / (1.0 - rest * _DISC)
-        half_ratio: Number = 1.0
-        if tables.n_lobes:
-            lobe = row * tables.n_lobes + dr.select(is_lobe, chosen, 0)
-            tangent = dr.select(is_lobe, tables.tangent(lobe, rest, two.x), tangent)
-            half_ratio = dr.select(is_lobe, dr.sqrt(tables.ratio[lobe]), 1.0)
-        azimuth = 2.0 * np.pi * two.y
-        along, across = tangent * dr.cos(azimuth) * half_ratio, tangent * dr.sin(azimuth) / half_ratio
-        x, y = self._heading(omega_out)
-        half = dr.normalize(self._mitsuba.Vector3f(along * x - across * y, along * y + across * x, 1.0))
+        chosen = self._mitsuba.UInt32(0)
+        for part in range(mixture.width - 1):
+            chosen = dr.select(one >= mixture.cumulative[row * mixture.width + part], part + 1, chosen)
+        at = row * (mixture.width - 1) + dr.minimum(chosen, mixture.width - 2)
+        half = self._visible_normal(omega_out, mixture.along[at], mixture.across[at], two)
         mirrored = 2.0 * dr.dot(half, omega_out) * half - omega_out
         even = self._mitsuba.warp.square_to_cosine_hemisphere(two)
-        return dr.select(chosen > tables.n_lobes, even, mirrored)
+        return dr.select(chosen == mixture.width - 1, even, mirrored)
+
+    def _visible_normal(self, omega_out: Number, along: Number, across: Number, two: Number) -> Number:
+        dr = self._dr
+        x, y = self._heading(omega_out)
+        radius = safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y)
+        seen = dr.normalize(self._mitsuba.Vector2f(along * radius, omega_out.z))
+        z = (1.0 - two.x) * (1.0 + seen.y) - seen.y
+        ring, turn = dr.sqrt(dr.maximum(1.0 - z * z, 0.0)), 2.0 * np.pi * two.y
+        toward, aside = along * (ring * dr.cos(turn) + seen.x), across * ring * dr.sin(turn)
+        return dr.normalize(self._mitsuba.Vector3f(toward * x - aside * y, toward * y + aside * x, z + seen.y))
 
     def _angles(self, omega_in: Number, omega_out: Number) -> _Angles:
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
-        radius, height = dr.sqrt(radius2), dr.maximum(total.z, 1e-15)
+        radius, height = safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
         # The difference along and across the heading of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
         across = x * difference.y - y * difference.x
         length2 = along * along + across * across
-        cos2_phi = dr.select(length2 > 0.0, along * along / dr.maximum(length2, 1e-30), 1.0)
+        some = length2 > 1e-30
+        cos2_phi = dr.select(some, along * along / dr.select(some, length2, 1.0), 1.0)
         cos2_diff = sum2 / (sum2 + difference2)
         fourth = GRAZING_COSINE**4
         log_cos = 0.25 * dr.log(fourth + (1.0 - fourth) * cos2_diff * cos2_diff)
-        theta_diff = dr.atan2(dr.sqrt(difference2), dr.sqrt(sum2))
+        theta_diff = dr.atan2(safe_root(difference2), dr.sqrt(sum2))
         squared = dr.minimum(radius2 / (height * height), 1e30)
         return _Angles(theta_diff, radius / height, squared, cos2_phi, log_cos)
 
@@ -169,64 +224,24 @@ class MitsubaModel:
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
         """Cosine and sine of the azimuth, 1 and 0 along the normal."""
-        radius = self._dr.sqrt(omega.x * omega.x + omega.y * omega.y)
-        inverse = self._dr.rcp(self._dr.maximum(radius, 1e-30))
-        return self._dr.select(radius > 0.0, omega.x * inverse, 1.0), omega.y * inverse
+        radius2 = omega.x * omega.x + omega.y * omega.y
+        some = radius2 > 1e-30
+        inverse = self._dr.rsqrt(self._dr.select(some, radius2, 1.0))
+        return self._dr.select(some, omega.x * inverse, 1.0), self._dr.select(some, omega.y * inverse, 0.0)
 
     def _row_of(self, omega_out: Number) -> Number:
         """Index in `ANGLES` of the angle nearest to a direction."""
         dr = self._dr
-        theta = dr.atan2(dr.sqrt(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
+        theta = dr.atan2(safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
         nearest = dr.clip(dr.round(theta / float(ANGLES[1])), 0.0, float(ANGLES.size - 1))
         return self._mitsuba.UInt32(nearest)
 
 
-class _SamplingTables:
+class _Mixture:
     """The tables of a `DirectionSampler`."""
 
     def __init__(self, sampler: DirectionSampler) -> None:
-        self._dr = import_module("drjit")
-        lobes, self._family = sampler.lobes, sampler.lobes.family
-        self.n_lobes = sampler.log_ratio.shape[1]
-        self.width = self.n_lobes + 2
-        self.ratio = Table(np.exp(sampler.log_ratio))
+        self.width = sampler.cumulative.shape[1]
+        self.along, self.across = Table(sampler.along), Table(sampler.across)
         self.cumulative = Table(sampler.cumulative)
         self.share = Table(np.diff(sampler.cumulative, axis=1, prepend=0.0))
-        self._is_series, self._series_flag = sampler.is_series, Table(sampler.is_series)
-        self._kappa, self._gamma = Table(lobes.kappa), Table(lobes.gamma)
-        self._scale = Table(np.expm1(lobes.kappa) / sampler.energy)
-        self._terms, self._n_terms = Table(sampler.terms), sampler.terms.shape[2]
-        self._n_edges = sampler.edges.shape[2]
-        self._edges, self._cells = Table(sampler.edges), Table(sampler.cells)
-        square = np.sin(0.5 * sampler.edges) ** 2
-        self._square = Table(square)
-        self._density = Table(np.diff(sampler.cells, axis=2) / np.maximum(4.0 * np.pi * np.diff(square, axis=2), 1e-30))
-
-    def density(self, row: Number, lobe: int, squared: Number) -> Number:
-        """Density of theta' per solid angle, from tan(theta')**2."""
-        at = row * self.n_lobes + lobe
-        if self._is_series[lobe]:
-            return lobe_value(squared, self._kappa[at], self._gamma[at], None, self._family) * self._scale[at]
-        theta = self._dr.atan(self._dr.sqrt(squared))
-        cell = find(self._edges, at * self._n_edges + 1, self._n_edges - 1, theta)
-        return self._density[at * (self._n_edges - 1) + cell]
-
-    def tangent(self, lobe: Number, first: Number, second: Number) -> Number:
-        """tan(theta') drawn for lobes, given by their index in the tables, from two uniform numbers."""
-        dr = self._dr
-        series = cells = None
-        if self._is_series.any():
-            n = 1.0 + find(self._terms, lobe * self._n_terms, self._n_terms, first)
-            # minus log(1 - second), exact where it is small
-            fall = log1p(second / dr.maximum(1.0 - second, 1e-8)) / (n * self._gamma[lobe] + 1.0)
-            series = dr.sqrt(expm1(dr.minimum(2.0 * fall, 60.0)))
-        if not self._is_series.all():
-            start = lobe * self._n_edges
-            cell = find(self._cells, start + 1, self._n_edges - 1, first)
-            low, high = self._square[start + cell], self._square[start + cell + 1]
-            sine2 = dr.minimum(low + second * (high - low), 0.5)
-            # tan(2 asin(s)) = 2 s sqrt(1 - s**2) / (1 - 2 s**2)
-            cells = 2.0 * dr.sqrt(sine2 * (1.0 - sine2)) / dr.maximum(1.0 - 2.0 * sine2, 1e-12)
-        if series is None or cells is None:
-            return cells if series is None else series
-        return dr.select(self._series_flag[lobe % self.n_lobes] > 0.5, series, cells)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.rgl_material import RglMaterial
 from dsbrdf.data.rgl_warp import Warp, bilinear
 from dsbrdf.data.tensor_file import encode_tensors
 from dsbrdf.model.reflectance import ReflectanceModel
@@ -44,13 +45,15 @@ _LEAST = 0.3  # least density of a half vector, as a share of the mean; ``lumina
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
-def rgl_bsdf(source: ReflectanceModel | Measurement, description: str = "", *, spectral: bool = False) -> bytes:
+def rgl_bsdf(
+    source: ReflectanceModel | Measurement | RglMaterial, description: str = "", *, spectral: bool = False
+) -> bytes:
     """Return the bytes of a ``.bsdf`` file.
 
     Parameters
     ----------
-    source : ReflectanceModel or Measurement
-        A measurement is interpolated.
+    source : ReflectanceModel, Measurement or RglMaterial
+        A measurement is interpolated; of the others, values need not be reciprocal.
     description : str, optional
         Stored in the file.
     spectral : bool, optional

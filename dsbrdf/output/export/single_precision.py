@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
 
-__all__ = ["BernsteinPieces", "bernstein_pieces"]
+__all__ = ["BernsteinPieces", "bernstein_bases", "bernstein_pieces"]
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,31 @@ def bernstein_pieces(model: DSBRDF, program: str) -> BernsteinPieces:
     if largest > _LARGEST:
         raise InvalidArgumentError(f"a parameter of the model is too large for {program}, which has single precision")
     return BernsteinPieces(pieces.breaks, _bernstein(rows, np.diff(pieces.breaks)))
+
+
+def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
+    """Return what each control value of a parameter adds to the Bernstein coefficients, under the parameter's name.
+
+    Parameters
+    ----------
+    model : DSBRDF
+
+    Returns
+    -------
+    dict of str to ndarray, shape (D, P, 4)
+        Of amplitude, kappa, gamma, center and elongation: the coefficients of a row of `bernstein_pieces` are its
+        control values, on the row's scale, times these.
+    """
+    pieces = pieces_of_spline if model.interpolation == "spline" else pieces_of_line
+    breaks = model.pieces.breaks
+    knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
+    knots |= {"amplitude": model.theta_diff, "elongation": model.elongation_theta_diff}
+    bases = {}
+    for name in ("amplitude", "kappa", "gamma", "center", "elongation"):
+        controls = np.eye(getattr(model, name).shape[-2])
+        terms = pieces(knots[name], controls, breaks)  # (4, P, D)
+        bases[name] = _bernstein(terms.transpose(0, 2, 1), np.diff(breaks))
+    return bases
 
 
 def _bernstein(terms: Array, width: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dsbrdf.cli.main import main
-from dsbrdf.data.scattered_samples import DIRECTIONS
+from dsbrdf.data.sample_columns import VECTORS
 from dsbrdf.output.serialize import load_result
 from tests.support.command_line import Capture
 from tests.support.mixtures import mixture
@@ -23,7 +23,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
     path = tmp_path_factory.mktemp("samples") / "felt.csv"
     columns = [first, second, TRUTH.evaluate_directions(first, second)]
-    head = ",".join((*DIRECTIONS, "red", "green", "blue"))
+    head = ",".join((*VECTORS, "red", "green", "blue"))
     np.savetxt(path, np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
     return path
 
@@ -45,7 +45,6 @@ def test_a_table_is_fitted_and_stored(table: Path, tmp_path: Path, capsys: Captu
     ("command", "words"),
     [
         (["fit", "felt.csv", "--method", "paper"], "cannot be fitted with method 'paper'"),
-        (["convert", "felt.csv", "a.binary"], "felt.csv: scattered samples are no measurement on a grid"),
         (["render", "felt.csv", "-o", "a.png"], "felt.csv: scattered samples are no measurement on a grid"),
     ],
 )

@@ -27,6 +27,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         {"method": "paper", "knots": (0.0, np.radians(10.0))},
         'the method "paper" has its slices every 5 degrees: leave the knots out',
     ),
+    ({"cosine": "half"}, "cosine must be one of in, out, not 'half'"),
     ({"weighting": "area"}, "weighting must be one of balanced, plain, cosine, log, not 'area'"),
     (
         {"method": "paper", "weighting": "balanced"},

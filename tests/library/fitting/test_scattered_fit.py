@@ -84,3 +84,19 @@ def test_weights_are_those_of_repeated_samples() -> None:
 def test_the_papers_method_needs_slices() -> None:
     with pytest.raises(InvalidArgumentError, match="cannot be fitted with method 'paper'"):
         dsbrdf.fit(scattered_samples(TRUTH, 300), method="paper")
+
+
+def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings() -> None:
+    samples = scattered_samples(TRUTH, 300)
+    multiplied = ScatteredSamples.from_arrays(
+        samples.omega_in, samples.omega_out, samples.values * samples.omega_out[:, 2:], notes=("Grey.",)
+    )
+    found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out")
+    expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
+    np.testing.assert_allclose(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5), rtol=1e-6)
+    assert found.report.warnings == ("Grey.", *expected.report.warnings)
+
+
+def test_a_measurement_on_the_grid_has_no_values_times_a_cosine(matte: dsbrdf.Measurement) -> None:
+    with pytest.raises(InvalidArgumentError, match="cosine is for scattered samples"):
+        dsbrdf.fit(matte, cosine="in")

@@ -1,0 +1,325 @@
+"""One table as forty people would write it, and twenty that are none."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.sample_tables import parse_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.errors import MeasurementFormatError
+
+Array = NDArray[np.float64]
+
+COUNT = 240
+_RANDOM = np.random.default_rng(5)
+ANGLES = _RANDOM.uniform((1.0, 0.0, 1.0, 0.0), (85.0, 360.0, 85.0, 360.0), (COUNT, 4)).round(6)
+"""theta_in, phi_in, theta_out, phi_out of the samples [degrees]."""
+IN_PLANE = ANGLES * [1.0, 0.0, 1.0, 0.0] * _RANDOM.choice([-1.0, 1.0], (COUNT, 4)) + [0.0, 180.0, 0.0, 0.0]
+RGB = _RANDOM.uniform(0.01, 9.0, (COUNT, 3)).round(6)
+GREY = np.repeat(RGB[:, :1], 3, axis=1)
+DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
+COLORS = ("red", "green", "blue")
+VECTORS = tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
+
+
+def spherical(angles: Array) -> tuple[Array, Array]:
+    """omega_in and omega_out of angles in degrees."""
+    theta, phi = np.radians(angles[:, ::2]), np.radians(angles[:, 1::2])
+    vectors = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    return vectors[:, 0], vectors[:, 1]
+
+
+def table(
+    names: Sequence[str] | str = (*DIRECTION, *COLORS),
+    columns: Array | None = None,
+    *,
+    between: str = ",",
+    number: Callable[[float], str] = "{:.9g}".format,
+    before: str = "",
+    units: str = "",
+    newline: str = "\n",
+    comment: str = "",
+) -> bytes:
+    """Bytes of a table; names are as many as columns, or a whole line."""
+    columns = np.hstack([ANGLES, RGB]) if columns is None else columns
+    head = names if isinstance(names, str) else between.join(names)
+    lines = [*before.splitlines(), comment + head, *units.splitlines()]
+    lines += [between.join(map(number, row)) for row in columns.tolist()]
+    return newline.join([*lines, ""]).encode()
+
+
+def with_comma(number: float) -> str:
+    return f"{number:.9g}".replace(".", ",")
+
+
+def renamed(*names: str) -> bytes:
+    return table((*names, *COLORS))
+
+
+def quoted() -> bytes:
+    file = io.StringIO()
+    writer = csv.writer(file, quoting=csv.QUOTE_ALL)
+    writer.writerows([[*DIRECTION, *COLORS], *np.hstack([ANGLES, RGB]).tolist()])
+    return file.getvalue().encode()
+
+
+def saved_by_numpy() -> bytes:
+    file = io.BytesIO()
+    np.savetxt(file, np.hstack([ANGLES, RGB]), header=" ".join((*DIRECTION, *COLORS)))
+    return file.getvalue()
+
+
+def half_and_difference() -> Array:
+    return np.degrees(np.stack(half_difference(*spherical(ANGLES)), axis=-1))
+
+
+ORDER = [6, 0, 5, 2, 4, 1, 3]
+ALL = (*DIRECTION, *COLORS)
+WORDS = table().decode().splitlines()
+SPELLINGS = {
+    "commas": table(),
+    "semicolons": table(between=";"),
+    "tabs": table(between="\t"),
+    "blanks": table(between=" "),
+    "aligned with blanks": table(between="   ", number="{:14.9g}".format),
+    "commas and blanks": table(between=", "),
+    "decimal commas, semicolons": table(between=";", number=with_comma),
+    "decimal commas, tabs": table(between="\t", number=with_comma),
+    "decimal commas, blanks": table(between=" ", number=with_comma),
+    "decimal commas, names with commas": table(",".join(ALL), between=";", number=with_comma),
+    "exponents": table(number="{:.9E}".format),
+    "another order": table([ALL[i] for i in ORDER], np.hstack([ANGLES, RGB])[:, ORDER]),
+    "names in quotes": table([f'"{name}"' for name in ALL]),
+    "everything in quotes": quoted(),
+    "capitals": table(",".join(ALL).upper()),
+    "names with blanks": table([name.replace("_", " ") for name in ALL]),
+    "names with hyphens": table([name.replace("_", "-") for name in ALL]),
+    "theta_i": renamed("theta_i", "phi_i", "theta_o", "phi_o"),
+    "thetaI": renamed("thetaI", "phiI", "thetaO", "phiO"),
+    "theta_r": renamed("theta_i", "phi_i", "theta_r", "phi_r"),
+    "_deg": renamed(*(f"{name}_deg" for name in DIRECTION)),
+    "[deg]": renamed(*(f"{name} [deg]" for name in DIRECTION)),
+    "a degree sign": renamed(*(f"{name} (°)" for name in DIRECTION)),
+    "a degree sign in an old code page": renamed(*(f"{name} (°)" for name in DIRECTION)).decode().encode("cp1252"),
+    "_rad": table((*(f"{name}_rad" for name in DIRECTION), *COLORS), np.hstack([np.radians(ANGLES), RGB])),
+    "r, g, b": table((*DIRECTION, "R", "G", "B")),
+    "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in COLORS))),
+    "comment lines": table(before="# satin purple\n# goniometer 3\n"),
+    "names in a comment": table(comment="# "),
+    "saved by NumPy": saved_by_numpy(),
+    "a preamble": table(before="Instrument: goniometer 3\nDate;2026-02-11\n\n"),
+    "percent comments": table(before="% made by a script", comment="% "),
+    "comments between the rows": table().replace(b"\n", b"\n# next\n"),
+    "a line of units": table(units="deg,deg,deg,deg,1/sr,1/sr,1/sr"),
+    "line ends of Windows and a mark": b"\xef\xbb\xbf" + table(newline="\r\n"),
+    "a spreadsheet's Unicode text": table(between="\t").decode().encode("utf-16"),
+    "a separator at the end": "\n".join(line + ";" for line in table(between=";").decode().splitlines()).encode(),
+    "unit vectors": table((*VECTORS, *COLORS), np.hstack([*spherical(ANGLES), RGB])),
+    "half and difference angles": table(
+        ("theta_half", "theta_diff", "phi_diff", *COLORS), np.hstack([half_and_difference(), RGB])
+    ),
+    "theta_h": table(("theta_h", "theta_d", "phi_d", *COLORS), np.hstack([half_and_difference(), RGB])),
+}
+OF_OTHER_TABLES = {
+    "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *COLORS), np.hstack([IN_PLANE[:, ::2], RGB]))),
+    "one phi": (
+        ANGLES * [1, 0, 1, 1],
+        RGB,
+        table(("theta_in", "theta_out", "phi_out", *COLORS), np.hstack([ANGLES[:, [0, 2, 3]], RGB])),
+    ),
+    **{
+        name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
+        for name in ("value", "BRDF [sr^-1]", "luminance", "f_r")
+    },
+}
+
+
+def check_same(samples: ScatteredSamples, angles: Array, values: Array) -> None:
+    found = np.stack(half_difference(samples.omega_in, samples.omega_out))
+    expected = np.stack(half_difference(*spherical(angles)))
+    apart = np.abs(found - expected)
+    np.testing.assert_allclose(np.minimum(apart, 2.0 * np.pi - apart), 0.0, atol=1e-6)
+    np.testing.assert_allclose(samples.values, values, rtol=1e-8)
+
+
+def test_there_are_forty_spellings() -> None:
+    assert len({*SPELLINGS.values()}) == 40
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_every_spelling_of_a_table_is_the_same_samples(spelling: str) -> None:
+    samples = parse_samples(SPELLINGS[spelling])
+    check_same(samples, ANGLES, RGB)
+    np.testing.assert_array_equal(samples.weight, 1.0)
+    assert samples.notes == ()
+
+
+@pytest.mark.parametrize("spelling", OF_OTHER_TABLES)
+def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
+    angles, values, content = OF_OTHER_TABLES[spelling]
+    samples = parse_samples(content)
+    check_same(samples, angles, values)
+    words = {"in plane": "has no phi", "one phi": ""}.get(spelling, "grey")
+    assert [words in note for note in samples.notes] == ([True] if words else [])
+
+
+def test_the_suffix_tells_a_table(tmp_path: Path) -> None:
+    for suffix in (".csv", ".tsv", ".txt", ".TXT"):
+        path = tmp_path / f"felt{suffix}"
+        path.write_bytes(table())
+        samples = read_measurement(path)
+        assert isinstance(samples, ScatteredSamples)
+        assert samples.name == "felt"
+
+
+def test_weights_and_columns_that_are_not_read() -> None:
+    weight = np.linspace(1.0, 2.0, COUNT)[:, None]
+    columns = np.hstack([ANGLES, RGB, weight, weight])
+    samples = parse_samples(table((*ALL, "Weight", "temperature"), columns))
+    np.testing.assert_allclose(samples.weight, weight[:, 0], rtol=1e-8)
+    assert samples.notes == ("The table has a column that was not read: 'temperature'.",)
+    words = [line.replace("\n", "") + f";probe {i}" for i, line in enumerate(table(between=";").decode().splitlines())]
+    check_same(parse_samples("\n".join(words).encode()), ANGLES, RGB)
+
+
+def test_what_is_no_number_is_left_out_and_counted() -> None:
+    lines = table().decode().splitlines()
+    lines[3:3] = ["10,0,20,0,nan,1,1", "10,0,20,0,,1,1", "10,0,20,0,1,1,N/A", "10,0,20,0,inf,1,1"]
+    lines[9:9] = ["10,0,90,0,1,1,1", "120,0,20,0,1,1,1"]
+    samples = parse_samples("\n".join(lines).encode())
+    check_same(samples, ANGLES, RGB)
+    assert samples.notes == (
+        "4 rows have no finite number in a column that is needed; they are left out.",
+        "2 rows have a direction at or below the horizon; they are left out.",
+    )
+
+
+def test_noise_below_zero_counts_as_zero() -> None:
+    values = RGB.copy()
+    values[7, 1], values[9, 2] = -0.01, -0.02
+    samples = parse_samples(table(columns=np.hstack([ANGLES, values])))
+    np.testing.assert_allclose(samples.values, np.maximum(values, 0.0), rtol=1e-8)
+    assert samples.notes == (
+        f"2 values are negative, down to -{0.02 / RGB.max():.2%} of the largest; they count as 0.",
+    )
+
+
+def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
+    first, second = spherical(ANGLES)
+    samples = parse_samples(table((*VECTORS, *COLORS), np.hstack([1.01 * first, second, RGB])))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)
+    assert samples.notes == ("The vectors omega_in were up to 1.0% off unit length; they were made unit vectors.",)
+
+
+def changed(place: int, cell: str, *, content: bytes | None = None) -> bytes:
+    """The table with another cell in its sixth line."""
+    lines = (table() if content is None else content).decode().splitlines()
+    cells = lines[5].split(",")
+    cells[place] = cell
+    lines[5] = ",".join(cells)
+    return "\n".join(lines).encode()
+
+
+LONG_VECTORS = np.hstack([spherical(ANGLES)[0] * 1.05, spherical(ANGLES)[1], RGB])
+WRONG = {
+    "nothing": (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
+    "no names": (
+        "\n".join(WORDS[1:]).encode(),
+        f"The table begins with '{WORDS[1]}' and has no line that names its columns",
+    ),
+    "no directions": (
+        table(("alpha", "beta", "gamma", "delta", *COLORS)),
+        "The table lacks columns for the directions: theta_in, theta_out. It has alpha, beta, gamma, delta, red, "
+        "green, blue. Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or",
+    ),
+    "one direction": (renamed("theta_in", "phi_in", "tilt", "phi_out"), "for the directions: theta_out. It has"),
+    "a vector without z": (
+        table((*VECTORS[:5], "z", *COLORS), np.hstack([*spherical(ANGLES), RGB])),
+        "The table lacks columns for the directions: omega_out_z. It has omega_in_x, ",
+    ),
+    "no values": (
+        table((*DIRECTION, "a", "c", "d")),
+        "The table lacks columns for the values: red, green, blue. It has theta_in",
+    ),
+    "no blue": (table((*DIRECTION, "red", "green", "violet")), "The table lacks columns for the values: blue. It has"),
+    "a column twice": (
+        renamed("theta_in", "theta_i", "theta_out", "phi_out"),
+        "The columns 'theta_in' and 'theta_i' mean the same; keep one of them.",
+    ),
+    "radians": (
+        table(columns=np.hstack([np.radians(ANGLES), RGB])),
+        "The angles theta_in and theta_out are at most 1.48, as angles in radians are: write degrees, or name the "
+        "columns theta_in_rad and so on.",
+    ),
+    "gradians": (
+        renamed("theta_in [gon]", "phi_in [gon]", "theta_out [gon]", "phi_out [gon]"),
+        "The column 'theta_in' is in 'gon'; angles are in deg or in rad.",
+    ),
+    "degrees called radians": (
+        renamed(*(f"{name}_rad" for name in DIRECTION)),
+        "The column 'theta_in' has an angle of 4866.96 degrees; 180 is the largest that there is.",
+    ),
+    "per cent": (
+        table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
+        "The column 'value' is in '%'; the values of a BRDF are in 1/sr.",
+    ),
+    "decimal commas between commas": (
+        table(number=with_comma),
+        "Line 2 of the table has 14 cells, separated by commas, and the line of names has 7; separate numbers with a "
+        "decimal comma by semicolons.",
+    ),
+    "a short row": (
+        "\n".join([*WORDS[:4], "1,2,3", *WORDS[4:]]).encode(),
+        "Line 5 of the table has 3 cells, and the line of names has 7.",
+    ),
+    "a word": (
+        changed(4, "dark"),
+        "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where there is none.",
+    ),
+    "vectors that are none": (
+        table((*VECTORS, *COLORS), LONG_VECTORS),
+        "In 240 of 240 rows omega_in is not of unit length, which is 1.05 in one of them; directions are unit vectors.",
+    ),
+    "negative values": (
+        changed(5, "-1"),
+        "1 value is negative, down to -1, more than noise about zero explains: write nan where there is no "
+        "measurement.",
+    ),
+    "huge values": (changed(5, "1e9"), "In 1 of 240 samples, the first of them number 5, values is above 1e8/sr"),
+    "few rows": ("\n".join(WORDS[:100]).encode(), "There are 99 samples; a fit needs at least 200."),
+    "all dark": (
+        table(columns=np.hstack([ANGLES, 0.0 * RGB])),
+        "Every sample is zero in all channels; a measurement has positive values.",
+    ),
+    "a spreadsheet": (
+        b"PK\x03\x04" + bytes(30),
+        "The data is a ZIP archive or an .npz file; scattered samples are a table in a text: save a "
+        "spreadsheet as .csv.",
+    ),
+    "bytes": (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
+    "an open quotation mark": (
+        changed(4, '"1'),
+        "A quotation mark in the table is not closed on its line.",
+    ),
+    "a weight of zero": (
+        table((*ALL, "weight"), np.hstack([ANGLES, RGB, 0.0 * RGB[:, :1]])),
+        "weight is not positive; leave out what must not count.",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_what_is_no_table_is_told_what_is_wrong_and_what_would_be_right(fault: str) -> None:
+    content, words = WRONG[fault]
+    with pytest.raises(MeasurementFormatError) as caught:
+        parse_samples(content)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
