@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 from joblib import Memory, Parallel, delayed
+from joblib.externals.loky import get_reusable_executor  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from dsbrdf.data.measurement import Measurement
@@ -227,6 +228,7 @@ def compute(
         else:
             computed.append(Computed(material.name, material.measured, outcome))
         progress(done)
+    get_reusable_executor().shutdown()  # else its processes stay for minutes
     return computed, failures
 
 

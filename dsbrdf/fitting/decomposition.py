@@ -6,7 +6,7 @@ s_j = g_j / g, the components of a model f are
 
     diffuse = min(f, g_d (1 + (f / g - 1) w)),      specular_j = (f - diffuse) g_j / (g - g_d),
 
-with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(12 degrees))**4.  Where the highlight rules, s_d = 0 and the
+with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(8 degrees))**4.  Where the highlight rules, s_d = 0 and the
 diffuse part is the guide's, smooth; where the diffuse part rules, s_d = 1, it is all of f; but about the mirror
 direction, where q is small, what the guide misses is a halo of the highlight.  The components sum to f, and none is
 negative.  A component is there only if it has light.
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""
 _TRANSITION = 3  # power of the diffuse part's share with which it takes what the guide misses
-HALO = float(np.tan(np.radians(12.0))) ** 2
+HALO = float(np.tan(np.radians(8.0))) ** 2
 """tan(theta_half)**2 up to which most of what the guide misses is the highlight's."""
 _NO_LIGHT = 1e-3  # of the light at an angle
 _LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])

@@ -165,7 +165,10 @@ def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: S
     ground = repaint(page, boxes["specular_spike"].uncheck)[..., :3]
     repaint(page, boxes["specular_spike"].check)
     highlight = repaint(page, boxes["diffuse"].uncheck)[..., :3]
-    bright = highlight.max(axis=2) > 0.3
+    size = len(highlight)
+    row, column = (np.indices((size, size)) + 0.5) / (0.5 * size) - 1.0
+    trusted = np.hypot(row, column) < np.sin(np.radians(80.0))  # nearer to the horizon than the default cutoff: no data
+    bright = trusted & (highlight.max(axis=2) > 0.3)
     assert np.ptp(highlight[bright], axis=1).max() < 0.03  # neutral
     peak = highlight.min(axis=2) > 0.9
     assert peak.any()
