@@ -1,13 +1,17 @@
 """A fit of scattered samples finds the model that they were drawn from."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import dsbrdf
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting import pipeline
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows
 from tests.support.mixtures import deviations, mixture, scattered_samples
@@ -58,6 +62,24 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
     phi = np.arccos(np.sqrt(data.cos2_phi[used][:, 0]))
     there = TRUTH.evaluate_unmasked(data.theta_half[used], data.theta_diff[row], phi)
     np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
+
+
+def test_held_out_samples_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each sample is in one of the two parts, and four fifths of them in the first."""
+    parts: list[tuple[Profiles, Profiles, Profiles]] = []
+    fit = pipeline.fit_global
+
+    def note(data: Profiles, *arguments: Any) -> Any:
+        parts.append((data, *arguments[-1]))
+        return fit(data, *arguments)
+
+    monkeypatch.setattr(pipeline, "fit_global", note)
+    dsbrdf.fit(scattered_samples(TRUTH, 400), n_lobes=1, ring_lobes=0)
+    for whole, fitted, held_out in parts:
+        weights = [part.folded.weight for part in (whole, fitted, held_out)]
+        assert [weight[0].sum() for weight in weights] == [400.0, 320.0, 80.0]
+    whole, fitted, held_out = parts[0]  # in the bins that the samples have of themselves
+    np.testing.assert_array_equal(fitted.folded.weight + held_out.folded.weight, whole.folded.weight)
 
 
 def test_one_bright_sample_among_black_ones_is_fitted() -> None:
