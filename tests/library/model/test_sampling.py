@@ -160,7 +160,9 @@ def one_lobe(elongation: float, disc: float) -> DSBRDF:
     """A lobe of one shape, and a height that is added where theta_half < 1 degree."""
     one = np.ones((1, 1, 1))
     delta = np.full((3, 1), disc)
-    return DSBRDF(np.zeros(1), 5.0 * np.ones((3, 1, 1)), 2.0 * one, 50.0 * one, 0.0 * one, [[elongation]], delta=delta)
+    return DSBRDF(
+        np.zeros(1), 5.0 * np.ones((3, 1, 1)), 2.0 * one, 50.0 * one, 0.0 * one, elongation * one[0], delta=delta
+    )
 
 
 @pytest.mark.parametrize(("elongation", "disc", "angle"), [(1.0, 0.0, 69.9), (0.0, 2e3, 45.0)])
