@@ -35,8 +35,9 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
 
 def test_what_the_client_has_is_not_sent_again(server: Server, stored: str, fitted: str) -> None:
     fit, json = f"/v1/fits/{fitted}", {"Accept": "application/json"}
-    paths = [(fit, {}), (f"{fit}/components", {}), (f"{fit}/figures/sphere.png?size=16", {})]
-    for path, headers in [*paths, (f"/v1/measurements/{stored}", {}), (f"/v1/measurements/{stored}", json)]:
+    measurement = f"/v1/measurements/{stored}"
+    plain: list[str] = [fit, f"{fit}/components", f"{fit}/figures/sphere.png?size=16", measurement]
+    for path, headers in [*((path, dict[str, str]()) for path in plain), (measurement, json)]:
         first = server.http.get(path, headers=headers)
         again = server.http.get(path, headers={**headers, "If-None-Match": first.headers["etag"]})
         assert (first.status_code, again.status_code, again.content) == (200, 304, b""), path
