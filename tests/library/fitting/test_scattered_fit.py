@@ -75,7 +75,7 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
 
 
 def test_held_out_samples_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each sample is in one of the two parts, and four fifths of them in the first."""
+    """Each sample is in one of the two parts, and counts there what it counts in the whole."""
     parts: list[tuple[Profiles, Profiles, Profiles]] = []
 
     def note(data: Profiles, *arguments: Any) -> Any:
@@ -84,11 +84,10 @@ def test_held_out_samples_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr("dsbrdf.fitting.pipeline.fit_global", note)
     dsbrdf.fit(scattered_samples(TRUTH, 400), n_lobes=1, ring_lobes=0)
-    for whole, fitted, held_out in parts:
-        weights = [part.folded.weight for part in (whole, fitted, held_out)]
-        assert [weight[0].sum() for weight in weights] == [400.0, 320.0, 80.0]
-    whole, fitted, held_out = parts[0]  # in the bins that the samples have of themselves
-    np.testing.assert_array_equal(fitted.folded.weight + held_out.folded.weight, whole.folded.weight)
+    for part in parts:
+        whole, fitted, held_out = (profiles.folded.weight for profiles in part)
+        assert held_out.sum() > 0.1 * whole.sum()
+        np.testing.assert_allclose(fitted + held_out, whole, rtol=1e-9)
 
 
 def test_one_bright_sample_among_black_ones_is_fitted() -> None:
