@@ -196,9 +196,15 @@ def test_memory_of_fits_is_within_the_container_limit() -> None:
 
 
 def test_tls_adds_a_port_and_the_folder_of_its_files_to_nginx() -> None:
-    assert services(TLS) == {"proxy": {"ports": ["8443:8443"], "volumes": ["./tls:/etc/nginx/tls:ro"]}}
-    assert (DOCKER / "tls" / "tls.conf").is_file()
-    assert "include /etc/nginx/tls/*.conf;" in (DOCKER / "nginx.conf").read_text()
+    assert set(services(TLS)) == {"proxy"}
+    listening = re.search(r"^listen (\d+) ssl;", (DOCKER / "tls" / "tls.conf").read_text(), re.MULTILINE)
+    assert listening
+    assert services(TLS)["proxy"]["ports"] == [f"{listening[1]}:{listening[1]}"]
+    (mount,) = services(TLS)["proxy"]["volumes"]
+    folder, place, access = mount.split(":")
+    assert access == "ro"
+    assert (DOCKER / folder).resolve() == DOCKER / "tls"
+    assert f"include {place}/*.conf;" in (DOCKER / "nginx.conf").read_text()
     assert "*.pem" in (DOCKER / "tls" / ".gitignore").read_text().splitlines()
 
 

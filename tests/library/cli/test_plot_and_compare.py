@@ -1,18 +1,14 @@
 """``dsbrdf plot``, ``compare`` and ``completion``."""
 
+import struct
 import subprocess
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 
 from dsbrdf.cli import main as cli
-from dsbrdf.cli import picture_commands as plot_command
-from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
-from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.serialize import save
 from tests.support.command_line import Capture, document
 
@@ -32,20 +28,17 @@ def test_plot_writes_a_figure(model_file: Path, tmp_path: Path, capsys: Capture)
     assert document(capsys) == {"output": str(output), "format": "pdf", "bytes": len(content)}
 
 
-def test_plot_with_the_measurement_draws_its_profiles(
-    model_file: Path, plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[str] = []
-
-    def overview(data: Profiles, model: DSBRDF, *, model_lobes: bool) -> Figure:
-        drawn.append(f"{data.name}, lobes {model_lobes}")
-        return parameters_figure(model)
-
-    monkeypatch.setattr(plot_command, "overview_figure", overview)
-    command = ["plot", str(model_file), str(plastic_file), "-o", str(tmp_path / "figure.png")]
-    assert cli.main(command) == 0
-    assert cli.main([*command, "--lobes"]) == 0
-    assert drawn == ["plastic, lobes False", "plastic, lobes True"]
+def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_file: Path, tmp_path: Path) -> None:
+    """More than the parameters, and its lobes instead of its components if asked for."""
+    pictures = []
+    for arguments in ([], [str(plastic_file)], [str(plastic_file), "--lobes"]):
+        output = tmp_path / "figure.png"
+        assert cli.main(["plot", str(model_file), *arguments, "-o", str(output)]) == 0
+        pictures.append(output.read_bytes())
+    sizes = [struct.unpack(">II", picture[16:24]) for picture in pictures]
+    assert sizes[1] > sizes[0]
+    assert sizes[2] == sizes[1]
+    assert pictures[2] != pictures[1]
 
 
 def test_compare_a_measurement_with_its_fit(

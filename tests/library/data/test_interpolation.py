@@ -40,6 +40,16 @@ def test_nodes_are_reproduced_beside_lost_ones(holed: Measurement) -> None:
     np.testing.assert_allclose(found, holed.values[:, holed.valid].T, rtol=1e-9)
 
 
+def test_black_nodes_stay_black(plastic: Measurement) -> None:
+    values = plastic.values.copy()
+    values[0, 40] = 0.0  # of one channel, and what lies beside it is not
+    black = interpolate(Measurement.from_values(values, plastic.valid))
+    diff, column = np.nonzero(plastic.valid[40])
+    found = black.evaluate(np.full(diff.shape, THETA_HALF[40]), THETA_DIFF[diff], PHI_DIFF[column])
+    np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-15)
+    np.testing.assert_allclose(found[:, 1], plastic.values[1, 40, diff, column], rtol=1e-9)
+
+
 def test_values_are_those_of_scipys_interpolator_of_the_logarithm(plastic: Measurement) -> None:
     # The cells with theta_half + theta_diff < 85 degrees have no node below the horizon.
     theta_half, theta_diff, phi_diff = random_angles(20_000)

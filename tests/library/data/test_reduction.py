@@ -204,10 +204,20 @@ def expected_robust_weights(values: Array) -> Array:
 
 
 def test_robust_weights_fall_with_the_distance_from_the_median(speckled: Measurement) -> None:
-    found = profiles(speckled, robust=True)
-    for i, j in CELLS[1:5]:
+    stored = speckled.stored.copy()
+    for i, j in CELLS[1:5]:  # some samples at 6 to 12 standard deviations, where weights fall
         values, _ = samples_of(speckled, 1, i, j, DEFAULT_HORIZON_CUTOFF)
+        (members,) = np.nonzero(speckled.valid[i, j])
+        middle = float(np.median(values)) / speckled.scale[1]
+        stored[1, i, j, members] = middle * (1.0 + 0.05 * np.cos(2.0 * members))
+        far = members[::16]
+        stored[1, i, j, far] = middle * (1.4 + 0.1 * np.cos(far))
+    graded = replace(speckled, stored=stored)
+    found = profiles(graded, robust=True)
+    for i, j in CELLS[1:5]:
+        values, _ = samples_of(graded, 1, i, j, DEFAULT_HORIZON_CUTOFF)
         weights = expected_robust_weights(np.array(values))
+        assert np.any((weights > 0.1) & (weights < 0.9))
         assert found.weight[1, j, i] == pytest.approx(float(weights.sum()), rel=1e-9)
         assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 

@@ -220,6 +220,11 @@ def test_flags_are_honest_and_the_cost_never_rises() -> None:
     costs = [minimize(problem, start, tolerance=1e-12, iterations=n).cost for n in (1, 2, 4, 8, 16)]
     assert np.all(np.diff(costs) <= 0.0)
     assert costs[0] <= problem.evaluate(start).cost
+    # It ends after two steps in a row that lower the cost by less than the tolerance; 0 is no step's.
+    every = np.unique([minimize(problem, start, tolerance=0.0, iterations=n).cost for n in range(40)])[::-1]
+    small = every[1:] > 0.98 * every[:-1]
+    last = int(np.argmax(small[1:] & small[:-1])) + 2
+    assert minimize(problem, start, tolerance=0.02, iterations=500).cost == every[last]
     again = minimize(problem, minimize(problem, start, tolerance=1e-12, iterations=500).unknowns,
                      tolerance=1e-6, iterations=50)  # fmt: skip
     assert again.converged

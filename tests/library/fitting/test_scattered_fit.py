@@ -1,13 +1,17 @@
 """A fit of scattered samples finds the model that they were drawn from."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.geometry import directions, half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.global_method import fit_global
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows
 from tests.support.mixtures import deviations, mixture, scattered_samples
@@ -45,6 +49,16 @@ def test_bins_of_moved_samples_are_the_means_of_the_model() -> None:
     assert set(b) == set(range(9))
 
 
+def test_sample_counts_in_the_bin_of_the_nearest_node_of_phi_diff() -> None:
+    """The bins are of 10 degrees; a node at 10 degrees is in the second one."""
+    for degrees, expected in ((9.4, 0), (9.6, 1), (-9.6, 1), (170.6, 0), (89.8, 8), (100.0, 8)):
+        pair = directions(*np.radians([20.0, 30.0, degrees]))
+        omega_in, omega_out = (np.tile(omega, (200, 1)) for omega in pair)
+        one = ScatteredSamples.from_arrays(omega_in, omega_out, np.ones((200, 3)))
+        weight = sample_profiles(one, FitOptions()).folded.weight[0]
+        assert np.flatnonzero(weight.sum(axis=(0, 1))).tolist() == [expected]
+
+
 def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
     samples, options = scattered_samples(TRUTH, 3000), FitOptions()
     data = sample_rows(samples, sample_profiles(samples, options, TRUTH), options, TRUTH)
@@ -58,6 +72,22 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
     phi = np.arccos(np.sqrt(data.cos2_phi[used][:, 0]))
     there = TRUTH.evaluate_unmasked(data.theta_half[used], data.theta_diff[row], phi)
     np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
+
+
+def test_held_out_samples_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each sample is in one of the two parts, and counts there what it counts in the whole."""
+    parts: list[tuple[Profiles, Profiles, Profiles]] = []
+
+    def note(data: Profiles, *arguments: Any) -> Any:
+        parts.append((data, *arguments[-1]))
+        return fit_global(data, *arguments)
+
+    monkeypatch.setattr("dsbrdf.fitting.pipeline.fit_global", note)
+    dsbrdf.fit(scattered_samples(TRUTH, 400), n_lobes=1, ring_lobes=0)
+    for part in parts:
+        whole, fitted, held_out = (profiles.folded.weight for profiles in part)
+        assert held_out.sum() > 0.1 * whole.sum()
+        np.testing.assert_allclose(fitted + held_out, whole, rtol=1e-9)
 
 
 def test_one_bright_sample_among_black_ones_is_fitted() -> None:

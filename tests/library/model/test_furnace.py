@@ -29,3 +29,11 @@ def test_a_surface_that_returns_too_much_is_found() -> None:
 
 def test_models_are_reciprocal() -> None:
     assert white_furnace(mixture(3, 1)).reciprocity_error < 1e-9
+
+
+def test_error_of_reciprocity_is_a_share_of_the_larger_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    def one_way(_: DSBRDF, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.where(first[:, :1] > second[:, :1], 2.0, 1.0) * np.ones(3)
+
+    monkeypatch.setattr(DSBRDF, "evaluate_directions", one_way)
+    assert white_furnace(lambertian(0.5)).reciprocity_error == 0.5

@@ -156,6 +156,31 @@ def weights_of_rough_surface(model: DSBRDF, omega_out: Array, alpha: float) -> A
     return np.asarray(values * cos_in / (0.5 * by_normals + 0.5 * cos_in / np.pi))
 
 
+def one_lobe(elongation: float, disc: float) -> DSBRDF:
+    """A lobe of one shape, and a height that is added where theta_half < 1 degree."""
+    one = np.ones((1, 1, 1))
+    delta = np.full((3, 1), disc)
+    return DSBRDF(
+        np.zeros(1), 5.0 * np.ones((3, 1, 1)), 2.0 * one, 50.0 * one, 0.0 * one, elongation * one[0], delta=delta
+    )
+
+
+@pytest.mark.parametrize(("elongation", "disc", "angle"), [(1.0, 0.0, 69.9), (0.0, 2e3, 45.0)])
+def test_a_million_samples_have_the_stretch_and_the_disc_of_the_density(
+    elongation: float, disc: float, angle: float
+) -> None:
+    model, omega_out, number = one_lobe(elongation, disc), direction(angle), 1_000_000
+    theta_edges = np.radians([0.0, 0.7, 0.95, 1.0, 1.05, 2.0, 5.0, 8.0, 12.0])
+    phi_edges = np.linspace(0.0, 2.0 * np.pi, 17)
+    drawn = model.sample(copies(omega_out, number), np.random.default_rng(3))
+    theta, phi = half_angles(drawn.omega_in[drawn.pdf > 0.0], omega_out)
+    counts, _, _ = np.histogram2d(theta, phi, (theta_edges, phi_edges))
+    expected = number * expected_shares(model, omega_out, theta_edges, phi_edges)
+    seen = expected >= 10.0
+    statistic = float(np.sum((counts - expected)[seen] ** 2 / expected[seen]))
+    assert stats.chi2.sf(statistic, np.count_nonzero(seen)) > 1e-3
+
+
 def test_shapes_and_seeds() -> None:
     model = MODELS["mixture"]
     omega_out = np.broadcast_to(direction(30.0), (4, 5, 3))

@@ -68,10 +68,11 @@ class Engine:
 
 
 class _Slow(NamedTuple):
-    """A call that has got to its pause, and the end of the pause."""
+    """A call that has got to its pause, the end of the pause, and that of the first such call."""
 
     there: threading.Event
     on: threading.Event
+    over: threading.Event
 
 
 class Race:
@@ -117,14 +118,16 @@ class Race:
     def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
         """Make calls of the store pause, one after the other, before they work or after it."""
         original = getattr(self.store, name)
-        slow = _Slow(threading.Event(), threading.Event())
+        slow = _Slow(threading.Event(), threading.Event(), threading.Event())
         rest = iter(pauses)
 
         def work(*arguments: Any) -> Any:
             answer = original(*arguments) if after else None
             slow.there.set()
             slow.on.wait(next(rest, 0.0))
-            return answer if after else original(*arguments)
+            answer = answer if after else original(*arguments)
+            slow.over.set()
+            return answer
 
         monkeypatch.setattr(self.store, name, work)
         return slow
@@ -184,7 +187,7 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
             await asyncio.sleep(0.001)
         assert await place.submit() == key  # while the first attempt is still ending
         assert (await cancelling) is not None
-        await asyncio.sleep(0.5)  # it has written
+        await until(slow.over)  # it has written
         row = await place.end(key)
         assert (row.status, row.attempts) == ("succeeded", 1)
         assert f'"run {runs + 1}"' in str(place.store.result(key))

@@ -33,6 +33,21 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
     assert (missing.status_code, missing.content) == (404, b"")
 
 
+def test_what_the_client_has_is_not_sent_again(server: Server, stored: str, fitted: str) -> None:
+    fit, json = f"/v1/fits/{fitted}", {"Accept": "application/json"}
+    measurement = f"/v1/measurements/{stored}"
+    plain: list[str] = [fit, f"{fit}/components", f"{fit}/figures/sphere.png?size=16", measurement]
+    for path, headers in [*((path, dict[str, str]()) for path in plain), (measurement, json)]:
+        first = server.http.get(path, headers=headers)
+        again = server.http.get(path, headers={**headers, "If-None-Match": first.headers["etag"]})
+        assert (first.status_code, again.status_code, again.content) == (200, 304, b""), path
+        assert again.headers["etag"] == first.headers["etag"]
+        other = server.http.get(path, headers={**headers, "If-None-Match": '"another"'})
+        assert (other.status_code, other.content) == (200, first.content)
+        if "/measurements/" in path:  # the file and its document are at one address
+            assert "Accept" in ", ".join(value for name, value in again.headers.multi_items() if name == "vary")
+
+
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
     paths = [f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"]
     requests = [(method, path) for path in paths for method in ("GET", "DELETE")]

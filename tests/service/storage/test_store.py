@@ -1,11 +1,13 @@
 """Parts of the service on their own: decoders, options, store, preferences."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
-from service.errors import DataFolderInUseError, MeasurementNotFoundError
+from service.errors import DatabaseLostError, DataFolderInUseError, MeasurementNotFoundError
+from service.storage.database import FILE_NAME
 from service.storage.schema import Caller, FitKey
 from service.storage.store import Store, fit_identity
 from service.storage.uploads import Received
@@ -99,6 +101,16 @@ def test_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
     reopened = Store(tmp_path)
     assert reopened.database.rows("SELECT * FROM keys") == []
     reopened.close()
+
+
+def test_nothing_is_written_to_a_database_that_was_replaced(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    path = tmp_path / FILE_NAME
+    shutil.copy(path, tmp_path / "copy")
+    (tmp_path / "copy").replace(path)
+    with pytest.raises(DatabaseLostError, match="removed or replaced"), store.database.transaction():
+        pytest.fail("the transaction began")
+    store.close()
 
 
 def test_upload_that_cannot_be_placed_leaves_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
