@@ -5,6 +5,8 @@ of ``omega_out``, the unit vectors towards the light and the viewer with the nor
 ``blue`` in 1/sr; and, if samples are not to count alike, ``weight``.
 """
 
+from __future__ import annotations
+
 import hashlib
 import os
 from collections.abc import Sized
@@ -58,7 +60,7 @@ class ScatteredSamples:
     name: str
     sha256: str
 
-    def take(self, chosen: NDArray[np.bool_]) -> "ScatteredSamples":
+    def take(self, chosen: NDArray[np.bool_]) -> ScatteredSamples:
         """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
@@ -74,7 +76,7 @@ class ScatteredSamples:
         values: ArrayLike,
         weight: ArrayLike | None = None,
         name: str = "samples",
-    ) -> "ScatteredSamples":
+    ) -> ScatteredSamples:
         """Return checked samples.
 
         Parameters
