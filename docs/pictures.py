@@ -14,8 +14,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.render import sphere_normals
-from dsbrdf.output.sphere_panels import compare_spheres, encode_png
+from dsbrdf.output.sphere_panels import compare_spheres, cut_out, encode_png
 from dsbrdf.process_settings import core_count
 
 README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
@@ -80,9 +79,7 @@ def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
 
 def encode(*panels: NDArray[np.float64]) -> bytes:
     """Return a PNG file of panels side by side that are transparent beside the spheres."""
-    _, mask = sphere_normals(len(panels[0]))
-    shown = [np.concatenate([panel, mask[..., np.newaxis]], axis=-1) for panel in panels]
-    return encode_png(np.concatenate(shown, axis=1))
+    return encode_png(np.concatenate([cut_out(panel) for panel in panels], axis=1))
 
 
 def _measure(material: Material) -> Numbers:

@@ -29,6 +29,7 @@ __all__ = [
     "DIFFERENCE_GAIN",
     "SphereComparison",
     "compare_spheres",
+    "cut_out",
     "draw_panels",
     "encode_png",
     "side_by_side",
@@ -39,6 +40,9 @@ Array = NDArray[np.float64]
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
 
+_BLACK = 0.1  # as a screen shows it: what is darker everywhere is not seen beside the others
+_EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
+
 
 @dataclass(frozen=True, eq=False)
 class SphereComparison:
@@ -47,7 +51,7 @@ class SphereComparison:
     Attributes
     ----------
     panels : dict of ndarray, shape (size, size, 3)
-        By title, as a screen shows them: measured, fit, difference, each component that the fit has.
+        By title, as a screen shows them: measured, fit, difference, each component that can be seen.
     exposure : float
         What radiance was multiplied by.
     psnr, ssim : float
@@ -89,8 +93,9 @@ def compare_spheres(
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
     panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
     for component in decompose(fit):
-        part = render_sphere(component, lighting=lighting, size=size)
-        panels[component.label.replace("_", " ")] = displayed(part, factor)
+        part = displayed(render_sphere(component, lighting=lighting, size=size), factor)
+        if part.max() > _BLACK:
+            panels[component.label.replace("_", " ")] = part
     return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))
 
 
@@ -99,12 +104,35 @@ def side_by_side(panels: Mapping[str, Array]) -> Array:
     return np.concatenate(list(panels.values()), axis=1)
 
 
+def cut_out(picture: Array) -> Array:
+    """Return a sphere that nothing is drawn around, with a smooth edge.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (size, size, 3)
+        As a screen shows it.
+
+    Returns
+    -------
+    ndarray, shape (size, size, 4)
+        The last channel is the share of each pixel that the sphere covers; at the edge, pixels have the colour of the
+        next one within.
+    """
+    size = len(picture)
+    rows, columns = np.indices((size, size)) + 0.5 - size / 2.0
+    radius = np.hypot(rows, columns)
+    inward = np.minimum(1.0, (size / 2.0 - _EDGE) / np.maximum(radius, 1.0))
+    nearest = ((part * inward + size / 2.0).astype(int) for part in (rows, columns))
+    covered = np.clip(size / 2.0 - radius + 0.5, 0.0, 1.0)
+    return np.concatenate([picture[tuple(nearest)], covered[..., np.newaxis]], axis=-1)
+
+
 def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
-    """Draw panels in one row, each with its title and transparent beside the sphere."""
-    _, mask = sphere_normals(len(next(iter(panels.values()))))
+    """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):
-        ax.imshow(np.concatenate([picture, mask[..., np.newaxis]], axis=-1), interpolation="antialiased")
+        ax.imshow(cut_out(picture), interpolation="antialiased")
         ax.set_title(title, fontsize=9)
         ax.set_axis_off()
 
