@@ -1,8 +1,11 @@
 """Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
 
-``python docs/pictures.py`` writes the one in the README.
+``python docs/pictures.py`` writes the one in the README.  With ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL files
+it also writes small pictures of the measured materials in it, for the gallery of those who do not have the data.
 """
 
+import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +21,10 @@ from dsbrdf.output.sphere_panels import compare_spheres, cut_out, encode_png
 from dsbrdf.process_settings import core_count
 
 README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
+REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
+MEASURED = Path(__file__).parent / "_static" / "measured"
 SIZE = 224  # pixels; shown at half of that or a little more
+_STRIP = 128  # pixels of a sphere in a strip
 _METRICS = ("relative_rms", "excess", "psnr")
 SYNTHETIC = {
     "paint": {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10), "specular": (0.04, 0.04, 0.04)},
@@ -105,6 +111,26 @@ def _exhibit(name: str, kind: str, numbers: Numbers) -> Exhibit:
     return Exhibit(name, kind, panels, metrics, int(numbers["n_lobes"]))
 
 
+def write_measured(folder: Path, kept: Path) -> None:
+    """Write a strip of spheres of each measured material of a folder, and `materials.json` with their numbers."""
+    from PIL import Image
+
+    MEASURED.mkdir(exist_ok=True)
+    table = {}
+    for exhibit in reference_exhibits(folder, kept)[0]:
+        if exhibit.kind != "measured":
+            continue  # the others have other licences
+        spheres = np.concatenate([cut_out(panel) for panel in exhibit.panels.values()], axis=1)
+        strip = Image.fromarray(np.rint(255.0 * spheres).astype(np.uint8))
+        size = (_STRIP * len(exhibit.panels), _STRIP)
+        strip.resize(size, Image.Resampling.LANCZOS).save(MEASURED / f"{exhibit.name}.webp", quality=85)
+        metrics = {name: round(value, 4) for name, value in exhibit.metrics.items()}
+        table[exhibit.name] = {"panels": [*exhibit.panels], "n_lobes": exhibit.n_lobes, **metrics}
+    (MEASURED / "materials.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
 if __name__ == "__main__":
     paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
     README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
+    if reference := os.environ.get(REFERENCE_VARIABLE):
+        write_measured(Path(reference), Path(__file__).parent / "_build" / "materials")
