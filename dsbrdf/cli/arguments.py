@@ -113,6 +113,6 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
     if command == "serve":  # replaces this process, so that signals reach the service
         sys.stdout.flush()
-        os.execv(sys.executable, [sys.executable, "-m", "service", *words])  # noqa: S606 (no shell)
+        os.execv(sys.executable, [sys.executable, "-m", "dsbrdf_service", *words])  # noqa: S606 (no shell)
     code: int = entry_point("commands", command)(words)
     return code

@@ -39,7 +39,7 @@ def test_site_has_a_page_for_each_public_name(site: Path) -> None:
     documented = {file.name for file in (site / "generated" / "api").glob("dsbrdf.*.html")}
     names = set(dsbrdf.__all__) - {"ALGORITHM_VERSION", "__version__"}
     assert {f"dsbrdf.{name}.html" for name in names} <= documented
-    assert (site / "generated" / "api" / "service.client.AsyncClient.html").is_file()
+    assert (site / "generated" / "api" / "dsbrdf_service.client.AsyncClient.html").is_file()
 
 
 def test_notebooks_were_run(site: Path) -> None:

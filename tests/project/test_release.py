@@ -1,8 +1,12 @@
 """What a release promises: its version is the same everywhere, and what an earlier one stored can be opened."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +32,24 @@ def test_version_is_the_same_everywhere() -> None:
 
 def test_first_release_of_this_major_version_is_there() -> None:
     assert f"{dsbrdf.__version__.partition('.')[0]}.0" in [folder.name for folder in STORED]
+
+
+def test_wheel_has_a_service_that_works_under_its_installed_name(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "installed")
+    packages = {path.name for path in (tmp_path / "installed").iterdir() if path.suffix != ".dist-info"}
+    assert packages == {"dsbrdf", "dsbrdf_service"}
+    code = (
+        "import sys; from dsbrdf_service import app, settings; app.create_app(settings.Settings()).openapi();"
+        "print(app.__file__, 'service' in sys.modules)"
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "installed")}
+    command = [sys.executable, "-P", "-c", code]
+    answer = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == [str(tmp_path / "installed/dsbrdf_service/app.py"), "False"]
 
 
 @releases
