@@ -79,7 +79,7 @@ def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[st
 
 def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
     """Return a PNG file: a measurement, its fit and the components of the fit, side by side."""
-    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).panels
+    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).seen
     return encode(*(panel for title, panel in panels.items() if not title.startswith("difference")))
 
 
@@ -97,8 +97,8 @@ def _numbers(measurement: Measurement, result: FitResult, lighting: str) -> Numb
     compared = compare_spheres(measurement, result.model, lighting=lighting, size=SIZE)
     metrics = [getattr(result.report.metrics, name) for name in _METRICS]
     return {
-        "titles": np.array(list(compared.panels)),
-        "panels": np.rint(255.0 * np.stack(list(compared.panels.values()))).astype(np.uint8),
+        "titles": np.array(list(compared.seen)),
+        "panels": np.rint(255.0 * np.stack(list(compared.seen.values()))).astype(np.uint8),
         "metrics": np.array(metrics, dtype=np.float64),
         "n_lobes": np.array(result.model.n_lobes),
     }

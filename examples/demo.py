@@ -132,7 +132,7 @@ def _values(client: httpx.Client, fit: dict[str, Any], path: str, theta_half: Ar
 def _show_components(client: httpx.Client, fit: dict[str, Any]) -> None:
     """Print the components, their own lobes, and whether their values add up to those of the fit."""
     components = _get(client, fit, "components").json()["items"]
-    print("", *components_table(components), "", *component_lobes_table(components), sep="\n")
+    print(*components_table(components), "", *component_lobes_table(components), sep="\n")
     point = np.array([2.0]), np.array([30.0])
     parts = [_values(client, fit, f"components/{component['label']}/brdf", *point)[0] for component in components]
     whole = _values(client, fit, "brdf", *point)[0]

@@ -153,7 +153,7 @@ def overview_figure(
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
-        draw_panels(rest[0], spheres.panels)
+        draw_panels(rest[0], spheres.seen)
     return figure
 
 

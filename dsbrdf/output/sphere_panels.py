@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
 
-_BLACK = 0.1  # as a screen shows it: what is darker everywhere is not seen beside the others
+_SEEN = 0.1  # as a screen shows it: a component that is darker everywhere is not seen beside the others
 _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 
 
@@ -51,7 +51,7 @@ class SphereComparison:
     Attributes
     ----------
     panels : dict of ndarray, shape (size, size, 3)
-        By title, as a screen shows them: measured, fit, difference, each component that can be seen.
+        By title, as a screen shows them: measured, fit, difference, each component that the fit has.
     exposure : float
         What radiance was multiplied by.
     psnr, ssim : float
@@ -62,6 +62,12 @@ class SphereComparison:
     exposure: float
     psnr: float
     ssim: float
+
+    @property
+    def seen(self) -> dict[str, Array]:
+        """The panels without the components that are too dark to be seen."""
+        whole = list(self.panels)[:3]
+        return {title: panel for title, panel in self.panels.items() if title in whole or panel.max() > _SEEN}
 
 
 def compare_spheres(
@@ -93,9 +99,8 @@ def compare_spheres(
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
     panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
     for component in decompose(fit):
-        part = displayed(render_sphere(component, lighting=lighting, size=size), factor)
-        if part.max() > _BLACK:
-            panels[component.label.replace("_", " ")] = part
+        part = render_sphere(component, lighting=lighting, size=size)
+        panels[component.label.replace("_", " ")] = displayed(part, factor)
     return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))
 
 
