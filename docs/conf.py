@@ -24,6 +24,7 @@ extensions = [
     "sphinx_design",
     "generated_pages",
     "mathml",
+    "search_pages",
 ]
 exclude_patterns = ["_build", "generated/*.md"]  # the latter are parts of other pages
 templates_path = ["_templates"]
@@ -37,7 +38,7 @@ autodoc_typehints = "none"  # docstrings give types and shapes
 numpydoc_show_class_members = False  # the templates list them
 toc_object_entries_show_parents = "hide"
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_in_temp = True

@@ -1,16 +1,15 @@
 """Writes the gallery and the spheres of the home page as Markdown and pictures."""
 
+import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from pictures import Exhibit, encode, reference_exhibits, synthetic_exhibits
+from pictures import MEASURED, REFERENCE_VARIABLE, Exhibit, encode, reference_exhibits, synthetic_exhibits
 
-REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
-
-_SYNTHETIC_INTRO = """The materials on this page are synthetic: a microfacet lobe and a diffuse term with 2 % noise,
-which `dsbrdf.data.synthetic.synthetic_measurement` makes. Build the pages with `DSBRDF_REFERENCE_DATA` set to a folder
-of MERL files, and they show those."""
+_SYNTHETIC_INTRO = """A microfacet lobe and a diffuse term with 2 % noise, which
+`dsbrdf.data.synthetic.synthetic_measurement` makes. Build the pages with `DSBRDF_REFERENCE_DATA` set to a folder of
+MERL files, and they show those here."""
 _REFERENCE_INTRO = """Each row shows a material of the folder that `DSBRDF_REFERENCE_DATA` named when these pages were
 built, {count} in all. The data of {measured} are measurements. Those of {stand_ins} are *decoded stand-ins*: smooth
 tables from neural networks that were fitted to measurements. They lack the noise and the defects of measurements, and
@@ -34,6 +33,7 @@ def write_pictures(folder: Path, kept: Path) -> None:
     write_if_changed(folder / "spheres.md", "\n".join(_row(folder, paint, shown)).encode())
     sections = [line for exhibit in exhibits for line in _section(folder, exhibit)]
     missing = [f"Not shown, because it cannot be fitted: {failure}" for failure in failures]
+    write_if_changed(folder / "measured.md", "\n".join(_measured()).encode())
     write_if_changed(folder / "gallery.md", "\n\n".join([intro, "\n".join(sections), *missing, ""]).encode())
 
 
@@ -47,13 +47,25 @@ def write_if_changed(file: Path, content: bytes) -> None:
 def _section(folder: Path, exhibit: Exhibit) -> Iterable[str]:
     """Yield the lines of one material: name, numbers, pictures."""
     title = exhibit.name.removeprefix(_STAND_IN_PREFIX).removeprefix("rgl_").replace("_", " ")
-    metrics = exhibit.metrics
-    yield f"## {title}\n"
-    yield (
-        f"{exhibit.kind[0].upper()}{exhibit.kind[1:]}; {exhibit.n_lobes} lobes; relative_rms "
-        f"{metrics['relative_rms']:.3f}, {metrics['excess']:.2f} times the floor; psnr {metrics['psnr']:.1f} dB.\n"
-    )
+    yield f"### {title}\n"
+    yield f"{exhibit.kind[0].upper()}{exhibit.kind[1:]}; {_numbers({**exhibit.metrics, 'n_lobes': exhibit.n_lobes})}\n"
     yield from _row(folder, exhibit, exhibit.panels)
+
+
+def _measured() -> Iterable[str]:
+    """Yield the lines of the measured materials whose strips of spheres are kept with the pages."""
+    for name, numbers in json.loads((MEASURED / "materials.json").read_text()).items():
+        panels = ", ".join(numbers["panels"])
+        yield f"### {name.removeprefix('rgl_').replace('_', ' ')}\n"
+        yield f"![lit spheres: {panels}](/_static/measured/{name}.webp){{.strip}}\n"
+        yield f"{panels}. {_numbers(numbers)}\n"
+
+
+def _numbers(numbers: Mapping[str, float]) -> str:
+    return (
+        f"{numbers['n_lobes']} lobes; relative_rms {numbers['relative_rms']:.3f}, {numbers['excess']:.2f} times the "
+        f"floor; psnr {numbers['psnr']:.1f} dB."
+    )
 
 
 def _row(folder: Path, exhibit: Exhibit, panels: Mapping[str, object]) -> Iterable[str]:

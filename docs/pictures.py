@@ -1,8 +1,11 @@
 """Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
 
-``python docs/pictures.py`` writes the one in the README.
+``python docs/pictures.py`` writes the one in the README.  With ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL files
+it also writes small pictures of the measured materials in it, for the gallery of those who do not have the data.
 """
 
+import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +17,14 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.render import sphere_normals
-from dsbrdf.output.sphere_panels import compare_spheres, encode_png
+from dsbrdf.output.sphere_panels import compare_spheres, cut_out, encode_png
 from dsbrdf.process_settings import core_count
 
 README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
+REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
+MEASURED = Path(__file__).parent / "_static" / "measured"
 SIZE = 224  # pixels; shown at half of that or a little more
+_STRIP = 128  # pixels of a sphere in a strip
 _METRICS = ("relative_rms", "excess", "psnr")
 SYNTHETIC = {
     "paint": {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10), "specular": (0.04, 0.04, 0.04)},
@@ -74,15 +79,13 @@ def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[st
 
 def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
     """Return a PNG file: a measurement, its fit and the components of the fit, side by side."""
-    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).panels
+    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).seen
     return encode(*(panel for title, panel in panels.items() if not title.startswith("difference")))
 
 
 def encode(*panels: NDArray[np.float64]) -> bytes:
     """Return a PNG file of panels side by side that are transparent beside the spheres."""
-    _, mask = sphere_normals(len(panels[0]))
-    shown = [np.concatenate([panel, mask[..., np.newaxis]], axis=-1) for panel in panels]
-    return encode_png(np.concatenate(shown, axis=1))
+    return encode_png(np.concatenate([cut_out(panel) for panel in panels], axis=1))
 
 
 def _measure(material: Material) -> Numbers:
@@ -94,8 +97,8 @@ def _numbers(measurement: Measurement, result: FitResult, lighting: str) -> Numb
     compared = compare_spheres(measurement, result.model, lighting=lighting, size=SIZE)
     metrics = [getattr(result.report.metrics, name) for name in _METRICS]
     return {
-        "titles": np.array(list(compared.panels)),
-        "panels": np.rint(255.0 * np.stack(list(compared.panels.values()))).astype(np.uint8),
+        "titles": np.array(list(compared.seen)),
+        "panels": np.rint(255.0 * np.stack(list(compared.seen.values()))).astype(np.uint8),
         "metrics": np.array(metrics, dtype=np.float64),
         "n_lobes": np.array(result.model.n_lobes),
     }
@@ -108,6 +111,26 @@ def _exhibit(name: str, kind: str, numbers: Numbers) -> Exhibit:
     return Exhibit(name, kind, panels, metrics, int(numbers["n_lobes"]))
 
 
+def write_measured(folder: Path, kept: Path) -> None:
+    """Write a strip of spheres of each measured material of a folder, and `materials.json` with their numbers."""
+    from PIL import Image
+
+    MEASURED.mkdir(exist_ok=True)
+    table = {}
+    for exhibit in reference_exhibits(folder, kept)[0]:
+        if exhibit.kind != "measured":
+            continue  # the others have other licences
+        spheres = np.concatenate([cut_out(panel) for panel in exhibit.panels.values()], axis=1)
+        strip = Image.fromarray(np.rint(255.0 * spheres).astype(np.uint8))
+        size = (_STRIP * len(exhibit.panels), _STRIP)
+        strip.resize(size, Image.Resampling.LANCZOS).save(MEASURED / f"{exhibit.name}.webp", quality=85)
+        metrics = {name: round(value, 4) for name, value in exhibit.metrics.items()}
+        table[exhibit.name] = {"panels": [*exhibit.panels], "n_lobes": exhibit.n_lobes, **metrics}
+    (MEASURED / "materials.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
 if __name__ == "__main__":
     paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
     README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
+    if reference := os.environ.get(REFERENCE_VARIABLE):
+        write_measured(Path(reference), Path(__file__).parent / "_build" / "materials")

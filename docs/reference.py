@@ -36,7 +36,7 @@ def command_line() -> str:
 
 
 def _service_main(command: str) -> Callable[[Sequence[str]], int]:
-    module = "service.__main__" if command == "serve" else f"service.commands.{command}"
+    module = "dsbrdf_service.__main__" if command == "serve" else f"dsbrdf_service.commands.{command}"
     found: Callable[[Sequence[str]], int] = import_module(module).main
     return found
 

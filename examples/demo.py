@@ -58,7 +58,7 @@ def main(folder: Path) -> None:
 def running_service(folder: Path) -> Iterator[str]:
     """Run ``python -m service`` on a free port while the block runs, its data and log in a folder; yield its URL."""
     log = folder / "service.log"
-    command = [sys.executable, "-m", "service", "--port", "0", "--data-dir", str(folder / "data")]
+    command = [sys.executable, "-m", "dsbrdf_service", "--port", "0", "--data-dir", str(folder / "data")]
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
     try:
@@ -132,7 +132,7 @@ def _values(client: httpx.Client, fit: dict[str, Any], path: str, theta_half: Ar
 def _show_components(client: httpx.Client, fit: dict[str, Any]) -> None:
     """Print the components, their own lobes, and whether their values add up to those of the fit."""
     components = _get(client, fit, "components").json()["items"]
-    print("", *components_table(components), "", *component_lobes_table(components), sep="\n")
+    print(*components_table(components), "", *component_lobes_table(components), sep="\n")
     point = np.array([2.0]), np.array([30.0])
     parts = [_values(client, fit, f"components/{component['label']}/brdf", *point)[0] for component in components]
     whole = _values(client, fit, "brdf", *point)[0]

@@ -27,16 +27,17 @@ from pydantic import ValidationError
 
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory
-from service.access.keys import has_active_key
-from service.app import create_app, make_engine
-from service.commands import refuse
-from service.errors import DataFolderError, validation_sentence
-from service.http.limits import connection_class
-from service.operations import logging as logs
-from service.routes.dependencies import Context
-from service.settings import FLAGS, Settings, unknown_settings
-from service.storage.database import own_folder
-from service.storage.store import Store
+
+from .access.keys import has_active_key
+from .app import create_app, make_engine
+from .commands import refuse
+from .errors import DataFolderError, validation_sentence
+from .http.limits import connection_class
+from .operations import logging as logs
+from .routes.dependencies import Context
+from .settings import FLAGS, Settings, unknown_settings
+from .storage.database import own_folder
+from .storage.store import Store
 
 _CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
 

@@ -21,20 +21,21 @@ from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.process_settings import trim_memory
-from service.access.authentication import AuthenticationMiddleware
-from service.access.keys import Keys
-from service.http import openapi, problems
-from service.http.request_log import RequestLogMiddleware
-from service.jobs.computations import Computations
-from service.jobs.jobs import Jobs
-from service.jobs.results import FitViews, ModelCache
-from service.operations.metrics import Metrics
-from service.operations.readiness import Readiness
-from service.routes import about, brdf, figures, fits, measurements, page
-from service.routes.dependencies import Context
-from service.settings import Settings
-from service.storage.database import Database
-from service.storage.store import Store
+
+from .access.authentication import AuthenticationMiddleware
+from .access.keys import Keys
+from .http import openapi, problems
+from .http.request_log import RequestLogMiddleware
+from .jobs.computations import Computations
+from .jobs.jobs import Jobs
+from .jobs.results import FitViews, ModelCache
+from .operations.metrics import Metrics
+from .operations.readiness import Readiness
+from .routes import about, brdf, figures, fits, measurements, page
+from .routes.dependencies import Context
+from .settings import Settings
+from .storage.database import Database
+from .storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
 _COMPUTATION_SECONDS = 300.0  # that one in a process of its own may take; the longest need some 15

@@ -26,8 +26,9 @@ from anyio import CapacityLimiter, to_thread
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.output.serialize import result_from_json
-from service.wire.fit_options import from_wire, to_wire
-from service.wire.names import check_name
+
+from .wire.fit_options import from_wire, to_wire
+from .wire.names import check_name
 
 __all__ = ["AccessError", "AsyncClient", "Client", "Fit", "LimitError", "ServiceError", "Source"]
 

@@ -7,7 +7,8 @@ import httpx
 
 from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
-from service.client import AccessError, Client, ServiceError
+
+from .client import AccessError, Client, ServiceError
 
 
 class ClientEngine:

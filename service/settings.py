@@ -10,7 +10,8 @@ from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from dsbrdf.process_settings import core_count
-from service import DEFAULT_DATA_DIR
+
+from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
 FLAGS = ("host", "port", "data_dir", "workers", "insecure")

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, NoReturn
 
 from dsbrdf.extras import require
@@ -18,10 +19,14 @@ from dsbrdf.extras import require
 BAD_INPUT = 2
 """Exit code for bad usage and bad input."""
 
-POINT_FLAGS = ("--theta-half", "--theta-diff", "--phi-diff", "--omega-in", "--omega-out")
-"""Flags of which each takes one or more values."""
+LIST_FLAGS = (
+    *("--theta-half", "--theta-diff", "--phi-diff"),
+    *("--theta-in", "--theta-out", "--phi-out"),
+    *("--omega-in", "--omega-out", "--knots"),
+)
+"""Flags of which each takes one or more values, with blanks or, directions apart, commas between them."""
 
-_NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e,]*")
+_NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e, ]*")
 
 
 class Parser(argparse.ArgumentParser):
@@ -56,8 +61,15 @@ def print_error(error: BaseException | str) -> None:
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
+def print_written(path: Path, what: str) -> None:
+    """Say which file has been written, what it is and how large."""
+    size = path.stat().st_size
+    amount = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.3g} kB"
+    print(f"{path}: {what} ({amount})")
+
+
 def join_points(words: Sequence[str]) -> list[str]:
-    """Join each flag of points with its numbers: ``--theta-half 0 10 m.json`` is ``"--theta-half=0 10" m.json``.
+    """Join each flag of a list with its numbers: ``--theta-half 0 10 m.json`` is ``"--theta-half=0 10" m.json``.
 
     cyclopts would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
     """
@@ -67,7 +79,7 @@ def join_points(words: Sequence[str]) -> list[str]:
         if flag and _NUMBERS.fullmatch(word):
             joined[-1] += f"{'=' if joined[-1] == flag else ' '}{word}"
         else:
-            flag = word if word in POINT_FLAGS else ""
+            flag = word if word in LIST_FLAGS else ""
             joined.append(word)
     return joined
 
@@ -106,6 +118,6 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
     if command == "serve":  # replaces this process, so that signals reach the service
         sys.stdout.flush()
-        os.execv(sys.executable, [sys.executable, "-m", "service", *words])  # noqa: S606 (no shell)
+        os.execv(sys.executable, [sys.executable, "-m", "dsbrdf_service", *words])  # noqa: S606 (no shell)
     code: int = entry_point("commands", command)(words)
     return code

@@ -40,7 +40,7 @@ _COMMANDS = {
     },
     "Pictures": {
         "plot": ("picture_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
-        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement."),
+        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
         "compare": ("picture_commands:compare", "Compare two models or measurements, with their spheres side by side."),
     },
     "Files": {

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.cli.arguments import print_json, print_warning
+from dsbrdf.cli.arguments import print_json, print_warning, print_written
 from dsbrdf.cli.parameters import Json
 from dsbrdf.cli.source_files import named_in_errors, read_grid
 from dsbrdf.data.atomic_write import write_atomically
@@ -44,7 +44,9 @@ def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json
         print_warning(f"{source}: {sentence}")
     if json:
         print_json({"output": str(target), "format": suffix[1:], "bytes": len(content)} | about)
-    elif about:
+    else:
+        print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file")
+    if about and not json:
         print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
     return 0
 

@@ -25,9 +25,10 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.output.report_text import headline, lobes_phrase, result_document, result_text
+from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 
+_FILES = (".json", ".npz", ".png", ".svg", ".pdf", ".csv", ".binary")
 _SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
 _URL = r"https?://[^/\s]+(/\S*)?"
 
@@ -58,6 +59,10 @@ class Work:
     url: Annotated[str | None, Parameter(metavar="URL")] = None
 
     def __post_init__(self) -> None:
+        if self.output is not None and self.output.suffix.lower() in _FILES and not self.output.is_dir():
+            raise InvalidArgumentError(
+                f"--output: must be a folder, in which NAME.json is saved, not a file such as {self.output}"
+            )
         for name, text, address, example in (
             ("--scheduler", self.scheduler, _SCHEDULER, "tcp://host:8786"),
             ("--url", self.url, _URL, "http://127.0.0.1:8000"),
@@ -188,8 +193,8 @@ def _document(item: FileFit) -> dict[str, Any]:
     return about | result_document(item.result.model, item.result.report)
 
 
-SHOWN = ("relative_rms", "excess", "albedo_error", "psnr")
-"""Metrics in the table of the terminal; the CSV has all."""
+SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
+"""Metrics in the table of the terminal, each with the width of its column; the CSV has all."""
 
 _COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
 
@@ -197,14 +202,15 @@ _COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "secon
 def summary_table(items: Sequence[FileFit]) -> list[str]:
     """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
     fits = sorted((item for item in items if item.result is not None), key=_relative_rms, reverse=True)
-    width = max([len(item.file.stem) for item in fits] + [len("worst first")])
-    heads = "".join(f"{name:>14}" for name in SHOWN)
-    lines = [f"{'worst first':<{width}}  {'lobes':<24}{heads}{'warnings':>10}"]
+    heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
+    lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
     for item in fits:
         if item.result is not None:
             metrics, warnings = item.result.report.metrics, len(item.result.report.warnings)
-            cells = "".join(f"{'' if metrics[name] is None else f'{metrics[name]:.4g}':>14}" for name in SHOWN)
-            lines.append(f"{item.file.stem:<{width}}  {lobes_phrase(item.result.model):<24}{cells}{warnings:>10}")
+            cells = "".join(
+                f"{'' if metrics[name] is None else f'{metrics[name]:.4g}':>{width}}" for name, width in SHOWN.items()
+            )
+            lines.append(f"{cells}{item.result.model.n_lobes:>7}{warnings:>10}  {item.file.stem}")
     failed = len(items) - len(fits)
     if failed:
         lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")

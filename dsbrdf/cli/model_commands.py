@@ -1,13 +1,15 @@
 """Commands that read a model, ``dsbrdf eval``, ``show``, ``decompose``, ``export``, or a measurement: ``convert``."""
 
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import print_json
-from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, Points
+from dsbrdf.cli.arguments import print_json, print_written
+from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, Points, direction
 from dsbrdf.cli.source_files import named_part, read_model
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import CHANNELS
@@ -41,18 +43,32 @@ def evaluate(
     """Print values of a model or of one of its components; return the exit code."""
     part = named_part(model, read_model(model)[0], component)
     columns = points.arrays()
-    if "omega_in" in columns:
+    if "theta_in_deg" in columns:
+        theta_in, theta_out, phi_out = columns.values()
+        values = part.evaluate_directions(direction(theta_in, 0.0), direction(theta_out, phi_out))
+    elif "omega_in" in columns:
         values = part.evaluate_directions(columns["omega_in"], columns["omega_out"])
     else:
         values = part.evaluate(*(np.radians(angles) for angles in columns.values()))
     if json:
         print_json({name: array.tolist() for name, array in columns.items()} | {"values": values.tolist()})
         return 0
-    print("".join(f"{name:>24}" for name in columns) + "".join(f"{channel:>14}" for channel in CHANNELS))
-    for *point, value in zip(*columns.values(), values, strict=True):
-        left = "".join(f"{','.join(f'{number:.6g}' for number in np.ravel(part)):>24}" for part in point)
-        print(left + "".join(f"{number:>14.6g}" for number in value))
+    rows = [
+        [",".join(f"{number:.6g}" for number in np.ravel(part)) for part in point]
+        for point in zip(*columns.values(), strict=True)
+    ]
+    heads = [name.removesuffix("_deg") for name in columns]
+    widths = [max(map(len, column)) + 2 for column in zip(heads, *rows, strict=True)]
+    widths[0] -= 2
+    number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9  # of a value; exact ones are in JSON
+    print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
+    for row, value in zip(rows, values, strict=True):
+        print(_aligned(row, widths) + "".join(f"{one:>{number}.{6 if number == 12 else 3}g}" for one in value))
     return 0
+
+
+def _aligned(cells: Sequence[str], widths: Sequence[int]) -> str:
+    return "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
 
 
 def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", json: Json = False) -> int:
@@ -86,6 +102,8 @@ def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Jso
     stored, _ = read_model(model)
     if output is not None:
         save(decompose(stored).guide, output)
+        if not json:
+            print_written(output, "the guide, the components' own lobes together")
     if json:
         print_json({"items": component_documents(stored)})
     else:
@@ -115,4 +133,7 @@ def export(
     write_atomically(output, [content])
     if json:
         print_json({"output": str(output), "format": name, "bytes": len(content)})
+    else:
+        of = "" if component is None else f" of the {component.replace('_', ' ')}"
+        print_written(output, f"{FORMATS[name].purpose.partition(',')[0]}{of}")
     return 0

@@ -1,5 +1,6 @@
 """Parameters of commands with their help, placeholders and other names; options of a fit, and points, in degrees."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import CoercionError, Group, Parameter, Token, convert
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
@@ -45,7 +46,7 @@ def _radians(kind: Any, tokens: Sequence[Token]) -> float | tuple[float, ...] | 
         return None
     if kind is float:
         return float(np.radians(convert(float, tokens)))
-    degrees = [convert(float, [token.evolve(value=part)]) for part in token.value.split(",")]
+    degrees = [convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value)]
     return tuple(np.radians(degrees).tolist())
 
 
@@ -84,8 +85,10 @@ DEFAULT = FitFlags()
 
 
 def _each(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert the numbers of an option, which `dsbrdf.cli.arguments.join_points` has joined."""
-    return convert(kind, [token.evolve(value=number) for token in tokens for number in token.value.split()])
+    """Convert the values of an option, which `dsbrdf.cli.arguments.join_points` has joined."""
+    between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # a direction has commas of its own
+    values = (value for token in tokens for value in re.split(between, token.value.strip()))
+    return convert(kind, [tokens[0].evolve(value=value) for value in values])
 
 
 _Angles = Annotated[tuple[float, ...], Parameter(metavar="DEGREES...", converter=_each)]
@@ -105,6 +108,12 @@ class Points:
         An angle, or several.
     phi_diff
         An angle, or several; by default 90, where both directions make the same angle with the normal.
+    theta_in
+        Angle of omega_in to the normal, or several.
+    theta_out
+        Angle of omega_out to the normal, or several.
+    phi_out
+        Azimuth of omega_out, that of omega_in being 0; by default 180, the side of the mirror direction.
     omega_in
         A unit vector, or several.
     omega_out
@@ -114,6 +123,9 @@ class Points:
     theta_half: _Angles = ()
     theta_diff: _Angles = ()
     phi_diff: _Angles = ()
+    theta_in: _Angles = ()
+    theta_out: _Angles = ()
+    phi_out: _Angles = ()
     omega_in: _Directions = ()
     omega_out: _Directions = ()
 
@@ -123,19 +135,30 @@ class Points:
         Returns
         -------
         dict
-            ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or ``omega_in`` and
-            ``omega_out`` of shape (n, 3).  What is given once is combined with all values of the others.
+            ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or ``theta_in_deg``,
+            ``theta_out_deg`` and ``phi_out_deg``, or ``omega_in`` and ``omega_out`` of shape (n, 3).  What is given
+            once is combined with all values of the others.
 
         Raises
         ------
         InvalidArgumentError
-            If an angle or a direction is missing or is none, angles and directions are mixed, or numbers differ and
-            are not 1.
+            If an angle or a direction is missing or is none, ways to name points are mixed, or numbers differ and are
+            not 1.
         """
-        by_angles = self.theta_half or self.theta_diff or self.phi_diff
-        if by_angles and (self.omega_in or self.omega_out):
-            raise InvalidArgumentError("give either --theta-half and --theta-diff or --omega-in and --omega-out")
-        if self.omega_in or self.omega_out:
+        half = self.theta_half or self.theta_diff or self.phi_diff
+        polar = self.theta_in or self.theta_out or self.phi_out
+        vectors = self.omega_in or self.omega_out
+        if sum(map(bool, (half, polar, vectors))) > 1:
+            raise InvalidArgumentError(
+                "give either --theta-half and --theta-diff, --theta-in and --theta-out, or --omega-in and --omega-out"
+            )
+        if polar:
+            columns = {
+                "theta_in_deg": _given("theta_in", self.theta_in),
+                "theta_out_deg": _given("theta_out", self.theta_out),
+                "phi_out_deg": np.array(self.phi_out or [180.0]),
+            }
+        elif vectors:
             columns = {
                 "omega_in": _given("omega_in", [_direction(text) for text in self.omega_in]),
                 "omega_out": _given("omega_out", [_direction(text) for text in self.omega_out]),
@@ -151,6 +174,12 @@ class Points:
             counts = ", ".join(f"{len(array)} {name}" for name, array in columns.items())
             raise InvalidArgumentError(f"{counts} cannot be combined: give equally many of each, or one")
         return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
+
+
+def direction(theta_deg: Array, phi_deg: ArrayLike) -> Array:
+    """Return unit vectors (n, 3) of angles to the normal and azimuths [degrees]."""
+    theta, phi = np.broadcast_arrays(np.radians(theta_deg), np.radians(phi_deg))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def _given(name: str, values: Sequence[object]) -> Array:

@@ -1,6 +1,6 @@
 """Commands that draw: ``dsbrdf render`` and ``compare`` lit spheres, ``dsbrdf plot`` figures of a stored model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,7 +8,7 @@ import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.arguments import print_json, print_written
 from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, RequiredFiles, SourceFile, Whole
 from dsbrdf.cli.source_files import MEASUREMENTS, named_in_errors, named_part, read_grid, read_model, read_source
 from dsbrdf.data.atomic_write import write_atomically
@@ -96,7 +96,7 @@ def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, jso
     if "panels" in about:
         print(f"from left to right: {', '.join(about['panels'])}")
         psnr = "infinite" if about["psnr"] is None else f"{about['psnr']:.1f} dB"
-        print(f"likeness of the fit: PSNR {psnr}, SSIM {about['ssim']:.4f}")
+        print(f"likeness of the first two: PSNR {psnr}, SSIM {about['ssim']:.4f}")
     return 0
 
 
@@ -122,6 +122,10 @@ def _comparison(first: Path, second: Path, look: Look) -> tuple[Array, dict[str,
     if not isinstance(fit, DSBRDF):
         raise InvalidArgumentError(f"{second}: the second source must be a model, the fit of the first")
     found = compare_spheres(measured, fit, lighting=light, size=look.size, factor=look.exposure)
+    if isinstance(measured, DSBRDF):
+        names = (first.stem, second.stem) if first.stem != second.stem else (str(first), str(second))
+        titles = dict(zip(("measured", "fit"), names, strict=True))
+        found = replace(found, panels={titles.get(title, title): panel for title, panel in found.panels.items()})
     psnr = found.psnr if np.isfinite(found.psnr) else None
     about = {"exposure": found.exposure, "panels": list(found.panels), "psnr": psnr, "ssim": found.ssim}
     return side_by_side(found.panels), about
@@ -160,6 +164,8 @@ def plot(
     write_atomically(output, [content])
     if json:
         print_json({"output": str(output), "format": image_format, "bytes": len(content)})
+    else:
+        print_written(output, "parameters over theta_diff" if measurement is None else "profiles, fit and components")
     return 0
 
 
@@ -195,9 +201,9 @@ def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | No
         items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
         print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
         return 0
-    print(f"{'':<18}" + "".join(f"{path.name:>26}" for path in paths))
+    print(f"{'':<16}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
     for name in columns[0]:
-        print(f"{name:<18}" + "".join(f"{_cell(column[name]):>26}" for column in columns))
+        print(f"{name:<16}" + "".join(f"{_cell(column[name]):>22}" for column in columns))
     print(f"likeness of their lit spheres: PSNR {psnr:.1f} dB, SSIM {ssim:.4f}")
     if output is not None:
         print(f"{output}: both spheres, and their difference times {DIFFERENCE_GAIN:g}")

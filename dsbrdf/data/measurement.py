@@ -1,5 +1,7 @@
 """A measured isotropic BRDF on the angular grid of the MERL database."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +67,7 @@ class Measurement:
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 
     @classmethod
-    def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> "Measurement":
+    def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> Measurement:
         """Return the measurement with the given values, as if they had been written to a file and read back.
 
         Parameters

@@ -8,6 +8,8 @@ is the BRDF in 1/sr; a negative value marks a node without a measurement.
 `parse_merl` and `read_merl` use the same code.
 """
 
+from __future__ import annotations
+
 import mmap
 import os
 from collections.abc import Iterator

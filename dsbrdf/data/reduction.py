@@ -16,6 +16,8 @@ the mean of cos(phi_diff)**2.
 This is the only place that decides which samples count, and how much.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Scattered samples: values of a BRDF at any pairs of directions."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Sized
 from dataclasses import dataclass, replace
@@ -47,12 +49,12 @@ class ScatteredSamples:
     sha256: str
     notes: tuple[str, ...] = ()
 
-    def take(self, chosen: NDArray[np.bool_]) -> "ScatteredSamples":
+    def take(self, chosen: NDArray[np.bool_]) -> ScatteredSamples:
         """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
 
-    def divided_by_cosine(self, side: str) -> "ScatteredSamples":
+    def divided_by_cosine(self, side: str) -> ScatteredSamples:
         """Return the samples, values divided by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
         cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
         return replace(self, values=self.values / cosine[:, np.newaxis])
@@ -69,7 +71,7 @@ class ScatteredSamples:
         weight: ArrayLike | None = None,
         name: str = "samples",
         notes: tuple[str, ...] = (),
-    ) -> "ScatteredSamples":
+    ) -> ScatteredSamples:
         """Return checked samples.
 
         Parameters

@@ -12,6 +12,8 @@ direction, where q is small, what the guide misses is a halo of the highlight.  
 negative.  A component is there only if it has light.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -82,7 +84,7 @@ class Component(ReflectanceModel):
 
     label: str
     lobe: DSBRDF
-    whole: "Decomposition"
+    whole: Decomposition
 
     def __repr__(self) -> str:
         return f"<Component: {self.label}, half width {np.degrees(self.half_width):.1f} degrees>"
@@ -251,7 +253,7 @@ class Decomposition:
 _NORMAL = half_vector_rule(0.0)
 
 
-def decompose(model: "DSBRDF | FitResult") -> Decomposition:
+def decompose(model: DSBRDF | FitResult) -> Decomposition:
     """Separate a model into specular spike, specular lobe and diffuse part.
 
     Parameters

@@ -1,7 +1,10 @@
 """What can be chosen about a fit."""
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from functools import wraps
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -19,7 +22,28 @@ COSINES = ("in", "out")
 MAX_MASK = 10.0
 MAX_EM_ITERATIONS = 10_000
 
+Options = TypeVar("Options")
 
+
+def _suggesting(options: type[Options]) -> type[Options]:
+    """Make a dataclass name the option that a wrong name may mean."""
+    init: Callable[..., None] = options.__init__
+
+    @wraps(init)
+    def checked(self: Options, *values: object, **choices: object) -> None:
+        known = [field.name for field in fields(options)]  # type: ignore[arg-type]  # a dataclass
+        for name in choices:
+            if name not in known:
+                near = get_close_matches(name, known, n=1)
+                rest = f"did you mean {near[0]}?" if near else f"the options are {', '.join(known)}"
+                raise InvalidArgumentError(f"there is no option {name!r}; {rest}")
+        init(self, *values, **choices)
+
+    options.__init__ = checked  # type: ignore[assignment, method-assign]
+    return options
+
+
+@_suggesting
 @dataclass(frozen=True)
 class FitOptions:
     """What can be chosen about a fit; checked when made.

@@ -1,9 +1,11 @@
 """From a measurement, or its profiles, to a model and a report."""
 
+from __future__ import annotations
+
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from typing import Any
@@ -103,7 +105,7 @@ def fit(
     return result
 
 
-def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: "_Clock") -> FitResult:
+def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: _Clock) -> FitResult:
     """Fit a model and report what the profiles can tell."""
     if options.method == "paper":
         papers = fit_slicewise(data, options, progress)
@@ -112,7 +114,7 @@ def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float
     return _result(fit_global(data, options, progress, clock.lap), data, options, clock)
 
 
-def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, clock: "_Clock") -> FitResult:
+def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, clock: _Clock) -> FitResult:
     """Model and report, without the metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
@@ -135,7 +137,7 @@ def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, cl
 
 
 def _fit_samples(
-    samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: "_Clock"
+    samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: _Clock
 ) -> FitResult:
     """Fit samples in bins, again with the samples moved to their bins by the model found, then where they are.
 
@@ -184,10 +186,6 @@ def _report_round(progress: Callable[[float], None], number: int, share: float) 
 
 
 def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
-    known = [field.name for field in fields(FitOptions)]
-    unknown = sorted(set(choices) - set(known))
-    if unknown:
-        raise InvalidArgumentError(f"there is no option {unknown[0]!r}; the options are {', '.join(known)}")
     if options is not None and choices:
         raise InvalidArgumentError("give the options as FitOptions or by name, not both")
     return FitOptions(**choices) if options is None else options

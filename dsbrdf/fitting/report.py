@@ -3,6 +3,8 @@
 A report consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
 """
 
+from __future__ import annotations
+
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dsbrdf.data.measurement import Measurement
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -145,23 +149,35 @@ class FitReport:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A model and the report of its fit."""
+    """A model and the report of its fit.
+
+    It is drawn, decomposed, saved and evaluated as its model is: `dsbrdf.render_sphere(result)`.
+
+    Attributes
+    ----------
+    model : DSBRDF
+    report : FitReport
+    """
 
     model: DSBRDF
     report: FitReport
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
+        """Return RGB values of the model, shape (..., 3) [1/sr], at angles [rad]; see `DSBRDF.evaluate`."""
+        return self.model.evaluate(theta_half, theta_diff, phi_diff)
 
     def _repr_html_(self) -> str:
         from dsbrdf.output.notebook import result_html
 
         return result_html(self)
 
-    def export(self, path: "str | PathLike[str]", file_format: str | None = None) -> None:
+    def export(self, path: str | PathLike[str], file_format: str | None = None) -> None:
         """Write the model to a file for another program, see `dsbrdf.export`."""
         from dsbrdf.output.export.export_file import export
 
         export(self, path, file_format)
 
-    def plot(self, measurement: "Measurement | None" = None) -> "Figure":
+    def plot(self, measurement: Measurement | None = None) -> Figure:
         """Draw the fit; needs matplotlib.
 
         Parameters

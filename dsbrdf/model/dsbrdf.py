@@ -11,6 +11,8 @@ Every term is non-negative, continuous where the delta term is 0, and does not c
 places.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -134,7 +136,7 @@ class DSBRDF(ReflectanceModel):
 
         return model_html(self)
 
-    def plot(self) -> "Figure":
+    def plot(self) -> Figure:
         """Draw the parameters over theta_diff; needs matplotlib."""
         from dsbrdf.output.notebook import plot_model
 
@@ -197,7 +199,7 @@ class DSBRDF(ReflectanceModel):
         """The parameters as polynomials in theta_diff, without the delta term."""
         return self._evaluator.pieces
 
-    def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> "DSBRDF":
+    def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
         """Return the part of the model made of some of its lobes, with or without the delta term."""
         index = list(lobes)
         chosen = {name: getattr(self, name)[..., index] for name in ("amplitude", "kappa", "gamma", "center")}

@@ -3,6 +3,8 @@
 The view looks along -z; x is to the right and y up.
 """
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
 
@@ -137,7 +139,7 @@ class EnvironmentMap:
         return f"<EnvironmentMap: {width} x {height} pixels, {lights}>"
 
     @classmethod
-    def from_pixels(cls, pixels: ArrayLike) -> "EnvironmentMap":
+    def from_pixels(cls, pixels: ArrayLike) -> EnvironmentMap:
         """Return the environment that a panorama shows.
 
         Parameters
@@ -168,7 +170,7 @@ class EnvironmentMap:
             raise ImageFormatError("The picture of an environment is black.")
         return cls(*_without_lights(_at_most(image, _WIDEST)))
 
-    def at_most(self, width: int) -> "EnvironmentMap":
+    def at_most(self, width: int) -> EnvironmentMap:
         """Return the environment with at most so many columns of pixels; finer ones are averaged."""
         return self if self.pixels.shape[1] <= width else EnvironmentMap(_at_most(self.pixels, width), self.lights)
 

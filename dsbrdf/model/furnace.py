@@ -5,6 +5,8 @@ one that conserves energy is never brighter than the walls.  A reciprocal BRDF d
 change places.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """What every isotropic, reciprocal model of reflectance offers, once it has values at half and difference angles."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 

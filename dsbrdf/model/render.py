@@ -10,6 +10,8 @@ Where f is needed depends on the lighting and the size only.  It is found once, 
 ``evaluate`` and sparse products.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -54,10 +56,10 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
 
     Parameters
     ----------
-    source : Measurement, model or callable
+    source : Measurement, FitResult, model or callable
         The material: a measurement, which is interpolated, an object with
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as a component of `decompose`, or such a
-        function.
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as the result of a fit or a component of
+        `decompose`, or such a function.
     lighting : {"three_lights", "environment"} or EnvironmentMap
         Three distant lights, a sky with sun, ground and window, or what `read_environment` has read.
     size : int

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.extras import require
+from dsbrdf.output.figure_layout import ROW_HEIGHT, SPHERES_HEIGHT, figure_of_rows, finish_row, panel_pairs, set_ticks
 from dsbrdf.output.figure_parts import component_parts, lobe_parts
 from dsbrdf.output.sphere_panels import draw_panels
 
@@ -47,7 +47,7 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
-ROW_HEIGHT, SPHERES_HEIGHT = 3.4, 2.3  # of a row of panels, in inches
+_PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
@@ -74,8 +74,8 @@ def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[f
         If matplotlib is not installed.
     """
     rows = _nearest_rows(theta_diff)
-    figure = empty_figure(profiles.name, len(rows), height=ROW_HEIGHT)
-    _profiles_row(figure, profiles, model, rows)
+    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT])
+    _profiles_row(row, profiles, model, rows)
     return figure
 
 
@@ -111,8 +111,8 @@ def lobes_figure(
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
     what = _parts_name(model_lobes)
-    figure = empty_figure(f"{profiles.name}: {what}, {channel} channel", len(rows), height=ROW_HEIGHT)
-    _parts_row(figure, profiles, model, rows, index, model_lobes)
+    figure, (row,) = figure_of_rows(f"{profiles.name}: {what}, {channel} channel", len(rows), [ROW_HEIGHT])
+    _parts_row(row, profiles, model, rows, index, model_lobes)
     return figure
 
 
@@ -145,8 +145,7 @@ def overview_figure(
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
     heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, SPHERES_HEIGHT]
-    figure = empty_figure(profiles.name, len(rows), height=sum(heights) + 0.3)
-    above, below, *rest = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(rows), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
@@ -154,7 +153,7 @@ def overview_figure(
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
-        draw_panels(rest[0], spheres.panels)
+        draw_panels(rest[0], spheres.seen)
     return figure
 
 
@@ -188,7 +187,7 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
     """Draw all channels, in two panels for each slice, with a legend."""
-    pairs = _panel_pairs(figure, len(rows))
+    pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
         data = [_measured(profiles, row, channel) for channel in range(3)]
@@ -197,7 +196,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 _draw_curve(ax, curve, colour, label=f"{channel}, fit")
-    draw_legend(figure, [pairs[0][0]], columns=min(6, 3 * len(rows)))
+    finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
 
 
 def _parts_name(model_lobes: bool) -> str:
@@ -209,7 +208,7 @@ def _parts_row(
 ) -> None:
     """Draw parts of a model in one channel, in two panels for each slice, with a legend of those that are seen."""
     parts = lobe_parts(model, channel) if model_lobes else component_parts(model)
-    pairs = _panel_pairs(figure, len(rows))
+    pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
         fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
@@ -217,11 +216,11 @@ def _parts_row(
         curves = [slice_means(part.source, row, profiles.horizon_cutoff)[:, channel] for part in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
+            _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # seen also where a component covers it
             _draw_points(ax, *points, "black", "o", "measured")
-            _draw_curve(ax, fitted, "black", label="fit")
             for part, curve in compress(zip(parts, curves, strict=True), seen):
                 _draw_curve(ax, curve, part.colour, style=part.style, label=part.label)
-    draw_legend(figure, [pair[0] for pair in pairs], columns=2 * len(rows))
+    finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
 
 
 def slice_means(
@@ -265,22 +264,36 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
     """Set the axes of a slice: all angles on a logarithmic scale, four half widths of the peak on a linear one."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
-    total = fitted.reshape(CURVE_ANGLES.size, -1).sum(axis=1)
-    half_width = CURVE_ANGLES[np.flatnonzero(total >= 0.5 * total.max())[-1]]
-    extent = float(np.degrees(np.clip(4.0 * half_width, np.radians(3.0), np.pi / 2)))
     all_angles, peak = pair
     all_angles.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
-    all_angles.set_xticks(range(-90, 91, 30))
     all_angles.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
+    half_width = _peak_half_width(fitted.reshape(CURVE_ANGLES.size, -1).sum(axis=1))
+    extent = 90.0 if half_width is None else min(4.0 * float(np.degrees(half_width)), 90.0)
     peak.set(xlim=(-extent, extent), ylim=(0.0, 1.08 * top))
-    peak.set_title("the peak, linear axis", fontsize=9)
+    peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
-        ax.tick_params(labelsize=8)
+        set_ticks(ax)
+    if extent == 90.0:
+        peak.set_xticks(range(-90, 91, 45))  # it is narrow
 
 
-def _draw_curve(ax: Axes, values: Array, colour: str, *, label: str, style: str = "-") -> None:
-    width = 1.2 if label else 0.8
+def _peak_half_width(values: Array) -> float | None:
+    """Return where a curve over `CURVE_ANGLES` has come down half of the way from the normal to its lowest [rad].
+
+    None where it is hardly higher at the normal than elsewhere: what changes towards the horizon only is no peak.
+    """
+    lowest = int(np.argmin(values[CURVE_ANGLES <= _FAR]))
+    high, low = float(values[: lowest + 1].max()), float(values[lowest])
+    if high < _PEAK * low or high <= 0.0:
+        return None
+    return float(CURVE_ANGLES[np.flatnonzero(values[: lowest + 1] >= 0.5 * (high + low))[-1]])
+
+
+def _draw_curve(
+    ax: Axes, values: Array, colour: str, *, label: str, style: str = "-", width: float | None = None
+) -> None:
+    width = width or (1.2 if label else 0.8)
     ax.plot(*_mirrored(CURVE_ANGLES, values), style, color=colour, linewidth=width, label=label)
 
 
@@ -306,32 +319,6 @@ def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
     """Return a curve mirrored about theta_half = 0, in degrees."""
     degrees = np.degrees(theta_half)
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
-
-
-def draw_legend(figure: FigureBase, axes: Sequence[Axes], *, columns: int) -> None:
-    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
-    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
-    figure.legend(
-        list(lines.values()), list(lines), loc="outside lower center", ncols=columns, fontsize=8, frameon=False
-    )
-
-
-def empty_figure(title: str, pairs: int, *, height: float) -> Figure:
-    """Return a figure with a title only, of the width of some pairs of panels."""
-    require("plot", "matplotlib", purpose="figures")
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    figure = Figure(figsize=(5.5 * pairs, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06))
-    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
-    return figure
-
-
-def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
-    """Return two panels for each slice, side by side."""
-    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
-    return list(zip(axes[::2], axes[1::2], strict=True))
 
 
 def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:

@@ -21,7 +21,7 @@ from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.figures import overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
-from dsbrdf.output.sphere_panels import encode_png
+from dsbrdf.output.sphere_panels import cut_out, encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,8 +82,8 @@ def _model_table(model: DSBRDF) -> str:
 def _card(source: DSBRDF | Measurement, *parts: str) -> str:
     """Return a sphere, with nothing drawn around it, and parts to its right."""
     sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
-    shown = np.concatenate([displayed(sphere, exposure(sphere, mask)), mask[..., np.newaxis]], axis=-1)
-    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{_base64(encode_png(shown))}">'
+    shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))
+    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{_base64(shown)}">'
     beside = "".join(f"<div>{part}</div>" for part in (image, *parts))
     return f'<div style="display: flex; flex-wrap: wrap; gap: 1em; align-items: flex-start">{beside}</div>'
 

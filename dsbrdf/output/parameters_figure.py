@@ -8,8 +8,9 @@ import numpy as np
 
 from dsbrdf.fitting.decomposition import LobeParameters, decompose
 from dsbrdf.model.lobes import half_width
+from dsbrdf.output.figure_layout import ROW_HEIGHT, draw_legend, empty_figure, set_ticks
 from dsbrdf.output.figure_parts import COMPONENT_COLOURS, LOBE_COLOURS
-from dsbrdf.output.figures import CHANNEL_COLOURS, ROW_HEIGHT, draw_legend, empty_figure
+from dsbrdf.output.figures import CHANNEL_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
-_WIDTH_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
 _STYLES = ("-", "--", "-.", ":")
 
 
@@ -54,15 +54,14 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
             ax.plot(degrees, values, style, color=colour, linewidth=1.2, label=label)
     heights.set(yscale="log", title="height in red, green and blue [1/sr]")
     widths.set(yscale="log", title="half width [degrees]")
-    _set_width_ticks(widths)
     tails.set(title="kappa" if model_lobes else "tail, 2 for GGX, less for longer ones")
     elongations.set(title="elongation, 0 for a round lobe")
     _include(tails, 0.0, 2.5)
     _include(elongations, -0.25, 1.25)
     for ax in (heights, widths, tails, elongations):
-        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]", xticks=range(0, 91, 15))
+        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
         ax.title.set_fontsize(9)
-        ax.tick_params(labelsize=8)
+        set_ticks(ax)
     draw_legend(figure, [widths], columns=4)
     return figure
 
@@ -89,14 +88,6 @@ def _model_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
         )
         for k, is_ring in enumerate(model.is_ring)
     ]
-
-
-def _set_width_ticks(widths: Axes) -> None:
-    """Label a logarithmic axis of half widths with round numbers."""
-    low, high = widths.get_ylim()
-    ticks = [tick for tick in _WIDTH_TICKS if low <= tick <= high]
-    widths.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    widths.set_yticks([], minor=True)
 
 
 def _include(ax: Axes, low: float, high: float) -> None:

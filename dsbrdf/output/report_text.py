@@ -5,6 +5,7 @@ rest of the library uses radians.
 """
 
 import json
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -24,6 +25,15 @@ LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 """theta_diff of the values of components' own lobes in JSON [degrees]."""
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 """theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
+_WIDTH = 60  # columns that tables and lists need at most
+# Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
+_VERDICTS = (
+    (45.0, "hardly to be told apart"),
+    (38.0, "very close"),
+    (32.0, "close"),
+    (26.0, "alike"),
+    (0.0, "far off"),
+)
 _NO_COMPONENTS = "The model has no light, and so no components."
 
 
@@ -32,17 +42,23 @@ def metrics_line(metrics: Metrics) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in asdict(metrics).items() if value is not None)
 
 
+def wrapped_metrics(metrics: Metrics, width: int = _WIDTH) -> list[str]:
+    """Return the same on lines that end after a value."""
+    together = ", ".join(part.replace(" ", "\N{NO-BREAK SPACE}") for part in metrics_line(metrics).split(", "))
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(together, width)]
+
+
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: half width, tail, albedo, colour and clarity."""
+    """Return a table with a line for each component: half width, tail, clarity and albedo."""
     if not components:
         return [_NO_COMPONENTS]
-    heads = f"{'half width':>10}{'tail':>7}   {'albedo red, green, blue':<26}{'colour':<19}{'clarity':>7}"
-    lines = [f"{'component':<16}{heads}"]
+    lines = [f"{'component':<14}{'half width':>10}{'tail':>6}{'clarity':>8}{'albedo r, g, b':>21}"]
     for component in components:
-        albedo = "  ".join(f"{value:.4f}" for value in component["albedo"])
-        color = "  ".join(f"{value:.2f}" for value in component["color"])
-        cells = f"{component['half_width_deg']:>9.2f}°{_usual_tail(component['lobe']):>7.2f}   {albedo:<26}{color:<19}"
-        lines.append(f"{component['label']:<16}{cells}{component['clarity']:>7.2f}")
+        albedo = "".join(f"{value:>7.4f}" for value in component["albedo"])
+        cells = (
+            f"{component['half_width_deg']:>9.2f}°{_usual_tail(component['lobe']):>6.2f}{component['clarity']:>8.2f}"
+        )
+        lines.append(f"{component['label']:<14}{cells}{albedo}")
     return lines
 
 
@@ -56,7 +72,7 @@ def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table of the own lobe of each component: its values at `SHOWN_THETA_DIFF`."""
     if not components:
         return []
-    lines = [_angles_head("own lobes [1/sr], theta_diff")]
+    lines = _angles_head("own lobes [1/sr]")
     for component in components:
         lobe, lead = component["lobe"], component["label"]
         shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
@@ -64,9 +80,8 @@ def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
         rows = [(f"height {channel}", values, "") for channel, values in zip(CHANNELS, heights, strict=True)]
         rows += [("half width", lobe["half_width_deg"], "°"), ("tail", lobe["tail"], "")]
         rows.append(("elongation", lobe["elongation"], ""))
-        for name, values, unit in rows:
-            lines.append(_row(lead, name, [values[index] for index in shown], unit))
-            lead = ""
+        lines.append(lead)
+        lines += [_row(name, [values[index] for index in shown], unit) for name, values, unit in rows]
     return lines
 
 
@@ -81,7 +96,7 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
         parameters[name][:, column if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
     )
     widths = np.degrees(half_width(kappa, gamma, model.lobe))
-    lines = [_angles_head(f"{channel} channel [1/sr], theta_diff")]
+    lines = _angles_head(f"lobes of the model, {channel} channel [1/sr]")
     for lobe, is_ring in enumerate(model.is_ring):
         rows = [("height", parameters["amplitude"][:, column, lobe], ""), ("half width", widths[:, lobe], "°")]
         if is_ring:
@@ -89,19 +104,17 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
         rows += [("kappa", kappa[:, lobe], ""), ("gamma", gamma[:, lobe], "")]
         if model.elongation[:, lobe].any():
             rows.append(("elongation", parameters["elongation"][:, lobe], ""))
-        lead = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
-        for name, values, unit in rows:
-            lines.append(_row(lead, name, values, unit))
-            lead = ""
+        lines.append(f"{'ring lobe' if is_ring else 'lobe'} {lobe}")
+        lines += [_row(name, values, unit) for name, values, unit in rows]
     return lines
 
 
-def _angles_head(title: str) -> str:
-    return f"{title:<31}" + "".join(f"{angle:>10.0f}°" for angle in SHOWN_THETA_DIFF)
+def _angles_head(title: str) -> list[str]:
+    return [title, _row("at theta_diff", SHOWN_THETA_DIFF, "°")]
 
 
-def _row(lead: str, name: str, values: Iterable[float], unit: str) -> str:
-    return (f"{lead:<18}{name:<13}" + "".join(f"{value:>10.4g}{unit or ' '}" for value in values)).rstrip()
+def _row(name: str, values: Iterable[float], unit: str) -> str:
+    return (f"  {name:<14}" + "".join(f"{value:>10.4g}{unit or ' '}" for value in values)).rstrip()
 
 
 def lobes_phrase(model: DSBRDF) -> str:
@@ -125,11 +138,11 @@ def growth_table(report: FitReport) -> list[str]:
 
 def selection_table(report: FitReport) -> list[str]:
     """Return a table of the numbers of lobes that Williams' test compared; empty if the number was not chosen so."""
-    lines = [f"{'lobes':<14}{'E_p':>10}{'squared error':>16}{'t':>10}{'critical':>10}"] if report.selection else []
+    lines = [f"{'lobes':<6}{'E_p':>9}{'squared error':>15}{'t':>9}{'critical':>10}"] if report.selection else []
     for step in report.selection:
         t, critical = ("" if value is None else f"{value:.3f}" for value in (step.t, step.critical_value))
         verdict = "   worse" if step.significant else ""
-        cells = f"{step.n_lobes:<14}{step.e_p:>10.4f}{step.squared_error:>16.4g}{t:>10}{critical:>10}"
+        cells = f"{step.n_lobes:<6}{step.e_p:>9.4f}{step.squared_error:>15.4g}{t:>9}{critical:>10}"
         lines.append(f"{cells}{verdict}".rstrip())
     return lines
 
@@ -155,18 +168,34 @@ def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> l
 
 
 def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
-    """Return the report of one fit: metrics, warnings, components, lobes tried, errors; the lobes if asked for."""
+    """Return the report of one fit: verdict, warnings, metrics, components, lobes tried, errors; lobes if asked for."""
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
-    lines = [headline(file, result), *warnings, "", *model_text(result.model, lobes=lobes, channel=channel)]
+    metrics = wrapped_metrics(result.report.metrics)
+    lines = [
+        headline(file, result),
+        *warnings,
+        "",
+        *metrics,
+        "",
+        *model_text(result.model, lobes=lobes, channel=channel),
+    ]
     for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
 
 
 def headline(file: Path, result: FitResult) -> str:
-    """Return one line with the file, the number of lobes, the metrics and the time."""
+    """Return one line with the file, how close the fit is, the number of lobes and the time."""
     seconds = sum(result.report.timings.values())
-    return f"{file.stem}: {lobes_phrase(result.model)}; {metrics_line(result.report.metrics)}; {seconds:.2f} s"
+    return f"{file.stem}: {verdict(result.report.metrics)}; {lobes_phrase(result.model)}; {seconds:.2f} s"
+
+
+def verdict(metrics: Metrics) -> str:
+    """Return in words how close a fit is, with the number that says so: ``very close (38.4 dB)``."""
+    if metrics.psnr is None:
+        return "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
+    words = next(words for least, words in _VERDICTS if metrics.psnr >= least or least == 0.0)
+    return f"{words} ({metrics.psnr:.1f} dB)"
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:

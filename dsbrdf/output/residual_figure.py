@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.output.figures import ROW_HEIGHT, empty_figure, slice_means
+from dsbrdf.output.figure_layout import ROW_HEIGHT, empty_figure
+from dsbrdf.output.figures import slice_means
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +53,11 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
         )
         ax.set_facecolor("0.85")
         ax.set_xticks(np.interp(np.radians(_TICKS), THETA_HALF, np.arange(THETA_HALF.size)), map(str, _TICKS))
-        ax.set(title=channel, xlabel=r"$\theta_\mathrm{half}$ [degrees]")
+        ax.set_yticks(range(0, 91, 15))
+        ax.set_title(channel, fontsize=9)
+        ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
+        ax.tick_params(labelsize=8)
     axes[0].set_ylabel(r"$\theta_\mathrm{diff}$ [degrees]")
-    figure.colorbar(image, ax=axes, label="(fit - measured) / measured [%]", extend="both")
+    bar = figure.colorbar(image, ax=axes, label="(fit - measured) / measured [%]", extend="both")
+    bar.ax.tick_params(labelsize=8)
     return figure

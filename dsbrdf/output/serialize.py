@@ -5,6 +5,8 @@ of its fit. JSON writes every number with enough digits to restore the same bits
 damaged content raises a `ModelFormatError`.
 """
 
+from __future__ import annotations
+
 import io
 import json
 import os

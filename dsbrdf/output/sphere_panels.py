@@ -29,6 +29,7 @@ __all__ = [
     "DIFFERENCE_GAIN",
     "SphereComparison",
     "compare_spheres",
+    "cut_out",
     "draw_panels",
     "encode_png",
     "side_by_side",
@@ -38,6 +39,9 @@ Array = NDArray[np.float64]
 
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
+
+_SEEN = 0.1  # as a screen shows it: a component that is darker everywhere is not seen beside the others
+_EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,12 @@ class SphereComparison:
     exposure: float
     psnr: float
     ssim: float
+
+    @property
+    def seen(self) -> dict[str, Array]:
+        """The panels without the components that are too dark to be seen."""
+        whole = list(self.panels)[:3]
+        return {title: panel for title, panel in self.panels.items() if title in whole or panel.max() > _SEEN}
 
 
 def compare_spheres(
@@ -99,12 +109,35 @@ def side_by_side(panels: Mapping[str, Array]) -> Array:
     return np.concatenate(list(panels.values()), axis=1)
 
 
+def cut_out(picture: Array) -> Array:
+    """Return a sphere that nothing is drawn around, with a smooth edge.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (size, size, 3)
+        As a screen shows it.
+
+    Returns
+    -------
+    ndarray, shape (size, size, 4)
+        The last channel is the share of each pixel that the sphere covers; at the edge, pixels have the colour of the
+        next one within.
+    """
+    size = len(picture)
+    rows, columns = np.indices((size, size)) + 0.5 - size / 2.0
+    radius = np.hypot(rows, columns)
+    inward = np.minimum(1.0, (size / 2.0 - _EDGE) / np.maximum(radius, 1.0))
+    nearest = ((part * inward + size / 2.0).astype(int) for part in (rows, columns))
+    covered = np.clip(size / 2.0 - radius + 0.5, 0.0, 1.0)
+    return np.concatenate([picture[tuple(nearest)], covered[..., np.newaxis]], axis=-1)
+
+
 def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
-    """Draw panels in one row, each with its title and transparent beside the sphere."""
-    _, mask = sphere_normals(len(next(iter(panels.values()))))
+    """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):
-        ax.imshow(np.concatenate([picture, mask[..., np.newaxis]], axis=-1), interpolation="antialiased")
+        ax.imshow(cut_out(picture), interpolation="antialiased")
         ax.set_title(title, fontsize=9)
         ax.set_axis_off()
 

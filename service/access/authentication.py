@@ -18,13 +18,13 @@ from time import monotonic
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.access.keys import ActiveKey, Keys
-from service.errors import ProblemError
-from service.http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
-from service.http.problems import problem_response
-from service.http.request_log import HEALTH
-from service.settings import Settings
-from service.storage.schema import Caller
+from ..errors import ProblemError
+from ..http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
+from ..http.problems import problem_response
+from ..http.request_log import HEALTH
+from ..settings import Settings
+from ..storage.schema import Caller
+from .keys import ActiveKey, Keys
 
 # They show nothing that belongs to a key.
 OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign-in", "/sign-out", *STATIC_FILES))

@@ -17,11 +17,11 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from service.storage.database import FILE_NAME, Database, check_integrity
-from service.storage.schema import Caller
+from ..storage.database import FILE_NAME, Database, check_integrity
+from ..storage.schema import Caller
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
-    from service.settings import Settings
+    from ..settings import Settings
 
 _LIMITS = "requests_per_second, stored_mb, queued_fits"
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")

@@ -12,9 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dsbrdf.cli.arguments import BAD_INPUT, print_error
-from service import DEFAULT_DATA_DIR
-from service.errors import DataFolderError
-from service.storage.database import FILE_NAME
+
+from .. import DEFAULT_DATA_DIR
+from ..errors import DataFolderError
+from ..storage.database import FILE_NAME
 
 
 def add_data_dir(parser: argparse.ArgumentParser) -> None:

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from dsbrdf.cli.arguments import Parser, add_json_option, print_json
-from service.commands import add_data_dir, run_in_folder
-from service.errors import CheckFailedError
-from service.storage.blobs import Blobs
-from service.storage.database import FILE_NAME
-from service.storage.schema import VERSION
+
+from ..errors import CheckFailedError
+from ..storage.blobs import Blobs
+from ..storage.database import FILE_NAME
+from ..storage.schema import VERSION
+from . import add_data_dir, run_in_folder
 
 
 def main(argv: Sequence[str] | None = None) -> int:

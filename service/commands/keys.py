@@ -11,9 +11,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from dsbrdf.cli.arguments import Parser, add_json_option, print_json
-from service.access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
-from service.commands import add_data_dir, refuse, run_in_folder
-from service.storage.database import FILE_NAME, Database
+
+from ..access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
+from ..storage.database import FILE_NAME, Database
+from . import add_data_dir, refuse, run_in_folder
 
 _MAX_NAME = 100
 

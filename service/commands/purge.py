@@ -14,10 +14,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from dsbrdf.cli.arguments import Parser, add_json_option, print_json
-from service.commands import add_data_dir, run_in_folder
-from service.storage.blobs import Blobs
-from service.storage.database import Database, check_integrity
-from service.storage.schema import IS_UNFINISHED
+
+from ..storage.blobs import Blobs
+from ..storage.database import Database, check_integrity
+from ..storage.schema import IS_UNFINISHED
+from . import add_data_dir, run_in_folder
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}

@@ -15,10 +15,10 @@ from typing import Any
 from starlette.types import Message, Receive
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from service.errors import ProblemError
-from service.http.problems import problem_response
-from service.http.responses import with_security_headers
-from service.settings import Settings
+from ..errors import ProblemError
+from ..settings import Settings
+from .problems import problem_response
+from .responses import with_security_headers
 
 _CLOSE = {"Connection": "close"}
 _READ_SIZE = 1 << 16  # bytes that are read from a connection at a time: there may be many

@@ -9,10 +9,10 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from starlette.routing import BaseRoute
 
-from service.http import problems as table
-from service.wire import examples
-from service.wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
-from service.wire.values import JSON
+from ..wire import examples
+from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
+from ..wire.values import JSON
+from . import problems as table
 
 BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]

@@ -14,7 +14,8 @@ from starlette.responses import HTMLResponse
 
 import dsbrdf
 
-_OURS = files("service") / "page"
+_PACKAGE = __name__.partition(".")[0]  # service in a clone, dsbrdf_service where it is installed
+_OURS = files(_PACKAGE) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
 _SCRIPTS = ("index", "progress", "fit", "sphere", "plots")
@@ -36,7 +37,7 @@ _SOURCES = (
 _POLICY = f"{_SOURCES}; form-action 'self'"
 POLICY_WITHOUT_FORMS = f"{_SOURCES}; form-action 'none'"
 _templates = Environment(
-    loader=PackageLoader("service", "page"),
+    loader=PackageLoader(_PACKAGE, "page"),
     autoescape=True,
     undefined=StrictUndefined,
     trim_blocks=True,

@@ -17,7 +17,8 @@ from starlette.routing import Match
 
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
 from dsbrdf.extras import MissingExtraError
-from service.errors import HeadOnlyError, ProblemError, validation_sentence
+
+from ..errors import HeadOnlyError, ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"

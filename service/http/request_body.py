@@ -16,8 +16,8 @@ from backports import zstd
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from service.errors import ProblemError
-from service.storage.uploads import Sink, UploadBody
+from ..errors import ProblemError
+from ..storage.uploads import Sink, UploadBody
 
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory

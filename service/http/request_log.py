@@ -12,12 +12,12 @@ from time import perf_counter
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bind_contextvars
 
-from service.errors import ProblemError
-from service.http.limits import BodyTimeout
-from service.http.problems import problem_response
-from service.http.responses import with_security_headers
-from service.operations.metrics import NO_ROUTE, Metrics
-from service.settings import Settings
+from ..errors import ProblemError
+from ..operations.metrics import NO_ROUTE, Metrics
+from ..settings import Settings
+from .limits import BodyTimeout
+from .problems import problem_response
+from .responses import with_security_headers
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 _SAFE_METHODS = ("GET", "HEAD")

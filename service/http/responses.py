@@ -16,10 +16,10 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
-from service.errors import ProblemError
-from service.storage.schema import FitRow, MeasurementRow
-from service.wire.schemas import Page
-from service.wire.values import JSON, number_of
+from ..errors import ProblemError
+from ..storage.schema import FitRow, MeasurementRow
+from ..wire.schemas import Page
+from ..wire.values import JSON, number_of
 
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),

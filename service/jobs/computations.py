@@ -17,9 +17,10 @@ from starlette.requests import ClientDisconnect, Request
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.local import WorkerProcesses
 from dsbrdf.errors import InvalidArgumentError
-from service.access.authentication import CALLER_NAME
-from service.errors import HeadOnlyError, ProblemError
-from service.jobs.fair_turns import FairTurns
+
+from ..access.authentication import CALLER_NAME
+from ..errors import HeadOnlyError, ProblemError
+from .fair_turns import FairTurns
 
 T = TypeVar("T")
 

@@ -18,14 +18,15 @@ from structlog.contextvars import bind_contextvars
 from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
-from service.errors import MeasurementDamagedError
-from service.jobs.fair_turns import FairTurns
-from service.operations.metrics import Metrics
-from service.settings import Settings
-from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.store import Store
-from service.storage.uploads import in_write_thread
-from service.wire.fit_options import from_wire
+
+from ..errors import MeasurementDamagedError
+from ..operations.metrics import Metrics
+from ..settings import Settings
+from ..storage.schema import Caller, FitKey, FitRow
+from ..storage.store import Store
+from ..storage.uploads import in_write_thread
+from ..wire.fit_options import from_wire
+from .fair_turns import FairTurns
 
 logger = logging.getLogger(__name__)
 

@@ -20,12 +20,13 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import decomposition_from_json, from_json
-from service.errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
-from service.jobs.computations import Run
-from service.jobs.drawing import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
-from service.storage.schema import FitKey, FitRow
-from service.storage.store import Store
-from service.wire.fit_options import from_wire
+
+from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from ..storage.schema import FitKey, FitRow
+from ..storage.store import Store
+from ..wire.fit_options import from_wire
+from .computations import Run
+from .drawing import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from typing import Any
 from structlog.contextvars import get_contextvars
 from structlog.dev import ConsoleRenderer
 
-from service.settings import Settings
+from ..settings import Settings
 
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
 # Characters that would end a line or control a terminal.

@@ -15,8 +15,8 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Proc
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.storage.database import Database
-from service.storage.schema import Status
+from ..storage.database import Database
+from ..storage.schema import Status
 
 Stage = Literal["upload", "waiting", "fitting", "evaluating"]
 

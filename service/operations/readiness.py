@@ -12,8 +12,9 @@ from typing import TypeVar
 import anyio.to_thread
 
 from dsbrdf.engines.engine import Engine
-from service.settings import Settings
-from service.storage.store import Store
+
+from ..settings import Settings
+from ..storage.store import Store
 
 LIMIT = 3.0  # seconds that a part may take to answer
 _FRESH = 1.0  # seconds for which the answer of a part is used again

@@ -6,11 +6,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
 import dsbrdf
-from service.errors import ProblemError
-from service.http import openapi
-from service.http.responses import json_reply
-from service.routes.dependencies import NO_QUERY, TheCaller, TheContext
-from service.wire.schemas import Health, Readiness
+
+from ..errors import ProblemError
+from ..http import openapi
+from ..http.responses import json_reply
+from ..wire.schemas import Health, Readiness
+from .dependencies import NO_QUERY, TheCaller, TheContext
 
 router = APIRouter(tags=["health"])
 

@@ -13,17 +13,18 @@ from starlette.types import Receive, Scope, Send
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
-from service.errors import ProblemError
-from service.http import openapi
-from service.http.request_body import IN_MEMORY, media_type_of, receive_body
-from service.http.responses import tagged_reply
-from service.jobs.computations import Place
-from service.jobs.results import LoadedFit
-from service.routes.dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
-from service.storage.schema import FitKey
-from service.wire import examples, values
-from service.wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
-from service.wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points, StoredPoints
+
+from ..errors import ProblemError
+from ..http import openapi
+from ..http.request_body import IN_MEMORY, media_type_of, receive_body
+from ..http.responses import tagged_reply
+from ..jobs.computations import Place
+from ..jobs.results import LoadedFit
+from ..storage.schema import FitKey
+from ..wire import examples, values
+from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
+from ..wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points, StoredPoints
+from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 
 
 class _DirectRoute(APIRoute):

@@ -9,20 +9,21 @@ from fastapi import Depends, Path, Request
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.errors import InvalidArgumentError
-from service.access.authentication import CALLER
-from service.access.keys import Keys
-from service.errors import FitNotFoundError, MeasurementNotFoundError
-from service.jobs.computations import Computations
-from service.jobs.jobs import Jobs
-from service.jobs.results import FitViews, ModelCache
-from service.operations.metrics import Metrics
-from service.operations.readiness import Readiness
-from service.settings import Settings
-from service.storage.schema import Caller, FitKey, FitRow, MeasurementRow
-from service.storage.store import Store
-from service.wire import examples
-from service.wire.names import given_name
-from service.wire.schemas import FIT_ID, SHA256
+
+from ..access.authentication import CALLER
+from ..access.keys import Keys
+from ..errors import FitNotFoundError, MeasurementNotFoundError
+from ..jobs.computations import Computations
+from ..jobs.jobs import Jobs
+from ..jobs.results import FitViews, ModelCache
+from ..operations.metrics import Metrics
+from ..operations.readiness import Readiness
+from ..settings import Settings
+from ..storage.schema import Caller, FitKey, FitRow, MeasurementRow
+from ..storage.store import Store
+from ..wire import examples
+from ..wire.names import given_name
+from ..wire.schemas import FIT_ID, SHA256
 
 _HEARTBEAT = 1.0  # seconds between looks at whether the key of a request that waits has been revoked
 

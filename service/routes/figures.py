@@ -9,12 +9,13 @@ from starlette.responses import Response
 
 import dsbrdf
 from dsbrdf.extras import require
-from service.http import openapi
-from service.http.responses import is_current, tag_of
-from service.jobs.drawing import FIGURES, StoredMeasurement, figure_step, sphere_step
-from service.routes.dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
-from service.wire.fit_options import from_wire
-from service.wire.schemas import FitSphere, Sphere
+
+from ..http import openapi
+from ..http.responses import is_current, tag_of
+from ..jobs.drawing import FIGURES, StoredMeasurement, figure_step, sphere_step
+from ..wire.fit_options import from_wire
+from ..wire.schemas import FitSphere, Sphere
+from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 

@@ -18,14 +18,22 @@ from dsbrdf.engines.fit_steps import export_step
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, export_model
 from dsbrdf.output.export.merl import merl_parts
-from service.access.authentication import invalid_key
-from service.errors import FitNotFoundError, ProblemError
-from service.http import openapi
-from service.http.openapi import BINARY
-from service.http.request_body import PIECE, media_type_of, receive_body, upload_body
-from service.http.responses import json_reply, next_page, preferred_wait, prefix_of, tagged_reply
-from service.jobs.computations import departure
-from service.routes.dependencies import (
+
+from ..access.authentication import invalid_key
+from ..errors import FitNotFoundError, ProblemError
+from ..http import openapi
+from ..http.openapi import BINARY
+from ..http.request_body import PIECE, media_type_of, receive_body, upload_body
+from ..http.responses import json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from ..jobs.computations import departure
+from ..storage.schema import Caller, FitKey, FitRow
+from ..storage.uploads import in_write_thread
+from ..wire import examples, schemas
+from ..wire.fit_options import canonical, from_query, from_wire
+from ..wire.model_document import model_document
+from ..wire.names import MAX_LENGTH, content_disposition
+from ..wire.values import JSON
+from .dependencies import (
     NO_QUERY,
     NO_REPETITION,
     Context,
@@ -35,13 +43,6 @@ from service.routes.dependencies import (
     name_of,
     revocation,
 )
-from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.uploads import in_write_thread
-from service.wire import examples, schemas
-from service.wire.fit_options import canonical, from_query, from_wire
-from service.wire.model_document import model_document
-from service.wire.names import MAX_LENGTH, content_disposition
-from service.wire.values import JSON
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)

@@ -8,11 +8,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from dsbrdf.data.merl_validation import FILE_SIZE
-from service.errors import MeasurementNotFoundError
-from service.http import openapi
-from service.http.openapi import BINARY
-from service.http.request_body import media_type_of, upload_body
-from service.http.responses import (
+
+from ..errors import MeasurementNotFoundError
+from ..http import openapi
+from ..http.openapi import BINARY
+from ..http.request_body import media_type_of, upload_body
+from ..http.responses import (
     OpenFileResponse,
     check_range,
     is_current,
@@ -21,7 +22,12 @@ from service.http.responses import (
     prefix_of,
     tagged_reply,
 )
-from service.routes.dependencies import (
+from ..storage.schema import MeasurementRow
+from ..storage.uploads import in_write_thread
+from ..wire.names import content_disposition
+from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
+from ..wire.values import JSON
+from .dependencies import (
     NO_QUERY,
     NO_REPETITION,
     Context,
@@ -31,12 +37,7 @@ from service.routes.dependencies import (
     name_of,
     no_query,
 )
-from service.routes.fits import CONTENT_ENCODING, NAMES
-from service.storage.schema import MeasurementRow
-from service.storage.uploads import in_write_thread
-from service.wire.names import content_disposition
-from service.wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
-from service.wire.values import JSON
+from .fits import CONTENT_ENCODING, NAMES
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
-from service.storage.schema import FitRow
-from service.wire.fit_options import DEFAULTS, canonical
+
+from ..storage.schema import FitRow
+from ..wire.fit_options import DEFAULTS, canonical
 
 _LOOKS = (
     (45.0, "cannot be told from"),

@@ -19,7 +19,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
-from service.storage.database import own_folder
+from .database import own_folder
 
 _SUFFIX = ".binary"
 _UPLOAD = "upload-"

@@ -14,8 +14,8 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from service.errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
-from service.storage.schema import VERSION, create_tables, version_of
+from ..errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
+from .schema import VERSION, create_tables, version_of
 
 FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"

@@ -9,7 +9,7 @@ import zlib
 from dataclasses import dataclass, fields
 from typing import Any, Literal, NamedTuple
 
-from service.errors import DataFolderError
+from ..errors import DataFolderError
 
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
 # does not tell how many rows others have. `size` of a fit is what it takes on the disk, with or without a

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import dsbrdf
-from service.errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
-from service.storage.blobs import Blobs
-from service.storage.database import Database
-from service.storage.schema import (
+
+from ..errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
+from .blobs import Blobs
+from .database import Database
+from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
     UNFINISHED,
@@ -29,7 +30,7 @@ from service.storage.schema import (
     checksum,
     columns,
 )
-from service.storage.uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
+from .uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
 
 _Row = TypeVar("_Row")
 

@@ -15,10 +15,11 @@ from anyio import CapacityLimiter, to_thread
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_header, check_length
 from dsbrdf.errors import MeasurementFormatError
-from service.errors import ProblemError
-from service.storage.blobs import Blobs, Incoming
-from service.storage.database import Database
-from service.storage.schema import IS_UNFINISHED, Caller
+
+from ..errors import ProblemError
+from .blobs import Blobs, Incoming
+from .database import Database
+from .schema import IS_UNFINISHED, Caller
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -6,8 +6,9 @@ import numpy as np
 
 import dsbrdf
 from dsbrdf import DSBRDF
-from service.wire.fit_options import DEFAULTS
-from service.wire.model_document import model_document
+
+from .fit_options import DEFAULTS
+from .model_document import model_document
 
 FIT_ID = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"

@@ -27,11 +27,12 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES, FitOptions
 from dsbrdf.model.render import LIGHTINGS
 from dsbrdf.output.export import FORMATS, GUIDE, PARTS
-from service.errors import validation_sentence
-from service.storage.schema import FitRow, MeasurementRow, Status
-from service.wire.fit_options import DEFAULTS, WIRE_NAMES
-from service.wire.model_document import ModelDocument
-from service.wire.values import check_plain
+
+from ..errors import validation_sentence
+from ..storage.schema import FitRow, MeasurementRow, Status
+from .fit_options import DEFAULTS, WIRE_NAMES
+from .model_document import ModelDocument
+from .values import check_plain
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"

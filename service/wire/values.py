@@ -23,7 +23,8 @@ from pydantic_core import to_json
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
 from dsbrdf.model.reflectance import ReflectanceModel
-from service.operations.metrics import Metrics
+
+from ..operations.metrics import Metrics
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

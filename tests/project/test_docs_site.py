@@ -1,5 +1,6 @@
 """The built documentation: notebooks run, no warning, no link that leads nowhere, nothing from other hosts."""
 
+import json
 import os
 import re
 import runpy
@@ -38,7 +39,7 @@ def test_site_has_a_page_for_each_public_name(site: Path) -> None:
     documented = {file.name for file in (site / "generated" / "api").glob("dsbrdf.*.html")}
     names = set(dsbrdf.__all__) - {"ALGORITHM_VERSION", "__version__"}
     assert {f"dsbrdf.{name}.html" for name in names} <= documented
-    assert (site / "generated" / "api" / "service.client.AsyncClient.html").is_file()
+    assert (site / "generated" / "api" / "dsbrdf_service.client.AsyncClient.html").is_file()
 
 
 def test_notebooks_were_run(site: Path) -> None:
@@ -54,6 +55,19 @@ def test_site_shows_spheres_formulas_and_references(site: Path) -> None:
     assert (site / "model.html").read_text().count("<math ") > 20
     assert "dsbrdf fit" in (site / "command_reference.html").read_text()
     assert 'href="#post-v1-fits"' in (site / "http_reference.html").read_text()
+
+
+def test_search_has_the_texts_of_all_pages_for_those_who_open_it_from_a_disk(site: Path) -> None:
+    texts = json.loads((site / "_static" / "search_pages.js").read_text().partition(" = ")[2].removesuffix(";\n"))
+    assert "the components add up: True" in texts["tutorial.html"]
+    assert {"index.html", "generated/api/dsbrdf.fit.html"} <= set(texts)
+    assert [file.name for file in site.glob("*.html") if "search_from_disk.js" in file.read_text()] == ["search.html"]
+
+
+def test_gallery_shows_the_measured_materials_without_the_data(site: Path) -> None:
+    page = (site / "gallery.html").read_text()
+    assert page.count('alt="lit spheres: measured, fit, difference x 4') == 9
+    assert "CC0 1.0" in page
 
 
 PAGE = """<html><head><link rel="stylesheet" href="style.css"><link rel="next" href="gone.html"></head><body id="top">

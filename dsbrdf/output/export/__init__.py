@@ -88,7 +88,7 @@ FORMATS = {
         "application/json",
         lambda model, report: to_json(model, report).encode(),
     ),
-    "npz": ExportFormat("the same for NumPy", "npz", _BINARY, to_npz),
+    "npz": ExportFormat("the model and its report for NumPy, without loss", "npz", _BINARY, to_npz),
     "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
     "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
     "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),

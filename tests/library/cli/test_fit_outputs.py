@@ -44,11 +44,11 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     captured = capsys.readouterr()
     assert captured.err.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
     first, second, _, head, *rows, failed = captured.out.splitlines()
-    assert first.startswith("good: 2 lobes; relative_rms ")
-    assert second.startswith("bad: 2 lobes; relative_rms 0.9, ")
-    assert head.split()[:3] == ["worst", "first", "lobes"]
-    assert [row.split()[0] for row in rows] == ["bad", "good"]
-    assert rows[0].split()[3] == "0.9"
+    assert first.startswith("good: close (")
+    assert second.startswith("bad: close (")
+    assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
+    assert [row.split()[-1] for row in rows] == ["bad", "good"]
+    assert rows[0].split()[0] == "0.9"
     assert failed == "1 file could not be fitted"
 
     written = list(csv.DictReader(table.read_text().splitlines()))
@@ -62,7 +62,7 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
 def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
     assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), "--plot", *QUICK]) == 0
     out = capsys.readouterr().out
-    assert "component       half width" in out
+    assert "component     half width" in out
     assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
     assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
     assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1

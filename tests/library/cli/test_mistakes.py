@@ -35,7 +35,7 @@ MISTAKES = {
     "eval paint.json --theta-half ten": "dsbrdf eval: --theta-half: must be a number, not 'ten'",
     "eval paint.json --thetahalf 10": "there is no option --thetahalf; did you mean --theta-half",
     "export paint.json --format gltf -o a.glb": "dsbrdf export: --format: must be json or npz or merl",
-    "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .npz, .binary, .glsl, .brdf,",
+    "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .npz, .binary, .glsl,",
     "render paint.json": "dsbrdf render: --output is missing",
     "plot paint.json -o paint.jpg": "dsbrdf: paint.jpg: the figure's file must end in .png, .svg or .pdf",
     "compare paint.json": "dsbrdf compare: SECOND is missing",

@@ -47,7 +47,7 @@ def test_compare_a_measurement_with_its_fit(
     picture = tmp_path / "both.png"
     assert cli.main(["compare", str(plastic_file), str(model_file), "-o", str(picture)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["plastic.binary", "fitted.json"]
+    assert lines[0].split() == ["plastic", "fitted"]
     assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
     (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
     assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]

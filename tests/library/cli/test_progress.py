@@ -22,7 +22,7 @@ def test_progress_goes_to_a_terminal_only(
     assert "1/1 files" in captured.err
     assert json.loads(captured.out)["status"] == "succeeded"
     assert cli.main(["fit", str(plastic_file), *QUICK]) == 0
-    assert capsys.readouterr().out.startswith("plastic: 1 lobe")
+    assert capsys.readouterr().out.startswith("plastic: far off")
 
 
 @pytest.fixture

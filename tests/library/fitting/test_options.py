@@ -122,3 +122,18 @@ def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
         FitOptions(n_lobes=np.int64(9))  # type: ignore[arg-type]
     with pytest.raises(InvalidArgumentError, match="n_lobes"):
         FitOptions(n_lobes=np.True_)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("n_lobe", "there is no option 'n_lobe'; did you mean n_lobes?"),
+        ("weigthing", "there is no option 'weigthing'; did you mean weighting?"),
+        ("zzz", "there is no option 'zzz'; the options are n_lobes, method, "),
+    ],
+)
+def test_wrong_name_is_told_the_right_one(name: str, sentence: str) -> None:
+    choice: dict[str, Any] = {name: 3}
+    with pytest.raises(InvalidArgumentError) as error:
+        FitOptions(**choice)
+    assert str(error.value).startswith(sentence)

@@ -13,6 +13,7 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult, KnotReport
+from dsbrdf.model.render import render_sphere
 
 KNOTS = tuple(np.radians([0.0, 30.0, 60.0, 89.0]))
 
@@ -28,6 +29,13 @@ def test_copies_are_equal_and_hash_alike(result: FitResult) -> None:
         assert hash(other) == hash(result)
     assert replace(result.report, n_numbers=1) != result.report
     assert replace(result.report, metrics=Metrics(male=0.1)) != result.report
+
+
+def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:
+    angles = np.radians([0.0, 30.0, 80.0]), np.radians(20.0), np.radians([[0.0], [90.0]])
+    np.testing.assert_array_equal(result.evaluate(*angles), result.model.evaluate(*angles))
+    assert result.evaluate(0.1, 0.2)[0] == result.model.evaluate(0.1, 0.2, np.pi / 2)[0]
+    np.testing.assert_array_equal(render_sphere(result, size=16), render_sphere(result.model, size=16))
 
 
 def test_plain_content_has_lists_and_the_names_of_the_attributes(result: FitResult) -> None:

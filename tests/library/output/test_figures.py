@@ -23,9 +23,12 @@ from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.render import sphere_normals
+from dsbrdf.output import figures
+from dsbrdf.output.figure_layout import log_ticks
 from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
 from dsbrdf.output.parameters_figure import parameters_figure
-from dsbrdf.output.sphere_panels import compare_spheres
+from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, cut_out
 from tests.support.mixtures import mixture
 
 Fitted = tuple[Profiles, DSBRDF]
@@ -150,8 +153,8 @@ def test_what_cannot_be_seen_is_not_in_the_legend(fitted: Fitted) -> None:
     dark = model.amplitude.copy()
     dark[..., 0] = 0.0
     figure = lobes_figure(summary, replace(model, amplitude=dark), model_lobes=True)
-    shown = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert [label[:6] for label in shown] == ["measur", "fit", "lobe 1", "lobe 2", "delta "]
+    shown = [text.get_text() for text in figure.subfigs[1].legends[0].get_texts()]
+    assert [label[:6] for label in shown] == ["fit", "measur", "lobe 1", "lobe 2", "delta "]
 
 
 def test_a_black_model_is_drawn(fitted: Fitted) -> None:
@@ -222,8 +225,10 @@ def test_missing_matplotlib_error_names_the_extra(fitted: Fitted, monkeypatch: p
 def test_figures_change_no_global_matplotlib_state() -> None:
     code = """
 import sys, numpy as np
+from dsbrdf.output import figures
 from dsbrdf.output.figures import encode_figure, overview_figure
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.render import sphere_normals
 from dsbrdf.data.reduction import FoldedProfiles, Profiles
 ones = np.ones((3, 90, 90))
 folded = FoldedProfiles(np.ones((3, 90, 90, 9)), np.ones((3, 90, 90, 9)), np.ones((90, 90, 9)))
@@ -249,5 +254,64 @@ def test_overview_ends_with_spheres(fitted: Fitted) -> None:
     assert [ax.get_title() for ax in panels] == list(spheres.panels)
     shown = panels[1].images[0].get_array()
     assert shown is not None
-    np.testing.assert_array_equal(shown[..., :3], spheres.panels["fit"])
-    assert set(np.unique(shown[..., 3])) == {0.0, 1.0}
+    inside = shown[..., 3] == 1.0
+    np.testing.assert_array_equal(shown[3:13, 3:13, :3], spheres.panels["fit"][3:13, 3:13])
+    assert inside[3:13, 3:13].all()
+
+
+def test_panels_of_all_rows_stand_below_each_other(fitted: Fitted) -> None:
+    for model_lobes in (False, True):
+        axes = overview_figure(*fitted, model_lobes=model_lobes).axes
+        for above, below in zip(axes[:4], axes[4:], strict=True):
+            window = [ax.get_window_extent() for ax in (above, below)]
+            assert (window[0].x0, window[0].x1) == pytest.approx((window[1].x0, window[1].x1))
+
+
+def test_legend_is_below_the_labels_of_the_axes(fitted: Fitted) -> None:
+    figure = lobes_figure(*fitted, model_lobes=True)
+    encode_figure(figure, dpi=50)
+    lowest = min(box.y0 for ax in figure.axes if (box := ax.get_tightbbox()) is not None)
+    (row,) = [part for part in figure.subfigs if part.legends]
+    assert row.legends[0].get_window_extent().y1 <= lowest + 1.0
+
+
+@pytest.mark.parametrize("half_width", [0.2, 1.0, 5.0, 20.0])
+def test_width_of_a_peak_is_found(half_width: float) -> None:
+    values = np.cos(figures.CURVE_ANGLES) ** (np.log(0.5) / np.log(np.cos(np.radians(half_width))))
+    found = figures._peak_half_width(values + 0.1)  # on a diffuse part
+    assert found is not None
+    assert np.degrees(found) == pytest.approx(half_width, rel=0.05)
+
+
+def test_what_rises_towards_the_horizon_is_no_peak() -> None:
+    rim = 0.1 + 0.2 * (figures.CURVE_ANGLES > np.radians(75.0))
+    assert figures._peak_half_width(rim) is None
+    assert figures._peak_half_width(np.where(figures.CURVE_ANGLES > np.radians(85.0), 0.0, rim)) is None
+    narrow = rim + 0.4 * (figures.CURVE_ANGLES < np.radians(3.0))
+    found = figures._peak_half_width(narrow)
+    assert found is not None
+    assert np.degrees(found) == pytest.approx(3.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.02, 0.3), (0.9, 1.4), (1e-6, 3e4), (0.17, 70.0), (3e-4, 2e3)])
+def test_logarithmic_axis_has_a_few_round_ticks(low: float, high: float) -> None:
+    ticks = log_ticks(low, high)
+    assert 3 <= ticks.size <= 6
+    assert np.all((ticks >= low) & (ticks <= high))
+    assert [float(f"{tick:.1e}") for tick in ticks] == pytest.approx(ticks.tolist())
+
+
+def test_edge_of_a_sphere_covers_its_area_and_has_no_dark_rim() -> None:
+    picture = np.zeros((40, 40, 3))
+    picture[sphere_normals(40)[1]] = 0.7
+    cut = cut_out(picture)
+    assert np.all(cut[..., :3][cut[..., 3] > 0.0] == 0.7)
+    assert cut[..., 3].sum() == pytest.approx(np.pi * 20.0**2, rel=2e-3)
+    assert np.count_nonzero((cut[..., 3] > 0.0) & (cut[..., 3] < 1.0)) > 100
+
+
+def test_component_that_nobody_can_see_has_no_sphere() -> None:
+    titles = ("measured", "fit", "difference x 4", "specular spike", "diffuse")
+    brightest = (1.0, 1.0, 0.02, 1.0, 0.05)
+    panels = {title: np.full((8, 8, 3), value) for title, value in zip(titles, brightest, strict=True)}
+    assert list(SphereComparison(panels, 1.0, 40.0, 1.0).seen) == list(titles[:4])

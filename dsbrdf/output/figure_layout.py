@@ -1,0 +1,111 @@
+"""How figures are laid out: rows of panels that stand below each other, with one style of ticks and legends.
+
+Ticks are a few round numbers, written out, on linear and on logarithmic axes.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from dsbrdf.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase, SubFigure
+    from numpy.typing import NDArray
+
+PAIR_WIDTH, ROW_HEIGHT, SPHERES_HEIGHT = 5.5, 3.4, 2.5  # of two panels, and of a row of them, in inches
+_TITLE, _ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.4, 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
+_MOST = 6  # ticks of a logarithmic axis
+_TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
+_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
+
+
+def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
+    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
+    require("plot", "matplotlib", purpose="figures")
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
+    figure._repr_png_ = lambda: _preview(figure)  # type: ignore[attr-defined]  # notebooks without pyplot
+    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
+    return figure
+
+
+def _preview(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=80.0)
+    return buffer.getvalue()
+
+
+def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
+    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
+    figure = empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
+    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
+    head, *rows = parts[:, 0]
+    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
+    return figure, rows
+
+
+def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
+    """Return two panels for each slice, side by side."""
+    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
+    return list(zip(axes[::2], axes[1::2], strict=True))
+
+
+def finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
+    """Draw the legend of some panels at the bottom of their row, and set the margins, the same in all rows."""
+    draw_legend(figure, named, columns=columns, outside=False)
+    below = _BELOW + _LEGEND_LINE * -(-len(figure.legends[0].get_texts()) // columns)
+    width = PAIR_WIDTH * slices
+    figure.subplots_adjust(
+        left=_LEFT / width,
+        right=1.0 - _RIGHT / width,
+        bottom=below / ROW_HEIGHT,
+        top=1.0 - _ABOVE / ROW_HEIGHT,
+        wspace=0.36,
+    )
+
+
+def draw_legend(figure: FigureBase, axes: Sequence[Axes], *, columns: int, outside: bool = True) -> None:
+    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
+    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
+    place: Literal["outside lower center", "lower center"] = "outside lower center" if outside else "lower center"
+    figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
+
+
+def set_ticks(ax: Axes) -> None:
+    """Set the ticks of a plot whose limits are final; angles up to 90 degrees have them every 15 or 30 degrees."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = ax.get_xlim()
+    if high == 90.0:
+        ax.set_xticks(np.arange(low, high + 1.0, 30.0 if low < 0.0 else 15.0))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10], symmetric=True))
+    if ax.get_yscale() == "log":
+        ax.set_yticks(log_ticks(*ax.get_ylim()))
+        ax.set_yticks([], minor=True)
+    else:
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
+    ax.tick_params(labelsize=8)
+
+
+def log_ticks(low: float, high: float) -> NDArray[np.float64]:
+    """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for mantissas in _MANTISSAS:
+        ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        if ticks.size <= _MOST:
+            return ticks
+    return ticks[:: -(-ticks.size // _MOST)]
