@@ -23,25 +23,11 @@ from dsbrdf.data.merl_validation import (
     FILE_SIZE,
     HEADER_SIZE,
     SCALE,
-    MerlChecker,
     check_header,
     check_length,
     checked_values,
 )
 from dsbrdf.errors import MeasurementFormatError
-
-__all__ = [
-    "FILE_SIZE",
-    "SCALE",
-    "MerlChecker",
-    "check_header",
-    "check_length",
-    "encode_merl",
-    "map_merl",
-    "parse_merl",
-    "read_merl",
-    "write_merl",
-]
 
 
 def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") -> Measurement:

@@ -22,8 +22,6 @@ from scipy.fft import irfft, rfft
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.model.albedo import last_azimuth
 
-__all__ = ["EnvironmentRings", "environment_rings", "map_directions", "map_shape"]
-
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
 
