@@ -34,8 +34,9 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.extras import require
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.model.image_metrics import displayed, exposure, psnr
-from dsbrdf.model.render import THREE_LIGHTS, Source, render_sphere, sphere_normals
+from dsbrdf.model.render import Source, render_sphere, sphere_normals
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf

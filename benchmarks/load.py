@@ -17,7 +17,7 @@ import httpx
 import numpy as np
 import zstandard
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.server import QUICK
 
 _KEPT = 20  # fits that a program keeps for its evaluations

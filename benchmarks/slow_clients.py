@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 from benchmarks.abandoned_requests import abandoned
 from benchmarks.http_load import PeakMemory, get_repeatedly
 from benchmarks.service import Row
-from dsbrdf.data.merl import FILE_SIZE, write_merl
+from dsbrdf.data.merl import write_merl
+from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.data.synthetic import synthetic_measurement
 from tests.support.durability.harness import Harness
 from tests.support.guarded import new_key

@@ -1,7 +1,5 @@
 """What a file is by its first bytes, to tell a user who sends something else than a measurement."""
 
-__all__ = ["known_kind"]
-
 # None of these begins a MERL file, an RGL .bsdf file or a table of samples.
 _KINDS = {
     b"\x89PNG": "a PNG image",

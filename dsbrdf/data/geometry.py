@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.errors import InvalidArgumentError
 
-__all__ = ["above_horizon", "check_directions", "directions", "half_difference", "incident_cosines"]
-
 _UNIT_TOLERANCE = 1e-6
 # Cosines closer than this to a bound count as equal to it, so that rounding does not decide about nodes that lie
 # exactly on the horizon.

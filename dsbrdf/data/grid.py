@@ -12,17 +12,6 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import above_horizon
 
-__all__ = [
-    "CENTER_CUTOFF",
-    "CHANNELS",
-    "DEFAULT_HORIZON_CUTOFF",
-    "GRID_SHAPE",
-    "PHI_DIFF",
-    "THETA_DIFF",
-    "THETA_HALF",
-    "nodes_above_horizon",
-]
-
 CHANNELS = ("red", "green", "blue")
 GRID_SHAPE = (90, 90, 180)
 DEFAULT_HORIZON_CUTOFF = float(np.radians(80.0))

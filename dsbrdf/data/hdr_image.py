@@ -16,8 +16,6 @@ from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.errors import ImageFormatError
 from dsbrdf.extras import require
 
-__all__ = ["read_hdr_image"]
-
 _SUFFIXES = (".hdr", ".exr")
 _MOST_PIXELS = 1 << 26
 _RESOLUTION = re.compile(rb"-Y ([0-9]{1,6}) \+X ([0-9]{1,6})\n")

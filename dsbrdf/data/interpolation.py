@@ -18,8 +18,6 @@ from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
-__all__ = ["InterpolatedMeasurement", "interpolate"]
-
 _FLOOR = 1e-6  # Added before the logarithm, for values of 0; far below any reflectance that can be seen [1/sr].
 _POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache.
 

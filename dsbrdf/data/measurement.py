@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.merl_encoding import encode_values
-from dsbrdf.data.merl_validation import SCALE, checked_values
+from dsbrdf.data.grid import GRID_SHAPE
+from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
+from dsbrdf.errors import MeasurementFormatError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,5 +91,33 @@ class Measurement:
         MeasurementFormatError
             If a shape is wrong or the values are not an acceptable measurement.
         """
-        stored, usable, sha256 = checked_values(b"".join(encode_values(values, valid)))
+        stored, usable, sha256 = checked_values(b"".join(merl_pieces(stored_numbers(values, valid))))
         return cls(stored=stored, scale=SCALE, valid=usable, name=name, sha256=sha256)
+
+
+def merl_pieces(stored: NDArray[np.float64]) -> Iterator[bytes | memoryview]:
+    """Yield the bytes of the MERL file with the given stored numbers, shape (3, 90, 90, 180)."""
+    yield HEADER
+    for channel in stored:
+        yield np.ascontiguousarray(channel, dtype="<f8").data.cast("B")
+
+
+def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
+    """Return the numbers to store: values [1/sr] divided by the scale, -1 where there is no value."""
+    try:
+        brdf = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MeasurementFormatError(f"The values must be real numbers of the shape {SHAPE}.") from None
+    if brdf.shape != SHAPE:
+        raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {SHAPE}.")
+    stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]
+    if valid is not None:
+        mask = np.asarray(valid, dtype=np.bool_)
+        if mask.shape != GRID_SHAPE:
+            raise MeasurementFormatError(f"The valid nodes have the shape {mask.shape}; it must be {GRID_SHAPE}.")
+        stored[:, ~mask] = -1.0
+    if not np.isfinite(stored).all():
+        count = int((~np.isfinite(stored)).sum())
+        are = "is" if count == 1 else "are"
+        raise MeasurementFormatError(f"{count} of the values {are} NaN or infinite; every value must be finite.")
+    return stored

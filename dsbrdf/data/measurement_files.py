@@ -9,8 +9,6 @@ from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.sample_tables import TABLE_SUFFIXES, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 
-__all__ = ["read_measurement"]
-
 
 def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSamples:
     """Read a measured material.

@@ -20,31 +20,16 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.data.atomic_write import write_atomically
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl_encoding import encode_stored, encode_values
+from dsbrdf.data.measurement import Measurement, merl_pieces, stored_numbers
 from dsbrdf.data.merl_validation import (
     FILE_SIZE,
     HEADER_SIZE,
     SCALE,
-    MerlChecker,
     check_header,
     check_length,
     checked_values,
 )
 from dsbrdf.errors import MeasurementFormatError
-
-__all__ = [
-    "FILE_SIZE",
-    "SCALE",
-    "MerlChecker",
-    "check_header",
-    "check_length",
-    "encode_merl",
-    "map_merl",
-    "parse_merl",
-    "read_merl",
-    "write_merl",
-]
 
 
 def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") -> Measurement:
@@ -137,28 +122,9 @@ def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
     return Measurement(stored=stored, scale=SCALE, valid=valid, name=source.stem, sha256=sha256)
 
 
-def encode_merl(measurement: Measurement | ArrayLike, valid: ArrayLike | None = None) -> bytes:
-    """Return the bytes of a MERL file.
-
-    Parameters
-    ----------
-    measurement : Measurement or array_like, shape (3, 90, 90, 180)
-        A measurement is encoded bit for bit as it was read; an array is the BRDF in 1/sr, where negative
-        means no value.
-    valid : array_like of bool, shape (90, 90, 180), optional
-        For an array: the nodes that have a value. The others are stored as -1.
-
-    Returns
-    -------
-    bytes
-        ``FILE_SIZE`` bytes.
-
-    Raises
-    ------
-    MeasurementFormatError
-        If a shape is wrong or a value is NaN or infinite.
-    """
-    return b"".join(_pieces(measurement, valid))
+def encode_merl(measurement: Measurement | ArrayLike) -> bytes:
+    """Return the bytes of a MERL file; `write_merl` writes them."""
+    return b"".join(_pieces(measurement))
 
 
 def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLike) -> None:
@@ -179,10 +145,10 @@ def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLik
     OSError
         If the file cannot be written.
     """
-    write_atomically(path, _pieces(measurement, None))
+    write_atomically(path, _pieces(measurement))
 
 
-def _pieces(measurement: Measurement | ArrayLike, valid: ArrayLike | None) -> Iterator[bytes | memoryview]:
-    if isinstance(measurement, Measurement):
-        return encode_stored(measurement.stored)
-    return encode_values(measurement, valid)
+def _pieces(measurement: Measurement | ArrayLike) -> Iterator[bytes | memoryview]:
+    return merl_pieces(
+        measurement.stored if isinstance(measurement, Measurement) else stored_numbers(measurement, None)
+    )

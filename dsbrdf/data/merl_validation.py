@@ -14,20 +14,6 @@ from dsbrdf.data.file_kinds import known_kind
 from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = [
-    "FILE_SIZE",
-    "HEADER",
-    "HEADER_SIZE",
-    "LARGEST_VALUE",
-    "SCALE",
-    "SHAPE",
-    "SMALLEST_VALID_SHARE",
-    "MerlChecker",
-    "check_header",
-    "check_length",
-    "checked_values",
-]
-
 HEADER = struct.pack("<3i", *GRID_SHAPE)
 HEADER_SIZE = len(HEADER)
 NODES = 90 * 90 * 180

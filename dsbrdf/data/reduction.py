@@ -100,11 +100,6 @@ class Profiles:
         nodes = f"{np.count_nonzero(self.weight.any(axis=0))} nodes with data"
         return f"<Profiles: {self.name!r}, {nodes}, weighting {self.weighting!r}>"
 
-    @property
-    def weighted(self) -> bool:
-        """Whether some samples count more than others; the metrics are defined on profiles where none does."""
-        return self.weighting != "plain" or self.robust
-
 
 def profiles(
     measurement: Measurement,

@@ -28,8 +28,6 @@ from dsbrdf.data.rgl_warp import Warp, WarpStack, bilinear
 from dsbrdf.data.tensor_file import parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["RglMaterial", "parse_rgl", "read_rgl"]
-
 Array = NDArray[np.float64]
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}

@@ -20,8 +20,6 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.text_table import TextTable
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["VECTORS", "SampleColumns", "is_known", "sample_columns"]
-
 Array = NDArray[np.float64]
 
 _SIDES = {"in": ("in", "i", "incident"), "out": ("out", "o", "r", "s")}

@@ -17,8 +17,6 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["TABLE_SUFFIXES", "parse_samples", "read_samples"]
-
 Array = NDArray[np.float64]
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from dsbrdf.data.merl_validation import LARGEST_VALUE
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["FEWEST_SAMPLES", "ScatteredSamples"]
-
 Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 200

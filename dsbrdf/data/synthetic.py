@@ -15,8 +15,6 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horiz
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
-__all__ = ["Reflectance", "model_measurement", "synthetic_measurement"]
-
 _Triple = tuple[float, float, float]
 
 

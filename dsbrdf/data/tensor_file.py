@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["encode_tensors", "parse_tensors"]
-
 _MAGIC = b"tensor_file\0\x01\x00"
 _TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")  # type 1 is the first
 _ALIGNMENT = 8

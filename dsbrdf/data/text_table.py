@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from dsbrdf.errors import MeasurementFormatError
 
-__all__ = ["TextTable", "parse_text_table"]
-
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _LINES_BEFORE_NAMES = 500

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.fitting import em
-from dsbrdf.fitting.williams_test import bic, williams_test
+from dsbrdf.fitting.williams_test import williams_test
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class SelectionStep:
     squared_error : float
         Over all samples used [1/sr^2].
     bic : float or None
-        Bayesian information criterion; None for an exact fit.
+        Bayesian information criterion with Gaussian errors of unknown variance; None for an exact fit.
     t, critical_value : float or None
         Williams' statistic and what it is compared with, see `WilliamsRow`.
     significant : bool
@@ -86,14 +86,15 @@ def choose_n_lobes(
         curves = em.lobe_curves(log_cos, np.log(np.stack([found.kappa, found.gamma], axis=-1))).sum(axis=1)
         statistic.append(expected_negative_log_probability(theta_half, mean, weight > 0.0, curves))
         error = float(np.sum(weight * (curves - mean) ** 2 + within))
-        criterion = float(bic(error, float(weight.sum()), 2 * n_lobes * len(mean)))
-        errors.append((error, criterion if np.isfinite(criterion) else None))
-    result = williams_test(statistic)
+        n_samples = float(weight.sum())
+        penalty = 2 * n_lobes * len(mean) * np.log(n_samples)
+        errors.append((error, float(n_samples * np.log(error / n_samples) + penalty) if error > 0.0 else None))
+    rows = williams_test(statistic)
     table = tuple(
         SelectionStep(row.n_lobes, row.mean, *found, row.t, row.critical_value, row.significant)
-        for row, found in zip(result.table, errors, strict=True)
+        for row, found in zip(rows, errors, strict=True)
     )
-    return result.n_lobes, table
+    return next(row.n_lobes for row in rows if not row.significant), table
 
 
 def expected_negative_log_probability(theta_half: Array, mean: Array, used: NDArray[np.bool_], curves: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
 from dsbrdf.data.reduction import check_horizon_cutoff
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobe_families import FAMILIES, Family
 
 MAX_LOBES = 8
 METHODS = ("global", "paper")
@@ -93,7 +93,7 @@ class FitOptions:
     n_lobes: int | Literal["auto"] = "auto"
     method: Literal["global", "paper"] = "global"
     ring_lobes: int | Literal["auto"] = "auto"
-    lobe: Literal["hemi_epd", "student"] = "hemi_epd"
+    lobe: Family = "hemi_epd"
     knots: tuple[float, ...] | None = None
     variation: Literal["full", "parametric"] = "full"
     horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF

@@ -31,8 +31,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.process_settings import one_blas_thread
 from dsbrdf.version import versions
 
-__all__ = ["add_sample_metrics", "fit", "profiles_for"]
-
 _BINNED_ROUNDS = 2  # fits of scattered samples in bins: the second knows how to move them there
 _HELD_OUT = 5  # of which each one scattered sample tells whether a lobe pays
 _MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of more, so many taken at random

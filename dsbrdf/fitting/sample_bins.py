@@ -19,8 +19,6 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 
-__all__ = ["sample_profiles", "sample_rows", "scattered_metrics"]
-
 Array = NDArray[np.float64]
 
 _LARGEST_RATIO = 16.0  # a model that differs by more between a sample and its bin is not to be trusted with moving it

@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.usual_materials import FAR, UsualMaterial, usual_material
 
-__all__ = ["coverage_warnings", "unit_warnings"]
-
 _MUCH_FAR = 0.1  # of the directions
 _TOO_BRIGHT = 1.05  # albedo; noise may lift that of a white material above 1
 _UNITS = ((np.pi, "1/pi (are they radiance factors?)"), (100.0, "1/100 (are they per cent?)"))

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import LARGEST_CENTER, fall_to_half, reach_of_width, slope_of_fall, width_of_reach
+from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
+from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ class Structure:
     amplitude_knots, shape_knots, elongation_knots : ndarray
         Angles theta_diff [rad].
     family : str
-        One of `dsbrdf.model.lobes.FAMILIES`.
+        One of `dsbrdf.model.lobe_families.FAMILIES`.
     theta_half : ndarray
         Angles with data [rad]: what is narrower than their spacing would only fit the gaps between them.
     bounds_of : tuple of ShapeBounds
@@ -180,7 +181,7 @@ class Structure:
         places = self.split(np.arange(float(self.n_unknowns)))[1].astype(np.intp)
         kappa, reach, offset = places[:, :k].ravel(), places[:, k : 2 * k].ravel(), places[:, 2 * k :].ravel()
         ring_reach = places[:, k : 2 * k][:, list(self.rings)].ravel()
-        by_kappa = slope_of_fall(np.exp(shape[:, :k]), self.family).ravel()
+        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k])).ravel()
         limit, slope = self._cusp_limit(shape)
         saturation = np.minimum(shape[:, 2 * k :], 0.0) / limit
         by_offset = np.exp(saturation).ravel()
@@ -197,8 +198,7 @@ class Structure:
         k = self.n_lobes
         reach = np.exp(shape[:, k : 2 * k][:, list(self.rings)])
         width = width_of_reach(reach, self.family)
-        tangent = np.tan(width)
-        slope = reach / tangent if self.family == "hemi_epd" else 0.5 * tangent / (1.0 + tangent**2)
+        slope = FAMILIES[self.family].slope_of_width(reach, np.tan(width))
         narrow = width < WIDEST_CUSP
         return np.where(narrow, width, WIDEST_CUSP), np.where(narrow, slope, 0.0)
 

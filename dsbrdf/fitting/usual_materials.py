@@ -26,8 +26,6 @@ from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure, mixture_mo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import reach_of_width
 
-__all__ = ["N_PAIRS", "UsualMaterial", "guides", "typical_error", "usual_material", "with_usual_values"]
-
 Array = NDArray[np.float64]
 
 N_PAIRS = 800

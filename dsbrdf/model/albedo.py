@@ -148,7 +148,7 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[ND
         The theta_half to which a panel belongs.
     phi, weight : ndarray, shape (panels, nodes)
     """
-    last = _last_azimuth(theta_half, theta_out)[:, None]
+    last = last_azimuth(theta_half, theta_out)[:, None]
     across = np.sin(theta_out) * np.sin(theta_half)[:, None]
     along = np.cos(theta_out) * np.cos(theta_half)[:, None]
     cos_phi = (np.cos(knots) - along) / np.where(across > 0, across, 1.0)
@@ -160,7 +160,7 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[ND
     return row, start + 0.5 * length * (1.0 + _AZIMUTH_NODES), 0.5 * length * _AZIMUTH_WEIGHTS
 
 
-def _last_azimuth(theta_half: Array, theta_out: float) -> Array:
+def last_azimuth(theta_half: Array, theta_out: float) -> Array:
     """Largest azimuth of the half vector from omega_out at which omega_in is above the horizon."""
     down = np.cos(theta_out) * np.cos(2.0 * theta_half)
     across = np.sin(theta_out) * np.sin(2.0 * theta_half)

@@ -15,15 +15,6 @@ from scipy.ndimage import label
 from dsbrdf.data.hdr_image import read_hdr_image
 from dsbrdf.errors import ImageFormatError
 
-__all__ = [
-    "SUN",
-    "THREE_LIGHTS",
-    "EnvironmentMap",
-    "Light",
-    "environment_radiance",
-    "read_environment",
-]
-
 Array = NDArray[np.float64]
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB

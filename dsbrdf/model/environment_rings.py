@@ -20,8 +20,7 @@ from scipy import sparse
 from scipy.fft import irfft, rfft
 
 from dsbrdf.data.geometry import half_difference
-
-__all__ = ["EnvironmentRings", "environment_rings", "map_directions", "map_shape"]
+from dsbrdf.model.albedo import last_azimuth
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
@@ -156,7 +155,7 @@ def _ring_nodes(tilt: float) -> Array:
     count = int(np.ceil(2.0 * largest / _SPACING))
     s = (np.arange(count) + 0.5) / count
     theta_half, step = largest * s * s, largest * 2.0 * s / count  # crowded towards 0
-    last = _last_azimuth(theta_half, tilt)
+    last = last_azimuth(theta_half, tilt)
     number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _SPACING), _FEWEST_AZIMUTHS).astype(np.intp)
     row = np.repeat(np.arange(count), number)
     within = np.arange(row.size) - np.repeat(np.cumsum(number) - number, number)
@@ -177,14 +176,6 @@ def _ring_nodes(tilt: float) -> Array:
     azimuth = np.arctan2(-omega_in[:, 1], world_x)
     weight = 4.0 * cos_diff * np.maximum(omega_in[:, 2], 0.0) * area
     return np.stack([theta_half, theta_diff, phi_diff, azimuth, weight])
-
-
-def _last_azimuth(theta_half: Array, tilt: float) -> Array:
-    """Largest azimuth of the half vector from the view at which omega_in is above the horizon."""
-    down = np.cos(tilt) * np.cos(2.0 * theta_half)
-    across = np.sin(tilt) * np.sin(2.0 * theta_half)
-    ratio = np.where(across > np.abs(down), down / np.where(across > 0.0, across, 1.0), np.sign(down))
-    return np.asarray(np.arccos(np.clip(-ratio, -1.0, 1.0)))
 
 
 def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:

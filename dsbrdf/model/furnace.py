@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES
 
-__all__ = ["FurnaceReport", "white_furnace"]
-
 Array = NDArray[np.float64]
 
 _ANGLES = ANGLES[:-1:2]  # 0 to 87 degrees; at the horizon itself nothing is seen

@@ -10,8 +10,6 @@ from scipy.ndimage import gaussian_filter
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-__all__ = ["displayed", "exposure", "psnr", "ssim"]
-
 _BRIGHT = 0.99
 _SIGMA, _RADIUS = 1.5, 5  # The window of Wang et al. (2004): 11 x 11 pixels.
 _C1, _C2 = 0.01**2, 0.03**2

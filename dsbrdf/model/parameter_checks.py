@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.lobes import FAMILIES, LARGEST_CENTER
+from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]

@@ -28,8 +28,6 @@ from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, e
 from dsbrdf.model.environment_rings import EnvironmentRings, environment_rings, map_directions, map_shape
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
-__all__ = ["LIGHTINGS", "SUN", "THREE_LIGHTS", "Light", "render_sphere", "sphere_likeness", "sphere_normals"]
-
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
 

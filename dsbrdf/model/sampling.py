@@ -36,8 +36,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Evaluate = Callable[[Array, Array, Array], Array]
 
-__all__ = ["ANGLES", "LEAST_COSINE_SHARE", "DirectionSampler", "Samples", "direction_sampler"]
-
 ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
 LEAST_COSINE_SHARE = 0.1

@@ -24,21 +24,6 @@ from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.plain_content import ARRAYS, TEXTS, model_from_dict, model_to_dict, report_from_dict
 
-__all__ = [
-    "FORMAT",
-    "VERSION",
-    "decomposition_from_json",
-    "from_json",
-    "from_npz",
-    "load",
-    "load_result",
-    "read_model_file",
-    "result_from_json",
-    "save",
-    "to_json",
-    "to_npz",
-]
-
 FORMAT = "dsbrdf"
 VERSION = 2
 

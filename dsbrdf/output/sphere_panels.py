@@ -25,16 +25,6 @@ from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
-__all__ = [
-    "DIFFERENCE_GAIN",
-    "SphereComparison",
-    "compare_spheres",
-    "cut_out",
-    "draw_panels",
-    "encode_png",
-    "side_by_side",
-]
-
 Array = NDArray[np.float64]
 
 DIFFERENCE_GAIN = 4.0

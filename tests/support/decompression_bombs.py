@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import zstandard
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import HEADER
 
 MEASUREMENT = "application/octet-stream"

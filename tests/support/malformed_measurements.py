@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import zstandard
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import HEADER, NODES, filled, header, with_value
 
 CHANNEL = 8 * NODES

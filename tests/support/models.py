@@ -9,7 +9,7 @@ from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import LARGEST_CENTER
+from dsbrdf.model.lobe_families import LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
 
 Array = NDArray[np.float64]

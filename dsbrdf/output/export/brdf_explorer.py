@@ -4,8 +4,6 @@ from dsbrdf.fitting.decomposition import Component
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import glsl_function
 
-__all__ = ["brdf_explorer_file"]
-
 
 def brdf_explorer_file(source: DSBRDF | Component) -> str:
     """Return an analytic ``.brdf`` file, whose only parameter is a scale.

@@ -10,8 +10,6 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model
 
-__all__ = ["export", "format_of"]
-
 
 def export(
     source: DSBRDF | Component | FitResult, path: str | os.PathLike[str], file_format: str | None = None

@@ -20,6 +20,7 @@ import numpy as np
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.fitting.decomposition import HALO, LABELS, Component
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.output.export.single_precision import bernstein_pieces
 from dsbrdf.version import __version__
@@ -74,10 +75,9 @@ def _model(model: DSBRDF) -> str:
         "LOBES": model.n_lobes,
         "SHAPES": model.kappa.shape[0],
         "SPLINE": int(model.interpolation == "spline"),
-        "STUDENT": int(model.lobe == "student"),
     }
     defines = [f"const int DSBRDF_{name} = {value};" for name, value in constants.items()]
-    return "\n".join(defines) + _table(model, "") + _LOBES
+    return "\n".join(defines) + _table(model, "") + _LOBES.replace("DSBRDF_FALL", FAMILIES[model.lobe].glsl)
 
 
 def _table(model: DSBRDF, name: str) -> str:
@@ -239,16 +239,7 @@ float dsbrdf_lobe(float squared, float kappa, float gamma, float center) {
     top_tangent = min(tan_center, 0.0);
   }
   float top_squared = top_tangent * top_tangent;
-  if (DSBRDF_STUDENT == 1) {
-    return exp(-kappa * (dsbrdf_log1p(gamma * squared) - dsbrdf_log1p(gamma * top_squared)));
-  }
-  float log_cos_top = -0.5 * dsbrdf_log1p(top_squared);
-  float log_cos = -0.5 * dsbrdf_log1p(squared);
-  float top = kappa * exp(gamma * log_cos_top);
-  // expm1(top * ratio) / expm1(top), without overflow.
-  float log_ratio = gamma * (log_cos - log_cos_top);
-  return exp(top * dsbrdf_expm1(log_ratio)) * dsbrdf_expm1(-top * exp(log_ratio)) / dsbrdf_expm1(-top);
-}
+DSBRDF_FALL}
 
 vec3 dsbrdf_model(dsbrdf_Angles angles) {
   float at;

@@ -18,8 +18,6 @@ from dsbrdf.model.render import LIGHTINGS, Evaluate, render_sphere, sphere_liken
 from dsbrdf.output.export.openpbr import Color, OpenPBR
 from dsbrdf.version import __version__
 
-__all__ = ["FittedSurface", "fit_openpbr", "materialx_document"]
-
 Array = NDArray[np.float64]
 
 _DOCUMENT = """\

@@ -31,8 +31,6 @@ from dsbrdf.output.export.mitsuba_model import MitsubaModel
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from dsbrdf.output.serialize import load
 
-__all__ = ["register"]
-
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Number", "Table", "expm1", "lobe_value", "log1p", "safe_root"]
-
 Number = Any
 """A float or int of Python, or an array of drjit."""
 

@@ -18,8 +18,6 @@ from dsbrdf.model.sampling import ANGLES, DirectionSampler
 from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, lobe_value, log1p, safe_root
 from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pieces
 
-__all__ = ["PARAMETERS", "MitsubaModel"]
-
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
 """Parameters that can be changed, arrays of `DSBRDF`."""
 _LEAST = 1e-9  # of a parameter whose logarithm is taken

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import incident_cosines
 
-__all__ = ["Color", "OpenPBR"]
-
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 

@@ -6,8 +6,6 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
 
-__all__ = ["parameters_csv"]
-
 _THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
 _COLUMNS = (
     "lobe",

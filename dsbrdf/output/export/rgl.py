@@ -27,13 +27,6 @@ from dsbrdf.data.rgl_warp import Warp, bilinear
 from dsbrdf.data.tensor_file import encode_tensors
 from dsbrdf.model.reflectance import ReflectanceModel
 
-__all__ = [
-    "SPECTRA",
-    "WAVELENGTHS",
-    "rgl_bsdf",
-    "spectra_of_rgb",
-]
-
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]
 

@@ -12,8 +12,6 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
 
-__all__ = ["BernsteinPieces", "bernstein_bases", "bernstein_pieces"]
-
 Array = NDArray[np.float64]
 
 _LARGEST = 3e38  # in single precision

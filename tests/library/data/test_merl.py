@@ -8,15 +8,8 @@ import pytest
 
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import (
-    FILE_SIZE,
-    SCALE,
-    encode_merl,
-    map_merl,
-    parse_merl,
-    read_merl,
-    write_merl,
-)
+from dsbrdf.data.merl import encode_merl, map_merl, parse_merl, read_merl, write_merl
+from dsbrdf.data.merl_validation import FILE_SIZE, SCALE
 from dsbrdf.errors import MeasurementFormatError
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
 

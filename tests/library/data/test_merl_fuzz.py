@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from dsbrdf import MeasurementFormatError
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import FILE_SIZE, MerlChecker, encode_merl, parse_merl
+from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.data.merl_validation import FILE_SIZE, MerlChecker
 from tests.support.merl_files import HEADER
 from tests.support.strategies import SPECIAL, examples
 

@@ -14,15 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
-from dsbrdf.data.merl import (
-    FILE_SIZE,
-    SCALE,
-    MerlChecker,
-    check_header,
-    check_length,
-    parse_merl,
-    read_merl,
-)
+from dsbrdf.data.merl import parse_merl, read_merl
+from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker, check_header, check_length
 from dsbrdf.errors import MeasurementFormatError
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, position, with_values
 

@@ -14,7 +14,7 @@ from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobe_families import FAMILIES
 
 Array = NDArray[np.float64]
 

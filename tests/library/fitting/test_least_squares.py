@@ -20,7 +20,8 @@ from dsbrdf.fitting.structure import (
     Structure,
 )
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import FAMILIES, half_width
+from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model.lobes import half_width
 
 Array = NDArray[np.float64]
 

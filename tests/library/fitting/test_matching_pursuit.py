@@ -10,7 +10,7 @@ from dsbrdf.fitting.matching_pursuit import MAX_LOBES, grow
 from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import half_width
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobe_families import FAMILIES
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.hemi_epd import half_width
-from dsbrdf.model.lobes import FAMILIES
+from dsbrdf.model.lobe_families import FAMILIES
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array, Array], Array]

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
+from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
 from tests.support.soak import repeats
 

@@ -9,9 +9,9 @@ from dsbrdf.data.geometry import half_difference, incident_cosines
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.environment import environment_radiance
+from dsbrdf.model.environment import SUN, THREE_LIGHTS, Light, environment_radiance
 from dsbrdf.model.image_metrics import displayed, exposure, psnr
-from dsbrdf.model.render import LIGHTINGS, SUN, THREE_LIGHTS, Light, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
 Evaluate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from service.commands import purge
 from service.storage.database import FILE_NAME
 from tests.support.commands import run_main

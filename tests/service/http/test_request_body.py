@@ -17,7 +17,7 @@ import pytest
 import zstandard
 
 import dsbrdf
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import HEADER, filled, header, with_value
 from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem

@@ -5,7 +5,8 @@ import hashlib
 import pytest
 
 import dsbrdf
-from dsbrdf.data.merl import FILE_SIZE, encode_merl
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.server import Server, assert_problem
 
 

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from starlette.types import Message
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from service.app import create_app
 from service.http.responses import OpenFileResponse
 from service.settings import Settings

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from service.errors import ProblemError
 from service.storage.schema import Caller, FitKey
 from service.storage.store import Store

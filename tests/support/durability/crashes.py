@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 
 import httpx
 
-from dsbrdf.data.merl import FILE_SIZE
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.durability.harness import (
     Harness,
     becomes_true,
