@@ -1,4 +1,5 @@
 // The page of one fit, or of two: their spheres; of one, the pictures beside it and the plots.
+import { keepInAddress } from "./address.js";
 import { startPolar, startProfiles } from "./plots.js";
 import { startSpheres } from "./sphere.js";
 
@@ -22,12 +23,13 @@ function showPictures(id, names) {
     : "The measurement is not stored any more, so the fit is shown alone.";
 }
 
-const views = startSpheres();
+keepInAddress();
+const spheres = startSpheres();
 if (beside) {
   const id = beside.dataset.fit;
   startProfiles(id);
   startPolar(id);
-  const view = (await views).get(id);
-  if (view) showPictures(id, view.pictures);
+  const [sphere] = await spheres;
+  if (sphere) showPictures(id, sphere.view.pictures);
   else document.getElementById("pictures-note").textContent = "The pictures could not be drawn.";
 }

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from dsbrdf.data.merl import write_merl
+from dsbrdf.data.merl import read_merl, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
 from tests.service.page.conftest import Site
@@ -30,6 +31,7 @@ from tests.support.browser import Visitor
 
 Visit = Callable[..., Visitor]
 PAINTED = "canvas[data-painted]"
+LIGHTINGS = {"three": "three_lights", "environment": "environment"}
 PIXELS = """canvas => {
   const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
   gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
@@ -126,6 +128,98 @@ def test_sphere_shows_the_fit_as_the_library_renders_it(visit: Visit, site: Site
     expected = displayed(render_sphere(model, size=size), factor)
     assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
     assert np.array_equal(shown[..., 3] == 1.0, mask)
+
+
+def test_measurement_is_shown_beside_the_fit(visit: Visit, site: Site, plastic_file: Path) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", device_scale_factor=0.5).page
+    page.locator(PAINTED).wait_for()
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    measurement = read_merl(plastic_file)
+    size = len(pixels(page))
+    _, mask = sphere_normals(size)
+    for lighting in ("three", "environment"):
+        rendered = [render_sphere(s, lighting=LIGHTINGS[lighting], size=size) for s in (measurement, model)]
+        factor = exposure(rendered[lighting == "environment"], mask)
+        measured, fitted = (displayed(image, factor) for image in rendered)
+        page.get_by_label("fit", exact=True).check()
+        repaint(page, page.locator(f"[value={lighting}]").check) if lighting != "three" else None
+        middle = size // 2
+        whole = repaint(page, page.get_by_label("measured", exact=True).check)[..., :3]
+        half = repaint(page, page.get_by_label("half and half").check)[..., :3]
+        differing = repaint(page, page.get_by_label("difference × 4").check)[..., :3]
+        tolerance = (0.5 if lighting == "three" else 1.5) / 255  # pictures of 256 pixels under environment light
+        assert np.abs(whole - measured)[mask].mean() < tolerance
+        assert np.array_equal(half[:, : middle - 2], whole[:, : middle - 2])
+        assert np.abs(half - fitted)[:, middle + 2 :][mask[:, middle + 2 :]].mean() < tolerance
+        expected = np.clip(4.0 * np.abs(measured - fitted), 0.0, 1.0)
+        assert np.abs(differing - expected)[mask].mean() < 4 * tolerance
+    page.get_by_label("half and half").check()
+    assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
+
+
+def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("[data-component]").first.uncheck()
+    page.get_by_label("one light only").check()
+    page.get_by_label("measured", exact=True).check()
+    page.get_by_label("theta_diff in degrees").fill("40")
+    for name, value in (("exposure", "-1.5"), ("zoom", "1")):
+        page.locator(f"[name={name}]").fill(value)
+    repaint(page, lambda: page.locator("canvas").click(position={"x": 200, "y": 150}))
+    page.wait_for_function("location.hash.includes('highlight')")
+    page.wait_for_timeout(600)  # the picture and the address are at rest
+    before, address = pixels(page), page.url
+    page.goto("/")
+    page.goto(address)
+    page.locator(PAINTED).wait_for()
+    expect(page.locator("#theta-diff-value")).to_have_text("40°")
+    expect(page.locator("#exposure-value")).to_have_text("-1.5 EV")
+    assert np.array_equal(pixels(page), before)
+    repaint(page, page.get_by_role("button", name="Reset").click)
+    expect(page.get_by_label("fit", exact=True)).to_be_checked()
+
+
+def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}", device_scale_factor=2).page
+    canvas = page.locator(PAINTED)
+    canvas.wait_for()
+    size = canvas.evaluate("canvas => canvas.width")
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    before = canvas.get_attribute("data-painted") or ""
+    page.mouse.down()
+    for step in range(20):
+        page.mouse.move(box["x"] + 200 + 5 * step, box["y"] + 200)
+    page.mouse.up()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    assert int(canvas.get_attribute("data-rough") or size) < 0.7 * size
+    assert canvas.evaluate("canvas => canvas.width") == size
+
+
+def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("canvas").hover(position={"x": 150, "y": 180})
+    hint = page.locator(".hint")
+    expect(hint).to_contain_text("1/sr")
+    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", hint.inner_text())
+    assert found is not None
+    half, diff, red = map(float, found.groups())
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = 2 * 150 / box["width"] - 1, 1 - 2 * 180 / box["height"]
+    light = np.array(THREE_LIGHTS[0].direction)
+    middle = light + np.array([0.0, 0.0, 1.0])
+    normal = np.array([x, y, np.sqrt(1 - x * x - y * y)])
+    assert half == pytest.approx(np.degrees(np.arccos(normal @ middle / np.linalg.norm(middle))), abs=0.2)
+    assert diff == pytest.approx(20.0, abs=0.1)
+    query = {"theta_half_deg": half, "theta_diff_deg": diff}
+    near = site.http.get(f"/v1/fits/{fit}/brdf", params=query, headers=site.header).json()["values"][0]
+    assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
 
 
 def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
