@@ -84,6 +84,8 @@ function aim(x, y) {
   form.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
+const running = []; // all spheres of the page
+
 export class Sphere {
   constructor(figure) {
     this.figure = figure;
@@ -104,7 +106,6 @@ export class Sphere {
     const { highlight } = form.elements;
     highlight.defaultValue ||= [x, y].map((value) => (value / Math.hypot(x, y, z + 1)).toFixed(6)).join();
     highlight.value ||= highlight.defaultValue;
-    this.exposure = this.view.exposure;
     this.gl = this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
     if (!this.gl) throw new Error("This browser has no WebGL 2: the picture is the service's, its light is fixed.");
     for (const unit of [0, 1, 2]) this.texture(unit, [1, 1, 1], new Uint16Array(3));
@@ -133,7 +134,14 @@ export class Sphere {
     const missing = names.filter((name) => !this.loaded.has(name));
     for (const name of missing) {
       this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
-      this.fetch(name).then(() => { this.hint.textContent = this.usual; this.draw(); }, (error) => { this.hint.textContent = error.message; });
+      this.fetch(name).then(() => {
+        if (name === "parts") this.program(name);
+        this.hint.textContent = this.usual;
+        this.draw();
+      }).catch((error) => {
+        this.loaded.delete(name); // the next change asks again
+        this.hint.textContent = error.message;
+      });
     }
     return names.every((name) => this.loaded.get(name));
   }
@@ -176,10 +184,12 @@ export class Sphere {
   // Paints soon, and not before the last picture is there. While something is moved a slow machine paints fewer pixels.
   draw(moving = false) {
     this.moving = moving;
+    this.changed = true;
     clearTimeout(this.rest);
     if (moving) this.rest = setTimeout(() => this.draw(), 250);
     if (this.pending || !this.gl) return;
     this.pending = requestAnimationFrame(() => {
+      this.changed = false;
       if (!this.paint()) this.pending = 0;
     });
   }
@@ -202,7 +212,8 @@ export class Sphere {
     const { program, at } = this.program(kind);
     gl.viewport(0, 0, size, size);
     gl.useProgram(program);
-    const base = surrounded ? this.surroundings.exposure : this.exposure;
+    const own = (sphere) => (surrounded ? sphere.surroundings?.exposure : sphere.view.exposure);
+    const base = form.elements.own?.checked === false ? Math.min(...running.map(own).filter(Boolean)) : own(this);
     const numbers = { size, exposure: base * 2 ** now.stops, wipe: now.wipe, zoom: now.zoom };
     for (const [name, value] of Object.entries(numbers)) gl.uniform1f(at(name), value);
     gl.uniform1i(at("count"), lights.length);
@@ -222,7 +233,6 @@ export class Sphere {
     const { gl, canvas } = this;
     const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
-    const moving = this.moving;
     const check = () => {
       if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return setTimeout(check, 4);
       gl.deleteSync(fence);
@@ -231,7 +241,7 @@ export class Sphere {
       if (size === full) canvas.dataset.painted = String(Number(canvas.dataset.painted ?? 0) + 1);
       else canvas.dataset.rough = String(size);
       this.onpaint();
-      return this.moving !== moving && this.draw(this.moving);
+      return this.changed && this.draw(this.moving);
     };
     setTimeout(check, 0);
   }
@@ -256,6 +266,7 @@ export class Sphere {
     this.texture(1, [SIDE, SIDE], shown);
     if (show !== "fit") this.texture(2, [SIDE, SIDE], picture("measured"));
     const bright = whole.filter((value) => value > 0).sort();
+    for (const other of running) if (other !== this) other.draw(); // the common exposure may be another now
     this.surroundings = { key, exposure: 1 / (bright[Math.floor(0.99 * bright.length)] || 1) };
   }
 
@@ -319,7 +330,6 @@ export class Sphere {
 // Connects the controls of a page with all its spheres, which share the light; returns the spheres that have a view.
 export async function startSpheres() {
   const spheres = [...document.querySelectorAll("figure.sphere")].map((figure) => new Sphere(figure));
-  const running = [];
   for (const sphere of spheres) {
     try {
       await sphere.start();

@@ -1,6 +1,7 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Coroutine, Hashable
 from functools import partial
 from importlib.util import find_spec
@@ -53,6 +54,7 @@ from service.routes.page_text import (
     facts_of,
     metrics_in_words,
     options_in_words,
+    verdict,
 )
 
 _HTML = {"Content-Type": "text/html; charset=utf-8"}
@@ -94,7 +96,16 @@ async def get_index(
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
     measured = await run_in_threadpool(_stored_measurements, context, shown)
-    items = [{"row": row, "facts": facts_of(row), "progress": context.jobs.progress(row)} for row in shown]
+    names = Counter(row.name for row in shown)
+    items = [
+        {
+            "row": row,
+            "facts": facts_of(row),
+            "progress": context.jobs.progress(row),
+            "options": options_in_words(row.options) if names[row.name] > 1 else "",
+        }
+        for row in shown
+    ]
     return _render(
         "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
     )
@@ -289,6 +300,7 @@ async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
+        "verdict": verdict(row.metrics or {}),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
         "components": [component_facts(component) for component in loaded.components],
