@@ -7,6 +7,7 @@ checked by who gives their paths.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,7 @@ LIGHT_STEP = 5
 LARGEST_LIGHT = 85
 POLAR_ANGLES = np.arange(-89, 90)  # of the viewer, negative on the light's side [degrees]
 _SIZE = 256
+_DARKEST = 1e-6  # as in `interpolate`; the shader of the page subtracts it [1/sr]
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,23 @@ def sphere_step(
     if part is not None:
         image = render_sphere(part, lighting=lighting, size=size)
     return encode_png(displayed(image, factor))
+
+
+def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
+    """Return logarithms of a measurement at all nodes, as float16 (theta_half, theta_diff, phi_diff, channel).
+
+    Between nodes linear interpolation of them is that of `interpolate`; `_DARKEST` is added to each value.
+    """
+    known = interpolate(stored.mapped())
+    channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
+    tables = [np.log(values.ravel()[source] * scale + _DARKEST) for values, scale, source in channels]
+    return np.stack(tables, axis=-1).astype("<f2").tobytes()
+
+
+def environment_step(source: ReflectanceModel | StoredMeasurement, _: OnProgress) -> bytes:
+    """Return the linear RGB radiance of a sphere under environment light, as float32 rows from the top."""
+    shown = source.mapped() if isinstance(source, StoredMeasurement) else source
+    return render_sphere(shown, lighting="environment", size=_SIZE).astype("<f4").tobytes()
 
 
 def figure_step(

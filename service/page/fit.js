@@ -1,4 +1,5 @@
 // The page of one fit, or of two: their spheres; of one, the pictures beside it and the plots.
+import { keepInAddress } from "./address.js";
 import { startPolar, startProfiles } from "./plots.js";
 import { startSpheres } from "./sphere.js";
 
@@ -22,12 +23,46 @@ function showPictures(id, names) {
     : "The measurement is not stored any more, so the fit is shown alone.";
 }
 
-const views = startSpheres();
+// Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels.
+function compare([first, second]) {
+  const canvas = document.querySelector("#between canvas");
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  const draw = () => {
+    const size = first.canvas.width;
+    if (second.canvas.width !== size) return;
+    canvas.width = canvas.height = size;
+    context.drawImage(first.canvas, 0, 0);
+    context.globalCompositeOperation = "difference";
+    context.drawImage(second.canvas, 0, 0);
+    const { data } = context.getImageData(0, 0, size, size);
+    let [sum, count] = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i + 3] < 255) continue;
+      for (const value of data.subarray(i, i + 3)) sum += value * value;
+      count += 3;
+    }
+    const text = sum ? `${(10 * Math.log10((255 * 255 * count) / sum)).toFixed(1)} dB` : "no difference";
+    document.getElementById("likeness").textContent = `As shown above: ${text} (peak signal-to-noise ratio).`;
+    context.globalCompositeOperation = "lighter";
+    for (const _ of [1, 2]) context.drawImage(canvas, 0, 0);
+  };
+  first.onpaint = second.onpaint = draw;
+  draw();
+}
+
+keepInAddress();
+const spheres = startSpheres();
 if (beside) {
   const id = beside.dataset.fit;
-  startProfiles(id);
+  startProfiles([id]);
   startPolar(id);
-  const view = (await views).get(id);
-  if (view) showPictures(id, view.pictures);
+  const [sphere] = await spheres;
+  if (sphere) showPictures(id, sphere.view.pictures);
   else document.getElementById("pictures-note").textContent = "The pictures could not be drawn.";
+}
+if (!beside) {
+  startProfiles([...document.querySelectorAll("figure.sphere")].map((figure) => figure.dataset.fit));
+  const both = await spheres;
+  if (both.every((sphere) => sphere.gl)) compare(both);
+  else document.getElementById("between").hidden = true;
 }

@@ -18,7 +18,14 @@ function choice(name) {
 }
 
 // What a plot draws: points and curves, each with a class for its colour; in one channel a component has its own colour.
-function seriesOf({ fit, measured, components }, channel) {
+function seriesOf({ fit, measured, components, both }, channel) {
+  if (both) {
+    return both.flatMap((one, i) => {
+      const [label, colour, c] = [document.querySelectorAll(".side-name")[i].textContent, ["specular_spike", "diffuse"][i], Number(channel)];
+      const points = one.measured ? [{ label: `${label}, measured`, colour, points: true, y: one.measured[c] }] : [];
+      return [...points, { label: `${label}, fit`, colour, y: one.fit[c] }];
+    });
+  }
   if (channel !== "all") {
     const c = Number(channel);
     const parts = components.map(({ label, values }) => ({ label: label.replace("_", " "), colour: label, y: values[c], part: true }));
@@ -94,6 +101,7 @@ function plot(box, data, channel, axis, range) {
   svg.append(group);
   box.replaceChildren(svg);
   showLegend(series, box);
+  tellValues(svg, box, series, "θ_half", (x) => Math.max(((x - MARGIN.left) * end) / inner.width, 0));
 }
 
 function draw(group, one, { px, py, low, axis, end }) {
@@ -121,14 +129,38 @@ function showLegend(series, box) {
     const svg = element("svg", { viewBox: "0 0 30 12", "aria-hidden": "true" });
     const look = classOf(one.dash ? { ...one, colour: "ink" } : one);
     svg.append(element("path", { class: look, d: one.points ? "M12 3h6v6h-6z" : "M1 6H29" }));
-    item.append(svg, one.label);
+    item.append(svg, one.label, document.createElement("b"));
+    item.dataset.label = one.label;
     return item;
   });
   document.getElementById(`${box.id}-legend`).replaceChildren(...items);
 }
 
+// Says in the legend the values of all curves at the angle below the pointer, which `angle` finds from its place.
+function tellValues(svg, box, series, name, angle) {
+  const legend = document.getElementById(`${box.id}-legend`);
+  const where = document.createElement("li");
+  const say = (degrees) => {
+    legend.append(where);
+    where.textContent = degrees === null ? "" : `at ${name} ${degrees.toFixed(1)}°`;
+    for (const item of legend.querySelectorAll("[data-label]")) {
+      const values = degrees === null ? [] : series.filter(({ label }) => label === item.dataset.label).map(({ x, y }) => {
+        const near = x.reduce((best, value, i) => (Math.abs(value - degrees) < Math.abs(x[best] - degrees) ? i : best), 0);
+        return y[near]?.toPrecision(3) ?? "no value";
+      });
+      item.querySelector("b").textContent = ` ${values.join(", ")}`;
+    }
+  };
+  svg.addEventListener("pointermove", (event) => {
+    const { left, top, width } = svg.getBoundingClientRect();
+    const scale = svg.viewBox.baseVal.width / width;
+    say(Math.max(-90, Math.min(angle((event.clientX - left) * scale, (event.clientY - top) * scale), 90)));
+  });
+  svg.addEventListener("pointerleave", () => say(null));
+}
+
 // Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes.
-function followSlider({ slider, panel, box, address, draw }) {
+function followSlider({ slider, panel, box, addresses, draw }) {
   const [input, place, fault, output] = [slider, box, `${panel}-fault`, `${slider}-value`].map((name) => document.getElementById(name));
   const known = new Map();
   let busy = false;
@@ -142,10 +174,13 @@ function followSlider({ slider, panel, box, address, draw }) {
       do { // the slider may move on while an answer is on its way
         wanted = input.value;
         if (!known.has(wanted)) {
-          const answer = await fetch(`${root}${address}/${wanted}`);
-          const content = await answer.json();
-          if (!answer.ok) throw new Error(content.detail);
-          known.set(wanted, content);
+          const contents = await Promise.all(addresses.map(async (address) => {
+            const answer = await fetch(`${root}${address}/${wanted}`);
+            const content = await answer.json();
+            if (!answer.ok) throw new Error(content.detail);
+            return content;
+          }));
+          known.set(wanted, contents.length > 1 ? { ...contents[0], both: contents } : contents[0]);
         }
       } while (wanted !== input.value);
       fault.hidden = true;
@@ -168,9 +203,9 @@ function followSlider({ slider, panel, box, address, draw }) {
   }).observe(place);
 }
 
-export function startProfiles(id) {
+export function startProfiles(ids) {
   const draw = (box, data) => plot(box, data, choice("channel"), choice("axis"), choice("range"));
-  followSlider({ slider: "theta-diff", panel: "profiles", box: "plot", address: `fits/${id}/profiles`, draw });
+  followSlider({ slider: "theta-diff", panel: "profiles", box: "plot", addresses: ids.map((id) => `fits/${id}/profiles`), draw });
 }
 
 const DECADES = [4, 7]; // of the logarithmic axis, below the largest value: at least, and at most
@@ -223,9 +258,11 @@ function plotPolar(box, data, kind, channel) {
   }
   box.replaceChildren(svg);
   showLegend(series, box);
+  const seen = series.map((one) => ({ ...one, x: data.theta_out_deg }));
+  tellValues(svg, box, seen, "θ_out", (x, y) => (Math.atan2(x - middle.x, middle.y - y) * 180) / Math.PI);
 }
 
 export function startPolar(id) {
   const draw = (box, data) => plotPolar(box, data, choice("polar-axis"), choice("polar-channel"));
-  followSlider({ slider: "theta-in", panel: "polar", box: "polar-plot", address: `fits/${id}/polar`, draw });
+  followSlider({ slider: "theta-in", panel: "polar", box: "polar-plot", addresses: [`fits/${id}/polar`], draw });
 }

@@ -1,7 +1,8 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections import Counter
+from collections.abc import Callable, Coroutine, Hashable
 from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
@@ -13,12 +14,14 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+import dsbrdf
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import lobes_phrase
+<<<<<<< HEAD
 
 from ..access.authentication import COOKIE, from_another_site, same_origin
 from ..errors import ProblemError
@@ -33,12 +36,25 @@ from ..wire.schemas import Page, Plain
 from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from .page_text import (
+=======
+from service.access.authentication import COOKIE, from_another_site, same_origin
+from service.errors import ProblemError
+from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
+from service.http.problems import KINDS, problem_of
+from service.http.request_body import receive_body
+from service.http.responses import is_current, tag_of, tagged_reply
+from service.jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
+from service.jobs.results import FitView
+from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
+from service.routes.page_text import (
+>>>>>>> 9f55eee (page: measured beside fit under the dragged light, zoom, view in the address)
     COMPONENT_MEANINGS,
     FIGURES,
     component_facts,
     facts_of,
     metrics_in_words,
     options_in_words,
+    verdict,
 )
 
 _HTML = {"Content-Type": "text/html; charset=utf-8"}
@@ -80,7 +96,16 @@ async def get_index(
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
     measured = await run_in_threadpool(_stored_measurements, context, shown)
-    items = [{"row": row, "facts": facts_of(row), "progress": context.jobs.progress(row)} for row in shown]
+    names = Counter(row.name for row in shown)
+    items = [
+        {
+            "row": row,
+            "facts": facts_of(row),
+            "progress": context.jobs.progress(row),
+            "options": options_in_words(row.options) if names[row.name] > 1 else "",
+        }
+        for row in shown
+    ]
     return _render(
         "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
     )
@@ -142,6 +167,23 @@ async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: s
     if name not in pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
     return tagged_reply(request, pictures[name], _PNG)
+
+
+@router.get("/fits/{fit_id}/measured.bin")
+async def get_table(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Return the measurement of a fit as the texture of its logarithms."""
+    stored = await _measurement_of(context, fit)
+    return await _computed(request, context, (fit.owner, stored.sha256), table_step, stored)
+
+
+@router.get("/fits/{fit_id}/environment/{name}.bin")
+async def get_environment(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
+    """Return the radiance of a sphere under environment light: of the measurement, the fit or a component."""
+    if name == "measured":
+        source: Any = await _measurement_of(context, fit)
+    else:
+        source = (await context.models.get(fit)).part(None if name == "fit" else name)
+    return await _computed(request, context, (fit, name), environment_step, source)
 
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
@@ -231,6 +273,26 @@ async def _view(request: Request, context: Context, fit: FitKey, media_type: str
     return await context.views.get(await context.fit_row(fit), run)
 
 
+async def _measurement_of(context: Context, fit: FitKey) -> StoredMeasurement:
+    """Return the stored measurement of a fit; raises as `Store.measurement_file`."""
+    row = await context.fit_row(fit)
+    return StoredMeasurement(
+        await run_in_threadpool(context.store.measurement_file, fit.owner, row.measurement), row.measurement
+    )
+
+
+async def _computed(
+    request: Request, context: Context, key: tuple[Hashable, ...], step: Callable[..., bytes], source: object
+) -> Response:
+    """Return what `step` makes of a source, unless the browser has it."""
+    etag = tag_of(dsbrdf.__version__, step.__name__, key)
+    if is_current(request, etag):
+        return Response(None, 304, {"ETag": etag})
+    head = {"ETag": etag, "Content-Type": "application/octet-stream"}
+    content = await context.computations.run_in_process(request, (step.__name__, *key), step, source, head=head)
+    return Response(content, 200, head)
+
+
 async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
     loaded = await context.models.get(row.key)
@@ -238,6 +300,7 @@ async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
+        "verdict": verdict(row.metrics or {}),
         "metrics": metrics_in_words(row.metrics or {}),
         "warnings": loaded.report.warnings if loaded.report else (),
         "components": [component_facts(component) for component in loaded.components],

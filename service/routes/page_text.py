@@ -14,10 +14,10 @@ from ..storage.schema import FitRow
 from ..wire.fit_options import DEFAULTS, canonical
 
 _LOOKS = (
-    (45.0, "cannot be told from"),
-    (38.0, "is very close to"),
-    (32.0, "is close to"),
-    (26.0, "differs visibly from"),
+    (45.0, "Not to be told apart"),
+    (38.0, "Very close"),
+    (32.0, "Close"),
+    (26.0, "Visibly different"),
 )
 
 
@@ -43,6 +43,7 @@ class Metric:
     """A number, what it is called, and what it means."""
 
     name: str
+    title: str
     value: str
     meaning: str
 
@@ -66,12 +67,18 @@ def facts_of(row: FitRow) -> Facts:
 def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
     """Return the metrics that a fit has, the most telling first."""
     given = {name: value for name, value in metrics.items() if value is not None}
-    found = []
-    if (psnr := given.get("psnr")) is not None:
-        words = next((words for level, words in _LOOKS if psnr >= level), "differs strongly from")
-        found.append(Metric("psnr", f"{psnr:.1f} dB", f"A lit sphere of the fit {words} one of the measurement."))
-    found += [Metric(name, write(given[name]), meaning) for name, write, meaning in _METRICS if name in given]
-    return found
+    return [
+        Metric(name, title, write(given[name]), meaning) for name, title, write, meaning in _METRICS if name in given
+    ]
+
+
+def verdict(metrics: Mapping[str, float | None]) -> str:
+    """Return how close the lit spheres of fit and measurement are, in a few words."""
+    psnr = metrics.get("psnr")
+    if psnr is None:
+        return "How good it is"
+    words = next((words for level, words in _LOOKS if psnr >= level), "Strongly different")
+    return f"{words}: {psnr:.1f} dB"
 
 
 def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,13 +123,14 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.3g} %"
 
 
-# Beside psnr: the name of a metric, how its value is written, and what it means.
-_METRICS: tuple[tuple[str, Callable[[float], str], str], ...] = (
-    ("relative_rms", _percent, "Error of the values, relative to their size."),
-    ("symmetric_floor", _percent, "The same error of the best reciprocal model."),
-    ("floor", _percent, "The same error of the best model that ignores φ_diff."),
-    ("excess", "{:.3f}".format, "Error / floor; below 1, the fit gains from its dependence on φ_diff."),
-    ("albedo_error", _percent, "Mean error of the albedo: of all the light that is reflected."),
-    ("male", "{:.4f}".format, "Mean error of the logarithm, which counts dark parts as well."),
-    ("ssim", "{:.4f}".format, "Likeness of the two spheres' structure; 1 is equal."),
+# The name of a metric, its title, how its value is written, and what it means.
+_METRICS: tuple[tuple[str, str, Callable[[float], str], str], ...] = (
+    ("psnr", "picture", "{:.1f} dB".format, "Peak signal-to-noise ratio of lit spheres of fit and measurement."),
+    ("relative_rms", "values", _percent, "Root mean square error of the values, relative to their size."),
+    ("albedo_error", "albedo", _percent, "Mean error of the albedo: of all the light that is reflected."),
+    ("symmetric_floor", "reciprocal floor", _percent, "Error of the values of the best reciprocal model."),
+    ("floor", "bivariate floor", _percent, "Error of the values of the best model that ignores φ_diff."),
+    ("excess", "values / floor", "{:.3f}".format, "Below 1, the fit gains from its dependence on φ_diff."),
+    ("male", "logarithm", "{:.4f}".format, "Mean absolute logarithmic error, which counts dark parts as well."),
+    ("ssim", "structure", "{:.4f}".format, "Structural similarity of the two spheres; 1 is equal."),
 )

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from dsbrdf.data.merl import write_merl
+from dsbrdf.data.merl import read_merl, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.image_metrics import displayed, exposure, psnr
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
 from tests.service.page.conftest import Site
@@ -30,6 +31,7 @@ from tests.support.browser import Visitor
 
 Visit = Callable[..., Visitor]
 PAINTED = "canvas[data-painted]"
+LIGHTINGS = {"three": "three_lights", "environment": "environment"}
 PIXELS = """canvas => {
   const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
   gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
@@ -101,7 +103,7 @@ def test_faults_of_a_file_are_told_in_the_services_words(visit: Visit, tmp_path:
     bad.write_bytes(bytes(1000))
     page.locator("#file").set_input_files(bad)
     expect(page.locator("#upload-fault")).to_contain_text(re.compile(r"dimensions|bytes"))
-    expect(page.get_by_text("Drop a measurement here")).to_be_visible()
+    expect(page.get_by_text("Drop measurements here")).to_be_visible()
 
 
 def test_running_fit_shows_its_progress_and_can_be_cancelled(visit: Visit, site: Site, data: bytes) -> None:
@@ -126,6 +128,98 @@ def test_sphere_shows_the_fit_as_the_library_renders_it(visit: Visit, site: Site
     expected = displayed(render_sphere(model, size=size), factor)
     assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
     assert np.array_equal(shown[..., 3] == 1.0, mask)
+
+
+def test_measurement_is_shown_beside_the_fit(visit: Visit, site: Site, plastic_file: Path) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", device_scale_factor=0.5).page
+    page.locator(PAINTED).wait_for()
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    measurement = read_merl(plastic_file)
+    size = len(pixels(page))
+    _, mask = sphere_normals(size)
+    for lighting in ("three", "environment"):
+        rendered = [render_sphere(s, lighting=LIGHTINGS[lighting], size=size) for s in (measurement, model)]
+        factor = exposure(rendered[lighting == "environment"], mask)
+        measured, fitted = (displayed(image, factor) for image in rendered)
+        page.get_by_label("fit", exact=True).check()
+        repaint(page, page.locator(f"[value={lighting}]").check) if lighting != "three" else None
+        middle = size // 2
+        whole = repaint(page, page.get_by_label("measured", exact=True).check)[..., :3]
+        half = repaint(page, page.get_by_label("half and half").check)[..., :3]
+        differing = repaint(page, page.get_by_label("difference × 4").check)[..., :3]
+        tolerance = (0.5 if lighting == "three" else 1.5) / 255  # pictures of 256 pixels under environment light
+        assert np.abs(whole - measured)[mask].mean() < tolerance
+        assert np.array_equal(half[:, : middle - 2], whole[:, : middle - 2])
+        assert np.abs(half - fitted)[:, middle + 2 :][mask[:, middle + 2 :]].mean() < tolerance
+        expected = np.clip(4.0 * np.abs(measured - fitted), 0.0, 1.0)
+        assert np.abs(differing - expected)[mask].mean() < 4 * tolerance
+    page.get_by_label("half and half").check()
+    assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
+
+
+def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("[data-component]").first.uncheck()
+    page.get_by_label("one light only").check()
+    page.get_by_label("measured", exact=True).check()
+    page.get_by_label("theta_diff in degrees").fill("40")
+    for name, value in (("exposure", "-1.5"), ("zoom", "1")):
+        page.locator(f"[name={name}]").fill(value)
+    repaint(page, lambda: page.locator("canvas").click(position={"x": 200, "y": 150}))
+    page.wait_for_function("location.hash.includes('highlight')")
+    page.wait_for_timeout(600)  # the picture and the address are at rest
+    before, address = pixels(page), page.url
+    page.goto("/")
+    page.goto(address)
+    page.locator(PAINTED).wait_for()
+    expect(page.locator("#theta-diff-value")).to_have_text("40°")
+    expect(page.locator("#exposure-value")).to_have_text("-1.5 EV")
+    assert np.array_equal(pixels(page), before)
+    repaint(page, page.get_by_role("button", name="Reset").click)
+    expect(page.get_by_label("fit", exact=True)).to_be_checked()
+
+
+def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}", device_scale_factor=2).page
+    canvas = page.locator(PAINTED)
+    canvas.wait_for()
+    size = canvas.evaluate("canvas => canvas.width")
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    before = canvas.get_attribute("data-painted") or ""
+    page.mouse.down()
+    for step in range(20):
+        page.mouse.move(box["x"] + 200 + 5 * step, box["y"] + 200)
+    page.mouse.up()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    assert int(canvas.get_attribute("data-rough") or size) < 0.7 * size
+    assert canvas.evaluate("canvas => canvas.width") == size
+
+
+def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("canvas").hover(position={"x": 150, "y": 180})
+    hint = page.locator(".hint")
+    expect(hint).to_contain_text("1/sr")
+    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", hint.inner_text())
+    assert found is not None
+    half, diff, red = map(float, found.groups())
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = 2 * 150 / box["width"] - 1, 1 - 2 * 180 / box["height"]
+    light = np.array(THREE_LIGHTS[0].direction)
+    middle = light + np.array([0.0, 0.0, 1.0])
+    normal = np.array([x, y, np.sqrt(1 - x * x - y * y)])
+    assert half == pytest.approx(np.degrees(np.arccos(normal @ middle / np.linalg.norm(middle))), abs=0.2)
+    assert diff == pytest.approx(20.0, abs=0.1)
+    query = {"theta_half_deg": half, "theta_diff_deg": diff}
+    near = site.http.get(f"/v1/fits/{fit}/brdf", params=query, headers=site.header).json()["values"][0]
+    assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
 
 
 def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
@@ -224,6 +318,7 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
     assert page.locator(".components img").count() == components
     page.locator("#model-lobes summary").click()
     assert page.locator("#model-lobes img").count() == 1
+    page.locator("#figures-title").click()
     for picture in page.locator(".drawn img, .components img").all():
         picture.scroll_into_view_if_needed()
         expect(picture).to_have_js_property("complete", value=True)
@@ -264,7 +359,7 @@ def test_list_is_searched_and_two_fits_are_compared(visit: Visit, site: Site) ->
     search.fill("GLOS")
     expect(cards).to_have_count(1)
     search.fill("nothing like it")
-    expect(page.get_by_text("No fit here has this name.")).to_be_visible()
+    expect(page.get_by_text("No fits found for “nothing like it”.")).to_be_visible()
     search.fill("")
     button = page.get_by_role("button", name="Compare two")
     expect(button).to_be_disabled()
@@ -275,9 +370,107 @@ def test_list_is_searched_and_two_fits_are_compared(visit: Visit, site: Site) ->
     expect(page.locator(PAINTED)).to_have_count(2)
     expect(page.locator("table.components")).to_have_count(2)
     painted = page.locator("canvas").nth(1)
+    expect(page.locator("#plot .curve")).to_have_count(2)
+    expect(page.locator("#plot-legend")).to_contain_text("glossy, measured")
     before = painted.get_attribute("data-painted") or ""
     page.locator("canvas").first.click()
     expect(painted).not_to_have_attribute("data-painted", before)
+
+
+def test_likeness_of_two_spheres_is_that_of_their_pictures(visit: Visit, site: Site, tmp_path: Path) -> None:
+    file = tmp_path / "dark.binary"
+    write_merl(file, synthetic_measurement(diffuse=(0.02, 0.05, 0.02)))
+    fits = [site.fits["glossy"], site.submit(file.read_bytes(), "dark", method="paper", n_lobes=1)]
+    page = visit(f"/compare?fit={fits[0]}&fit={fits[1]}", device_scale_factor=0.5).page
+    expect(page.locator(PAINTED)).to_have_count(2)
+    expect(page.locator("#likeness")).to_contain_text("dB")
+    size = page.locator("canvas").first.evaluate("canvas => canvas.width")
+    views = [site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"] for fit in fits]
+    documents = [site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text for fit in fits]
+    assert max(views) > 1.05 * min(views)
+    images = [render_sphere(from_json(text)[0], size=size) for text in documents]
+    for factors in ([min(views)] * 2, views):
+        if factors is views:
+            page.get_by_label("each its own exposure").check()
+        seen = [displayed(image, factor) for image, factor in zip(images, factors, strict=True)]
+        expected = psnr(seen[0], seen[1], sphere_normals(size)[1])
+        expect(page.locator("#likeness")).to_contain_text(
+            re.compile(f"({expected:.1f}|{expected + 0.05:.1f}|{expected - 0.05:.1f}) dB")
+        )
+
+
+def test_list_takes_several_files_and_is_sorted_and_shortened(
+    visit: Visit, plastic_file: Path, guarded: Guarded, tmp_path: Path
+) -> None:
+    header = guarded.new_key("several")
+    page = visit("/?name=zzz", key=header["Authorization"].removeprefix("Bearer ")).page
+    expect(page.get_by_text("No fits found for “zzz”.")).to_be_visible()
+    copies = [tmp_path / name for name in ("b.binary", "a.binary")]
+    for roughness, copy in zip((0.2, 0.4), copies, strict=True):
+        write_merl(copy, synthetic_measurement(roughness=roughness))
+    page.goto("/")
+    page.get_by_text("Options").click()
+    page.get_by_label("Lobes").select_option("1")
+    page.get_by_label("Method").select_option("paper")
+    page.locator("#file").set_input_files([*copies, plastic_file])
+    names = page.locator(".card-name")
+    expect(names).to_have_text(["plastic", "a", "b"])
+    page.get_by_label("Sort by").select_option("name")
+    expect(names).to_have_text(["a", "b", "plastic"])
+    http = guarded.server.http
+    for fit in http.get("/v1/fits", headers=header).json()["items"]:
+        assert http.get(f"/v1/fits/{fit['id']}?wait=30", headers=header).json()["status"] == "succeeded"
+    page.reload()
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Delete plastic").click()
+    expect(names).to_have_text(["a", "b"])
+
+
+def test_upload_is_cancelled(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
+    key = guarded.new_key("cancel")["Authorization"].removeprefix("Bearer ")
+    page = visit("/", key=key).page
+    page.route("**/v1/fits?*", lambda route: None)  # never answered
+    page.locator("#file").set_input_files(plastic_file)
+    expect(page.locator("#sending-title")).to_contain_text(re.compile("Sending|Checking"))
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#upload-fault")).to_have_text("The upload was cancelled.")
+    expect(page.get_by_text("Drop measurements here")).to_be_visible()
+
+
+def test_values_under_the_pointer_stand_in_the_legend(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    for panel, unit in (("#plot", "θ_half"), ("#polar-plot", "θ_out")):
+        page.locator(f"{panel} svg").hover(position={"x": 200, "y": 100})
+        expect(page.locator(f"{panel}-legend")).to_contain_text(f"at {unit}")
+        expect(page.locator(f'{panel}-legend [data-label="red, fit"] b')).to_have_text(re.compile(r" [\d.e-]+$"))
+    curve = site.http.get(f"/fits/{fit}/polar/45", headers=site.header).json()
+    place = re.search(r"at θ_out (-?[\d.]+)°", page.locator("#polar-plot-legend").inner_text())
+    assert place is not None
+    at = np.abs(np.array(curve["theta_out_deg"]) - float(place[1])).argmin()
+    told = page.locator('#polar-plot-legend [data-label="red, fit"] b').inner_text()
+    assert float(told) == pytest.approx(curve["fit"][0][at], rel=0.01)
+
+
+def test_verdict_stands_before_the_metrics(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    value = site.http.get(f"/v1/fits/{fit}", headers=site.header).json()["metrics"]["psnr"]
+    expect(page.locator("#metrics-title")).to_have_text(re.compile(rf"[A-Z][a-z ]+: {value:.1f} dB"))
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
+    page.get_by_text("More metrics").click()
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_visible()
+
+
+def test_figures_follow_the_dark_theme(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    filters = []
+    schemes: list[Literal["light", "dark"]] = ["light", "dark"]
+    for scheme in schemes:
+        page.emulate_media(color_scheme=scheme)
+        filters.append(page.locator(".drawn img").first.evaluate("image => getComputedStyle(image).filter"))
+    assert filters[0] == "none"
+    assert filters[1].startswith("invert")
 
 
 def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site) -> None:

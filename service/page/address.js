@@ -1,0 +1,34 @@
+// What a page shows stands in its address, after #: each field that is not as the page has it at first.
+const fields = () => [...document.querySelectorAll("main input[name]")];
+const ticked = ({ type }) => type === "radio" || type === "checkbox";
+
+function read() {
+  const given = new URLSearchParams(location.hash.slice(1));
+  const known = (field) => given.has(field.name) && (field.type !== "radio" || fields().some(({ name, value }) => name === field.name && value === given.get(name)));
+  for (const field of fields()) {
+    const value = known(field) ? given.get(field.name) : null;
+    if (field.type === "radio") field.checked = value === null ? field.defaultChecked : value === field.value;
+    else if (field.type === "checkbox") field.checked = value === null ? field.defaultChecked : value === "1";
+    else field.value = value ?? field.defaultValue;
+  }
+}
+
+function write() {
+  const changed = new URLSearchParams();
+  for (const field of fields()) {
+    if (ticked(field) ? field.checked === field.defaultChecked : field.value === field.defaultValue) continue;
+    if (field.type !== "radio" || field.checked) changed.set(field.name, field.type === "checkbox" ? Number(field.checked) : field.value);
+  }
+  const hash = changed.size ? `#${changed.toString().replaceAll("%2C", ",")}` : "";
+  history.replaceState(null, "", location.pathname + location.search + hash);
+}
+
+export function keepInAddress() {
+  read();
+  let later = 0;
+  const soon = () => {
+    clearTimeout(later);
+    later = setTimeout(write, 200); // browsers refuse more than a few changes a second
+  };
+  for (const kind of ["input", "change"]) document.addEventListener(kind, soon);
+}
