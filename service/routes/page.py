@@ -21,33 +21,20 @@ from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import lobes_phrase
-<<<<<<< HEAD
 
 from ..access.authentication import COOKIE, from_another_site, same_origin
 from ..errors import ProblemError
 from ..http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from ..http.problems import KINDS, problem_of
 from ..http.request_body import receive_body
-from ..http.responses import tagged_reply
-from ..jobs.drawing import LARGEST_LIGHT, LIGHT_STEP
+from ..http.responses import is_current, tag_of, tagged_reply
+from ..jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..jobs.results import FitView
 from ..storage.schema import FitKey, FitRow
 from ..wire.schemas import Page, Plain
 from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from .page_text import (
-=======
-from service.access.authentication import COOKIE, from_another_site, same_origin
-from service.errors import ProblemError
-from service.http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
-from service.http.problems import KINDS, problem_of
-from service.http.request_body import receive_body
-from service.http.responses import is_current, tag_of, tagged_reply
-from service.jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
-from service.jobs.results import FitView
-from service.routes.dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
-from service.routes.page_text import (
->>>>>>> 9f55eee (page: measured beside fit under the dragged light, zoom, view in the address)
     COMPONENT_MEANINGS,
     FIGURES,
     component_facts,
