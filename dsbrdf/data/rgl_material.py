@@ -95,14 +95,14 @@ class RglMaterial:
         Directions are spread evenly over the hemisphere, up to 75 degrees from the normal; one of a pair in four is
         near the mirror direction.
         """
-        random = np.random.default_rng(0)
+        generator = np.random.default_rng(0)
         cosine, turn = (
-            random.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)),
-            random.uniform(0.0, 2.0 * np.pi, (2, _N_PAIRS)),
+            generator.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)),
+            generator.uniform(0.0, 2.0 * np.pi, (2, _N_PAIRS)),
         )
         sine = np.sqrt(1.0 - cosine**2)
         first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
-        near = first[::4] * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.05, first[::4].shape)
+        near = first[::4] * [-1.0, -1.0, 1.0] + generator.normal(0.0, 0.05, first[::4].shape)
         second[::4] = near / np.linalg.norm(near, axis=1)[:, np.newaxis]
         one, other = (self.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))
         light = one + other > 0.0

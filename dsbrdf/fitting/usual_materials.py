@@ -133,16 +133,19 @@ def typical_error(model: DSBRDF, samples: ScatteredSamples) -> float:
 
 def _pairs(model: DSBRDF) -> tuple[Array, Array]:
     """Pairs of directions up to 80 degrees from the normal: half of them where a model reflects, half anywhere."""
-    random = np.random.default_rng(5)
-    omega_in, omega_out = (_within_last(random) for _ in range(2))
-    reflected = model.sample(omega_out[: N_PAIRS // 2], random).omega_in
+    generator = np.random.default_rng(5)
+    omega_in, omega_out = (_within_last(generator) for _ in range(2))
+    reflected = model.sample(omega_out[: N_PAIRS // 2], generator).omega_in
     used = np.flatnonzero(reflected[:, 2] > _LAST_COSINE)
     omega_in[used] = reflected[used]
     return omega_in, omega_out
 
 
-def _within_last(random: np.random.Generator) -> Array:
-    cosine, turn = np.sqrt(random.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)), random.uniform(0.0, 2.0 * np.pi, N_PAIRS)
+def _within_last(generator: np.random.Generator) -> Array:
+    cosine, turn = (
+        np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)),
+        generator.uniform(0.0, 2.0 * np.pi, N_PAIRS),
+    )
     sine = np.sqrt(1.0 - cosine**2)
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
