@@ -50,7 +50,7 @@ _ANY = _bounds((0.6, 10.0), _NARROWEST, _WIDEST)
 _SPIKE = _bounds((0.6, 10.0), _NARROWEST, SPIKE_HALF_WIDTH)
 _LOBE = _bounds((0.6, 10.0), SPIKE_HALF_WIDTH, _WIDEST_OF_TWO)
 _DIFFUSE = _bounds((0.05, 10.0), np.radians(30.0), np.radians(89.0))
-_NEUTRAL, _TAIL, _DIFFUSE_TAIL, _DIFFUSE_WIDTH, _ROUND = 2e-4, 2e-4, 1e-3, 1e-4, 1e-3
+_NEUTRAL, _TAIL, _DIFFUSE_TAIL, _DIFFUSE_WIDTH, _ROUND = 1e-4, 2e-4, 1e-3, 1e-4, 1e-3
 """Pulls of the prior, as shares of the squared signal for each squared deviation of a control value."""
 _GGX_KAPPA, _USUAL_DIFFUSE_KAPPA = 2.0, 1.1
 _USUAL_REACH = float(np.log(reach_of_width(np.radians(70.0), FAMILY)))
