@@ -3,6 +3,7 @@
 Angles in degrees (``_deg``), BRDF values in 1/sr, RGB order.
 """
 
+import inspect
 import re
 from dataclasses import asdict
 from datetime import datetime
@@ -79,7 +80,8 @@ _BOUNDS: dict[str, dict[str, Any]] = {
 def _options_schema() -> dict[str, Any]:
     """Return the schema of the options: the types and sentences of the library's dataclass, under their wire names."""
     declared = TypeAdapter(FitOptions).json_schema()["properties"]
-    sentences = dict(re.findall(r"^ {4}(\w+) : .*\n((?: {8}.*\n)+)", FitOptions.__doc__ or "", re.MULTILINE))
+    stated = inspect.getdoc(FitOptions) or ""  # indented alike in all versions of Python, as __doc__ is not
+    sentences = dict(re.findall(r"^(\w+) : .*\n((?: {4}.*\n)+)", stated, re.MULTILINE))
     properties = {}
     for name, wire in WIRE_NAMES.items():
         schema = declared[name]
