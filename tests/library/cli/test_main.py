@@ -25,7 +25,7 @@ def test_serve_replaces_its_process_by_the_service(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(os, "execv", execv)
     exit_code(["serve"])
     exit_code(["serve", "--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"])
-    start = [sys.executable, "-m", "service"]
+    start = [sys.executable, "-m", "dsbrdf_service"]
     every = ["--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"]
     assert calls == [start, start + every]
 
