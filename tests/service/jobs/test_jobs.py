@@ -24,8 +24,7 @@ from service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
 
 LOCAL = Caller()
-OPTIONS = dsbrdf.FitOptions()
-PATIENCE = 60.0  # seconds
+OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
 RESULT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
 
 
@@ -329,8 +328,7 @@ DELAYS = ((1, None), (8, None), (9, 2.0), (12, 16.0), (13, 30.0), (99, 30.0), (1
 def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interruptions: int, delay: float | str | None
 ) -> None:
-    delays: list[float] = []
-    sleep = asyncio.sleep
+    delays, sleep = list[float](), asyncio.sleep
 
     async def record(seconds: float) -> None:
         delays.extend([seconds] if seconds >= 1.0 else [])
@@ -344,8 +342,8 @@ def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
         await place.break_off()
         monkeypatch.setattr(asyncio, "sleep", record)
         await place.jobs.start()  # which counts one more
-        row = await place.end(key)
-        assert (row.error or {}).get("type") == ("ServiceInterrupted" if delay == "fails" else None)
+        error = (await place.end(key)).error or {}
+        assert error.get("type") == ("ServiceInterrupted" if delay == "fails" else None)
         assert place.engine.runs == (1 if delay == "fails" else 2)
         assert delays == ([delay] if isinstance(delay, float) else [])
 

@@ -39,7 +39,7 @@ def test_pages_load_nothing_from_other_hosts(server: Server, fitted: str) -> Non
 
 def test_every_static_file_is_there_and_the_whole_is_small(server: Server) -> None:
     answers = {path: server.http.get(path) for path in STATIC_FILES if path.startswith("/page/")}
-    assert len(answers) == 7
+    assert len(answers) == 8
     for path, answer in answers.items():
         assert answer.headers["content-type"].partition(";")[0] == STATIC_FILES[path][1]
         known = server.http.get(path, headers={"If-None-Match": answer.headers["etag"]})
@@ -174,7 +174,7 @@ def test_list_has_pages(server: Server, fitted: str, stored: str) -> None:
     assert found
     second = page_at(server, f"/?{found[1]}")
     assert re.findall(r'value="([0-9a-f]{32})"', first.text)[0] not in second.text
-    assert "No fit here has this name" in page_at(server, "/?name=nobody").text
+    assert re.search('id="no-match" class="note" >No fits found.*>nobody<', page_at(server, "/?name=nobody").text)
 
 
 def test_every_format_can_be_downloaded(server: Server, fitted: str) -> None:

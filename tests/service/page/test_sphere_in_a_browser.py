@@ -1,0 +1,216 @@
+"""The sphere of a fit in a browser: what is painted, the light, views, zoom and what the address keeps."""
+
+import base64
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.data.merl import read_merl, write_merl
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.serialize import from_json
+from tests.service.page.conftest import Site
+from tests.support.webgl import CHROMIUM
+
+if CHROMIUM is None:
+    pytest.skip('"chromium" is not installed', allow_module_level=True)
+
+from playwright.sync_api import Page, expect
+
+from tests.support.browser import Visitor
+
+Visit = Callable[..., Visitor]
+PAINTED = "canvas[data-painted]"
+LIGHTINGS = {"three": "three_lights", "environment": "environment"}
+PIXELS = """canvas => {
+  const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  let text = "";
+  for (let i = 0; i < pixels.length; i += 4096) text += String.fromCharCode(...pixels.subarray(i, i + 4096));
+  return btoa(text);
+}"""
+
+
+def pixels(page: Page) -> np.ndarray:
+    """What the canvas shows, shape (size, size, 4), from the top, in [0, 1]."""
+    values = np.frombuffer(base64.b64decode(page.locator("canvas").evaluate(PIXELS)), np.uint8)
+    size = round((values.size / 4) ** 0.5)
+    return values.reshape(size, size, 4)[::-1] / 255.0
+
+
+def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
+    """What the canvas shows after an act that paints it again."""
+    canvas = page.locator("canvas")
+    before = canvas.get_attribute("data-painted") or ""
+    act()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    return pixels(page)
+
+
+def test_sphere_shows_the_fit_as_the_library_renders_it(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", device_scale_factor=0.5).page
+    page.locator(PAINTED).wait_for()
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
+    shown = pixels(page)
+    size = len(shown)
+    _, mask = sphere_normals(size)
+    expected = displayed(render_sphere(model, size=size), factor)
+    assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
+    assert np.array_equal(shown[..., 3] == 1.0, mask)
+
+
+def test_measurement_is_shown_beside_the_fit(visit: Visit, site: Site, plastic_file: Path) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", device_scale_factor=0.5).page
+    page.locator(PAINTED).wait_for()
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    measurement = read_merl(plastic_file)
+    size = len(pixels(page))
+    _, mask = sphere_normals(size)
+    for lighting in ("three", "environment"):
+        rendered = [render_sphere(s, lighting=LIGHTINGS[lighting], size=size) for s in (measurement, model)]
+        factor = exposure(rendered[lighting == "environment"], mask)
+        measured, fitted = (displayed(image, factor) for image in rendered)
+        page.get_by_label("fit", exact=True).check()
+        repaint(page, page.locator(f"[value={lighting}]").check) if lighting != "three" else None
+        middle = size // 2
+        whole = repaint(page, page.get_by_label("measured", exact=True).check)[..., :3]
+        half = repaint(page, page.get_by_label("half and half").check)[..., :3]
+        differing = repaint(page, page.get_by_label("difference × 4").check)[..., :3]
+        tolerance = (0.5 if lighting == "three" else 1.5) / 255  # pictures of 256 pixels under environment light
+        assert np.abs(whole - measured)[mask].mean() < tolerance
+        assert np.array_equal(half[:, : middle - 2], whole[:, : middle - 2])
+        assert np.abs(half - fitted)[:, middle + 2 :][mask[:, middle + 2 :]].mean() < tolerance
+        expected = np.clip(4.0 * np.abs(measured - fitted), 0.0, 1.0)
+        assert np.abs(differing - expected)[mask].mean() < 4 * tolerance
+    page.get_by_label("half and half").check()
+    assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
+
+
+def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("[data-component]").first.uncheck()
+    page.get_by_label("one light only").check()
+    page.get_by_label("measured", exact=True).check()
+    page.get_by_label("theta_diff in degrees").fill("40")
+    for name, value in (("exposure", "-1.5"), ("zoom", "1")):
+        page.locator(f"[name={name}]").fill(value)
+    repaint(page, lambda: page.locator("canvas").click(position={"x": 200, "y": 150}))
+    page.wait_for_function("location.hash.includes('highlight')")
+    page.wait_for_timeout(600)  # the picture and the address are at rest
+    before, address = pixels(page), page.url
+    page.goto("/")
+    page.goto(address)
+    page.locator(PAINTED).wait_for()
+    expect(page.locator("#theta-diff-value")).to_have_text("40°")
+    expect(page.locator("#exposure-value")).to_have_text("-1.5 EV")
+    assert np.array_equal(pixels(page), before)
+    repaint(page, page.get_by_role("button", name="Reset").click)
+    expect(page.get_by_label("fit", exact=True)).to_be_checked()
+
+
+def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}", device_scale_factor=2).page
+    canvas = page.locator(PAINTED)
+    canvas.wait_for()
+    size = canvas.evaluate("canvas => canvas.width")
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    before = canvas.get_attribute("data-painted") or ""
+    page.mouse.down()
+    for step in range(20):
+        page.mouse.move(box["x"] + 200 + 5 * step, box["y"] + 200)
+    page.mouse.up()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    assert int(canvas.get_attribute("data-rough") or size) < 0.7 * size
+    assert canvas.evaluate("canvas => canvas.width") == size
+
+
+def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    page.locator(PAINTED).wait_for()
+    page.locator("canvas").hover(position={"x": 150, "y": 180})
+    hint = page.locator(".hint")
+    expect(hint).to_contain_text("1/sr")
+    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", hint.inner_text())
+    assert found is not None
+    half, diff, red = map(float, found.groups())
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = 2 * 150 / box["width"] - 1, 1 - 2 * 180 / box["height"]
+    light = np.array(THREE_LIGHTS[0].direction)
+    middle = light + np.array([0.0, 0.0, 1.0])
+    normal = np.array([x, y, np.sqrt(1 - x * x - y * y)])
+    assert half == pytest.approx(np.degrees(np.arccos(normal @ middle / np.linalg.norm(middle))), abs=0.2)
+    assert diff == pytest.approx(20.0, abs=0.1)
+    query = {"theta_half_deg": half, "theta_diff_deg": diff}
+    near = site.http.get(f"/v1/fits/{fit}/brdf", params=query, headers=site.header).json()["values"][0]
+    assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
+
+
+def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}").page
+    canvas = page.locator(PAINTED)
+    canvas.wait_for()
+    first = pixels(page)
+    box = canvas.bounding_box()
+    assert box is not None
+    dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"]))
+    assert np.abs(dragged - first).mean() > 0.01
+    canvas.focus()
+    assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    darker = repaint(page, lambda: page.keyboard.press("-"))
+    expect(page.locator("#exposure-value")).to_have_text("-0.5 EV")
+    assert darker.mean() < dragged.mean()
+    assert repaint(page, lambda: page.get_by_label("one light only").check()).mean() < darker.mean()
+    canvas.focus()
+    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
+    boxes = page.locator("[data-component]").all()
+    parts = [first] + [repaint(page, box.uncheck) for box in boxes]
+    assert len(parts) > 2
+    assert all(part.mean() < whole.mean() for whole, part in pairwise(parts))
+    assert parts[-1][..., :3].max() == 0.0
+
+
+def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: Site, tmp_path: Path) -> None:
+    paint = {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10)}
+    file = tmp_path / "red.binary"
+    write_merl(file, synthetic_measurement(**paint, specular=(0.04,) * 3, noise=0.02))  # type: ignore[arg-type]
+    fit = site.submit(file.read_bytes(), "red paint")
+    page = visit(f"/fits/{fit}").page
+    page.locator(PAINTED).wait_for()
+    shown = pixels(page)[..., :3]
+    boxes = {label: page.locator(f'[data-component="{label}"]') for label in ("specular_spike", "diffuse")}
+    expect(page.locator("[data-component]")).to_have_count(len(boxes))
+    ground = repaint(page, boxes["specular_spike"].uncheck)[..., :3]
+    repaint(page, boxes["specular_spike"].check)
+    highlight = repaint(page, boxes["diffuse"].uncheck)[..., :3]
+    size = len(highlight)
+    row, column = (np.indices((size, size)) + 0.5) / (0.5 * size) - 1.0
+    trusted = np.hypot(row, column) < np.sin(np.radians(80.0))  # nearer to the horizon than the default cutoff: no data
+    bright = trusted & (highlight.max(axis=2) > 0.3)
+    assert np.ptp(highlight[bright], axis=1).max() < 0.03  # neutral
+    peak = highlight.min(axis=2) > 0.9
+    assert peak.any()
+    assert shown[peak].min() > 0.9
+    assert ground[peak].max() < 0.8  # gone with the specular component
+    # The ground is that of the paint without its highlight, and nothing is left or missing where that was.
+    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
+    bare = synthetic_measurement(**paint, specular=(0.0,) * 3)  # type: ignore[arg-type]
+    expected = displayed(0.96 * render_sphere(bare, size=len(ground)), factor)
+    normals, mask = sphere_normals(len(ground))
+    facing = np.zeros_like(mask)
+    facing[mask] = normals[:, 2] > 0.85  # farther out, what has no highlight at normal incidence has one
+    assert (bright & facing).sum() > 50
+    assert np.abs(ground - expected)[bright & facing].max() < 0.03
