@@ -13,7 +13,7 @@ from pathlib import Path
 
 import httpx
 
-from tests.support.durability.harness import (
+from benchmarks.durability_series.harness import (
     Harness,
     becomes_true,
     counted_workers,
@@ -21,7 +21,7 @@ from tests.support.durability.harness import (
     query_database,
     same_bits,
 )
-from tests.support.durability.stateful_clients import LONG
+from benchmarks.durability_series.stateful_clients import LONG
 from tests.support.server import QUICK, Server
 
 _RAW = {"Content-Type": "application/octet-stream"}

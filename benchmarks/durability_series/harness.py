@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import get_context
@@ -23,7 +23,7 @@ import dsbrdf
 from dsbrdf.data.merl import read_merl
 from dsbrdf.output.serialize import from_json
 from service.wire.fit_options import from_wire
-from tests.support.processes import ONE_CORE, alive
+from tests.support.processes import ONE_CORE
 from tests.support.server import Server
 
 _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
@@ -119,16 +119,6 @@ def query_database(server: Server, query: str) -> list[tuple[Any, ...]]:
         return connection.execute(query).fetchall()
     finally:
         connection.close()
-
-
-def processes(server: Server) -> set[int]:
-    """Return the process ids of a server and of all that it has started, orphans included: its log is their stderr."""
-    found = set()
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it has ended meanwhile
-            if (folder / "fd/2").readlink() == server.log and alive(int(folder.name)):
-                found.add(int(folder.name))
-    return found
 
 
 def leftovers(server: Server) -> list[str]:

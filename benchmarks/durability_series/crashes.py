@@ -11,16 +11,15 @@ from contextlib import contextmanager, suppress
 
 import httpx
 
-from dsbrdf.data.merl_validation import FILE_SIZE
-from tests.support.durability.harness import (
+from benchmarks.durability_series.harness import (
     Harness,
     becomes_true,
     leftovers,
-    processes,
     query_database,
     same_bits,
 )
-from tests.support.durability.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
+from benchmarks.durability_series.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
+from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.server import Server
 
 _CLIENTS = 4
@@ -55,15 +54,15 @@ def _kill_under_load(harness: Harness, server: Server, clients: list[StatefulCli
         becomes_true(lambda: _answers(clients) >= enough, 20.0)
         time.sleep(harness.random.uniform(0.0, 0.5))
         over.set()
-        before = processes(server)
+        before = server.processes()
         server.stop(signal.SIGKILL)
     while harness.random.random() < _STARTS_KILLED:
         server.launch()
         time.sleep(harness.random.uniform(0.0, 2.0))
-        before |= processes(server)
+        before |= server.processes()
         server.stop(signal.SIGKILL)
     server.start()
-    gone = becomes_true(lambda: not before & processes(server), _LAST_BREATH)
+    gone = becomes_true(lambda: not before & server.processes(), _LAST_BREATH)
     harness.expect(gone, "processes outlived a server that was killed")
     left = leftovers(server)
     harness.expect(not left, f"left behind by a server that was killed: {left}")
@@ -76,7 +75,7 @@ def _answers(clients: list[StatefulClient]) -> int:
 def _end(harness: Harness, server: Server) -> None:
     """Stop a server, and check that it leaves nothing behind."""
     harness.expect(server.stop() == 0, "the server did not end well")
-    harness.expect(becomes_true(lambda: not processes(server), _LAST_BREATH), "processes outlived the server")
+    harness.expect(becomes_true(lambda: not server.processes(), _LAST_BREATH), "processes outlived the server")
     left = [*leftovers(server), *(server.data_dir / "run").iterdir()]
     harness.expect(not left, f"left behind by the server: {left}")
     harness.expect(query_database(server, "PRAGMA integrity_check") == [("ok",)], "the database is damaged")

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import httpx
 
 import dsbrdf
-from tests.support.durability.harness import Harness, same_bits
+from benchmarks.durability_series.harness import Harness, same_bits
 from tests.support.server import QUICK
 
 LONG: dict[str, Any] = {"method": "paper", "n_lobes": 2}
