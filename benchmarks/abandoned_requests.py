@@ -11,9 +11,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
+from benchmarks.durability_series.harness import Harness
 from benchmarks.http_load import get_repeatedly
 from benchmarks.service import Row
-from tests.support.durability.harness import Harness
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server

@@ -30,12 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.abandoned_requests import abandoned
+from benchmarks.durability_series.harness import Harness
 from benchmarks.http_load import PeakMemory, get_repeatedly
 from benchmarks.service import Row
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.support.durability.harness import Harness
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server

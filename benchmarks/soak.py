@@ -22,10 +22,10 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
+from benchmarks.durability_series.harness import Harness
 from benchmarks.load import STEPS, Client, Tally
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from tests.support.durability.harness import Harness
 from tests.support.server import Server
 
 _OUT = Path("out")

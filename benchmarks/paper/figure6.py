@@ -15,7 +15,6 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
-from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # ships no types
 
 from benchmarks.paper.materials import Computed, Material, Numbers
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
@@ -56,6 +55,8 @@ def features(computed: Sequence[Computed], space: str) -> Array:
 
 def embedding(computed: Sequence[Computed], space: str) -> Array:
     """Isomap embedding (materials, 2); the first axis points to the glossier materials."""
+    from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # of the extra `heavy`; ships no types
+
     neighbors = min(_NEIGHBORS, len(computed) - 1)
     places: Array = Isomap(n_neighbors=neighbors, n_components=2).fit_transform(features(computed, space))
     if places[:, 0] @ _gloss(computed) < 0.0:

@@ -24,12 +24,13 @@ from benchmarks.paper.paper_figure import (
     sphere,
 )
 from benchmarks.paper.table_interpolation import relative_rms
+from dsbrdf.arrays import Evaluate
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.render import Evaluate, sphere_likeness
+from dsbrdf.model.render import sphere_likeness
 
 __all__ = ["FIGURE", "SmallTable"]
 

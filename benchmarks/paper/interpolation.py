@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
+from dsbrdf.arrays import Evaluate
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.lobes import fall_to_half, half_width
-from dsbrdf.model.render import Evaluate, sphere_normals
+from dsbrdf.model.render import sphere_normals
 
 __all__ = ["FIGURE", "between"]
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Failure, Material, Measure, compute
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import Source, render_sphere, sphere_normals

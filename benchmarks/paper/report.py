@@ -16,7 +16,7 @@ from benchmarks.paper.footprint import FIGURE as FOOTPRINT
 from benchmarks.paper.interpolation import FIGURE as INTERPOLATION
 from benchmarks.paper.materials import Failure, Material
 from benchmarks.paper.paper_figure import Claim, Made, PaperFigure, make
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.files import write_atomically
 from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = ["FIGURES", "page", "write_report"]

@@ -1,6 +1,7 @@
 """The space of materials: against classical scaling, and neighbours by brute force."""
 
 import csv
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from benchmarks.paper.materials import Computed, Material
 from benchmarks.paper.paper_figure import PaperFigure, make
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.report import FitResult
+
+needs_scikit_learn = pytest.mark.skipif(find_spec("sklearn") is None, reason='"scikit-learn" is not installed')
 
 
 @pytest.fixture
@@ -38,6 +41,7 @@ def distances(computed: list[Computed]) -> np.ndarray:
     return np.array([[np.sqrt(np.sum((a - b) ** 2)) for b in rows] for a in rows])
 
 
+@needs_scikit_learn
 def test_embedding_of_few_materials_is_classical_scaling(computed: list[Computed]) -> None:
     # Each is a neighbour of all others: the geodesics are straight lines.
     squared = distances(computed) ** 2
@@ -78,6 +82,7 @@ def test_parameters_are_those_of_the_fit_with_three_lobes(
     assert float(numbers["gloss"]) == pytest.approx(np.log10(peak / aside))
 
 
+@needs_scikit_learn
 def test_figure_is_written(computed: list[Computed], tmp_path: Path) -> None:
     by_name = {one.name: one for one in computed}
     figure = PaperFigure(**{**vars(figure6.FIGURE), "measure": lambda material: dict(by_name[material.name].numbers)})

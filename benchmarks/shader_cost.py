@@ -1,0 +1,92 @@
+"""What a material's GLSL costs beside a plain GGX shader, in the browser, and what the smaller one loses.
+
+Columns: the time of an evaluation over that of GGX (Smith's masking, Schlick's Fresnel, a Lambertian ground), of the
+model, of the guide, which is the components' own lobes, and of the model with its components; their PSNR on a sphere
+under three lights against the measurement.  The browser's renderer is SwiftShader, which computes on the processor: a
+graphics card will show other ratios.
+"""
+
+import argparse
+import sys
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.exports import pairs
+from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.fitting.pipeline import fit
+from dsbrdf.model.image_metrics import displayed, exposure, psnr
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.export.glsl import glsl_function
+from tests.support.webgl import ShaderCall, time_glsl
+
+SIZE = 128
+N_TILES, N_REPEATS = 16, 11
+GGX = """
+vec3 ggx(vec3 i, vec3 o) {
+  if (i.z < 0.0 || o.z < 0.0) return vec3(0.0);
+  vec3 h = normalize(i + o);
+  float a2 = 0.04, c = h.z * h.z * (a2 - 1.0) + 1.0, d = a2 / (3.14159265 * c * c);
+  float v = 0.5 / (i.z * sqrt(a2 + (1.0 - a2) * o.z * o.z) + o.z * sqrt(a2 + (1.0 - a2) * i.z * i.z));
+  float f = 0.04 + 0.96 * pow(1.0 - dot(h, i), 5.0);
+  return vec3(d * v * f) + vec3(0.2, 0.1, 0.05) * (1.0 - f);
+}
+
+vec3 dsbrdf(vec3 i, vec3 o) {  // one evaluation alone takes too little time to be measured
+  vec3 sum = vec3(0.0);
+  for (int count = 0; count < TIMES; ++count) {
+    sum += ggx(i, o);
+    o = vec3(0.8 * o.x - 0.6 * o.y, 0.6 * o.x + 0.8 * o.y, o.z);
+  }
+  return sum;
+}
+"""
+TIMES = 32
+NOTHING = "vec3 dsbrdf(vec3 i, vec3 o) { return i + o; }"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print one line for each material, and the medians."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks shader_cost", description=__doc__)
+    add_arguments(parser, every=1, names="rgl_")
+    arguments = parser.parse_args(argv)
+    first, second = (np.tile(part, (N_TILES, 1)) for part in pairs())
+    inside = sphere_normals(SIZE)[1]
+    print(f"{'':28}{'model':>9}{'guide':>9}{'parts':>9}{'lobes':>7}{'numbers':>9}{'PSNR':>7}{'of guide':>10}")
+    rows = []
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
+        for measurement in chosen_measurements(arguments):
+            model = fit(measurement).model
+            components = decompose(model)
+            sources = {"nothing": NOTHING, "GGX": GGX.replace("TIMES", str(TIMES)), "model": glsl_function(model)}
+            sources |= {"guide": glsl_function(components.guide), "parts": glsl_function(next(iter(components)))}
+            calls = {n: ShaderCall(s, "dsbrdf(a, b)", first, second) for n, s in sources.items()}
+            with tempfile.TemporaryDirectory() as folder:
+                times = time_glsl(calls, Path(folder), N_REPEATS)
+            one = (times["GGX"] - times["nothing"]) / TIMES
+            ratios = [(times[n] - times["nothing"]) / one for n in [*sources][2:]]
+            measured = render_sphere(measurement, size=SIZE)
+            factor = exposure(measured, inside)
+            shown = displayed(measured, factor)
+            found = [
+                psnr(shown, displayed(render_sphere(m, size=SIZE), factor), inside) for m in (model, components.guide)
+            ]
+            rows.append([*ratios, model.n_lobes, components.guide.n_numbers, *found])
+            print_row(measurement.name, rows[-1])
+    print_row(f"median of {len(rows)}", np.median(rows, axis=0).tolist())
+    return 0
+
+
+def print_row(name: str, figures: Sequence[float]) -> None:
+    """Print one line."""
+    widths = zip(figures, (9, 9, 9, 7, 9, 7, 10), (1, 1, 1, 0, 0, 1, 1), strict=True)
+    print(f"{name:28}" + "".join(f"{figure:{width}.{digits}f}" for figure, width, digits in widths), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
