@@ -1,5 +1,6 @@
 """Settings of a process: cores, threads of BLAS, whether freed memory is kept for reuse, and when the process ends."""
 
+import _thread
 import ctypes
 import os
 import signal
@@ -25,6 +26,8 @@ The matrices of a fit are so small that several threads are slower than one, on 
 """
 _blas_lock = threading.Lock()
 _blas_limits: list[Any] = []  # the limit, which knows how many threads there were, then an entry for each computation
+
+_THREAD_TIMEOUT = 10.0  # seconds that a thread has to begin
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
 
@@ -62,7 +65,10 @@ def _blas() -> Any:
 
 
 def end_with_parent() -> None:
-    """Kill this process as soon as its parent has ended, however that happened."""
+    """Kill this process as soon as its parent has ended, however that happened.
+
+    Raises MemoryError if there is not enough memory for the thread that watches.
+    """
     from multiprocessing import connection, parent_process
 
     parent = parent_process()
@@ -70,11 +76,32 @@ def end_with_parent() -> None:
         return
     sentinel = parent.sentinel
 
+    begun = threading.Lock()
+    begun.acquire()
+
     def watch() -> None:
+        begun.release()
         connection.wait([sentinel])
         os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
-    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+    # `Thread.start` would wait for ever for a thread that has no memory to begin.
+    _thread.start_new_thread(watch, ())
+    if not begun.acquire(timeout=_THREAD_TIMEOUT):
+        raise MemoryError("the thread that watches the parent process could not begin")
+
+
+@one_blas_thread  # which takes some itself, the first time
+def reserve_blas_memory() -> None:
+    """Let the BLAS libraries of NumPy and SciPy take their working memory now, before a limit is set.
+
+    OpenBLAS takes it with the first operation that needs it, keeps it, and asks for ever where there is none.
+    """
+    import numpy as np
+    from scipy.linalg import lapack
+
+    matrix = np.eye(256)
+    matrix @ matrix
+    lapack.dpotrf(matrix)
 
 
 def keep_freed_memory() -> None:

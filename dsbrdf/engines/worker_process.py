@@ -18,9 +18,8 @@ from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.engines.engine import NOT_STARTED, Fault, FitLimits, OnProgress
-from dsbrdf.engines.fit_steps import MEMORY_LIMIT, run_step
-from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory
+from dsbrdf.engines.engine import MEMORY_LIMIT, NOT_STARTED, Fault, FitLimits, OnProgress, run_step
+from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory, reserve_blas_memory
 
 try:
     import resource
@@ -64,15 +63,8 @@ class WorkerProcess:
     """One process and the pipe on which it sends its progress and, last, its outcome.
 
     It is forked from a server that has the library loaded, never from this process: it shares neither its memory nor
-    its connections. On systems without fork servers it is started as a new interpreter, which takes longer.
-
-    Parameters
-    ----------
-    step : callable
-        Importable function of `arguments` and of a callback that takes the finished share, 0 to 1.
-    arguments : tuple
-        They must be picklable.
-    limits : FitLimits
+    its connections.  On systems without fork servers it is started as a new interpreter, which takes longer.  The step
+    is an importable function of picklable arguments, and of a callback that takes the finished share, 0 to 1.
     """
 
     def __init__(self, step: Callable[..., Any], arguments: tuple[Any, ...], limits: FitLimits) -> None:
@@ -94,19 +86,9 @@ class WorkerProcess:
             self._process.kill()
 
     def run(self, on_progress: OnProgress, still_wanted: Callable[[], bool] | None = None) -> Any:
-        """Run the process to its end.
+        """Run the process to its end; return what the step has returned, or a `Fault`.
 
-        Parameters
-        ----------
-        on_progress : callable
-            Called with the finished share.
-        still_wanted : callable, optional
-            Called ten times a second; when it returns False, the process is ended.
-
-        Returns
-        -------
-        object
-            What the step has returned, or a `Fault`.
+        `still_wanted` is called ten times a second; when it returns False, the process is ended.
         """
         with self._reader:
             try:
@@ -197,6 +179,7 @@ def _prepare(pipe: "connection.Connection[Any, Any]", limits: FitLimits) -> None
         os.nice(limits.niceness)
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        reserve_blas_memory()
         _limit_memory(limits.memory_mb)
     keep_freed_memory()
     logging.basicConfig(handlers=[_LogToParent(pipe)], level=logging.INFO, force=True)

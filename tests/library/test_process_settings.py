@@ -1,13 +1,18 @@
-"""The library computes with one BLAS thread and leaves the number as it was."""
+"""The library computes with one BLAS thread and leaves the number as it was; BLAS has its memory before a limit is set.
+
+Each in a process of its own: settings are those of the environment when NumPy is imported.
+"""
 
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 from dsbrdf.process_settings import ONE_BLAS_THREAD
 
-# In a process of its own: the number of threads is that of the environment when NumPy is imported.
-SCRIPT = """
+THREADS = """
 import threading
 import scipy.linalg
 from threadpoolctl import threadpool_info
@@ -38,8 +43,35 @@ other.join()
 print(blas_threads())
 """
 
+LIMITED = """
+import resource
+import numpy as np
+from scipy.linalg import lapack
+from dsbrdf.process_settings import one_blas_thread, reserve_blas_memory
+
+reserve_blas_memory()
+matrix = np.eye(300)
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + (8 << 20)  # OpenBLAS takes 32 MB at once
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+@one_blas_thread
+def compute():
+    return lapack.dpotrf(matrix @ matrix)[1]
+
+print(compute())
+"""
+
 
 def test_one_blas_thread_while_something_is_computed_and_as_many_as_before_afterwards() -> None:
     environment = os.environ | dict.fromkeys(ONE_BLAS_THREAD, "2")
-    found = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+    found = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True)
     assert found.stdout.split("\n")[:-1] == ["[2]", "[1]", "[1]", "[2]"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the size of the process in /proc")
+def test_blas_that_has_its_memory_computes_under_a_limit() -> None:
+    found = subprocess.run(
+        [sys.executable, "-c", LIMITED], env=os.environ | ONE_BLAS_THREAD, capture_output=True, text=True, timeout=60
+    )
+    assert found.stdout == "0\n", found.stderr
