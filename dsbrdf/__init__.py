@@ -7,77 +7,49 @@
 
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
-Wings, each calling only those to its left: errors, version, extras, process_settings, data, model, fitting, output,
-engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
-`dsbrdf.output.export.export_file`.
+Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, fitting,
+output, engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
+`dsbrdf.output.export`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dsbrdf.data.measurement import Measurement
-    from dsbrdf.data.measurement_files import read_measurement
-    from dsbrdf.data.merl import parse_merl, read_merl, write_merl
-    from dsbrdf.data.reduction import Profiles, profiles
-    from dsbrdf.data.scattered_samples import ScatteredSamples
-    from dsbrdf.errors import (
-        ConvergenceWarning,
-        DSBRDFError,
-        FitError,
-        ImageFormatError,
-        InvalidArgumentError,
-        MeasurementFormatError,
-        ModelFormatError,
-    )
-    from dsbrdf.fitting.decomposition import Component, Decomposition, decompose
-    from dsbrdf.fitting.options import FitOptions
-    from dsbrdf.fitting.pipeline import fit
-    from dsbrdf.fitting.report import FitReport, FitResult
-    from dsbrdf.model.dsbrdf import DSBRDF
-    from dsbrdf.model.environment import EnvironmentMap, read_environment
-    from dsbrdf.model.furnace import FurnaceReport, white_furnace
-    from dsbrdf.model.render import render_sphere
-    from dsbrdf.output.export.export_file import export
-    from dsbrdf.output.serialize import load, load_result, save
-    from dsbrdf.version import ALGORITHM_VERSION, __version__
-
-__all__ = [
-    "ALGORITHM_VERSION",
-    "DSBRDF",
-    "Component",
-    "ConvergenceWarning",
-    "DSBRDFError",
-    "Decomposition",
-    "EnvironmentMap",
-    "FitError",
-    "FitOptions",
-    "FitReport",
-    "FitResult",
-    "FurnaceReport",
-    "ImageFormatError",
-    "InvalidArgumentError",
-    "Measurement",
-    "MeasurementFormatError",
-    "ModelFormatError",
-    "Profiles",
-    "ScatteredSamples",
-    "__version__",
-    "decompose",
-    "export",
-    "fit",
-    "load",
-    "load_result",
-    "parse_merl",
-    "profiles",
-    "read_environment",
-    "read_measurement",
-    "read_merl",
-    "render_sphere",
-    "save",
-    "white_furnace",
-    "write_merl",
-]
+    from dsbrdf.data.measurement import Measurement as Measurement
+    from dsbrdf.data.measurement_files import read_measurement as read_measurement
+    from dsbrdf.data.merl import parse_merl as parse_merl
+    from dsbrdf.data.merl import read_merl as read_merl
+    from dsbrdf.data.merl import write_merl as write_merl
+    from dsbrdf.data.reduction import Profiles as Profiles
+    from dsbrdf.data.reduction import profiles as profiles
+    from dsbrdf.data.scattered_samples import ScatteredSamples as ScatteredSamples
+    from dsbrdf.errors import ConvergenceWarning as ConvergenceWarning
+    from dsbrdf.errors import DSBRDFError as DSBRDFError
+    from dsbrdf.errors import FitError as FitError
+    from dsbrdf.errors import ImageFormatError as ImageFormatError
+    from dsbrdf.errors import InvalidArgumentError as InvalidArgumentError
+    from dsbrdf.errors import MeasurementFormatError as MeasurementFormatError
+    from dsbrdf.errors import ModelFormatError as ModelFormatError
+    from dsbrdf.fitting.decomposition import Component as Component
+    from dsbrdf.fitting.decomposition import Decomposition as Decomposition
+    from dsbrdf.fitting.decomposition import decompose as decompose
+    from dsbrdf.fitting.options import FitOptions as FitOptions
+    from dsbrdf.fitting.pipeline import fit as fit
+    from dsbrdf.fitting.report import FitReport as FitReport
+    from dsbrdf.fitting.report import FitResult as FitResult
+    from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
+    from dsbrdf.model.environment import EnvironmentMap as EnvironmentMap
+    from dsbrdf.model.environment import read_environment as read_environment
+    from dsbrdf.model.furnace import FurnaceReport as FurnaceReport
+    from dsbrdf.model.furnace import white_furnace as white_furnace
+    from dsbrdf.model.render import render_sphere as render_sphere
+    from dsbrdf.output.export import export as export
+    from dsbrdf.output.serialize import load as load
+    from dsbrdf.output.serialize import load_result as load_result
+    from dsbrdf.output.serialize import save as save
+    from dsbrdf.version import ALGORITHM_VERSION as ALGORITHM_VERSION
+    from dsbrdf.version import __version__ as __version__
 
 # Where each public name is defined. A name is imported when it is first used, so that `import dsbrdf` and the
 # commands that compute nothing do not wait for NumPy and SciPy.
@@ -104,11 +76,12 @@ _DEFINED_IN = {
     "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
     "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
     "dsbrdf.model.render": ("render_sphere",),
-    "dsbrdf.output.export.export_file": ("export",),
+    "dsbrdf.output.export": ("export",),
     "dsbrdf.output.serialize": ("load", "load_result", "save"),
     "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),
 }
 _MODULE_OF = {name: module for module, names in _DEFINED_IN.items() for name in names}
+__all__ = sorted(_MODULE_OF)
 
 
 if not TYPE_CHECKING:  # a type checker would take every name for granted

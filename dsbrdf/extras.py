@@ -8,21 +8,9 @@ class MissingExtraError(ImportError):
 
 
 def require(extra: str, *modules: str, purpose: str) -> None:
-    """Raise an error unless the modules of an extra are installed.
+    """Raise a `MissingExtraError` unless the modules of an extra of ``pyproject.toml`` are installed.
 
-    Parameters
-    ----------
-    extra : str
-        Name of the extra in ``pyproject.toml``.
-    *modules : str
-        The modules to look for.
-    purpose : str
-        What needs them, for the error message.
-
-    Raises
-    ------
-    MissingExtraError
-        With the missing modules and the command that installs them.
+    It names the missing modules, what needs them (`purpose`), and the command that installs them.
     """
     missing = [module for module in modules if find_spec(module) is None]
     if missing:

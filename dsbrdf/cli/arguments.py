@@ -3,7 +3,6 @@
 Imports nothing that takes time, so that commands which compute nothing answer at once.
 """
 
-import argparse
 import json
 import os
 import re
@@ -12,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from dsbrdf.extras import require
 
@@ -27,21 +26,6 @@ LIST_FLAGS = (
 """Flags of which each takes one or more values, with blanks or, directions apart, commas between them."""
 
 _NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e, ]*")
-
-
-class Parser(argparse.ArgumentParser):
-    """Reports a usage error in one sentence instead of printing the whole usage; for the commands of the service."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print what is wrong, and what may have been meant, and exit."""
-        if unknown := re.match(r"unrecognized arguments: (--?[\w-]+)", message):
-            message += did_you_mean(unknown[1], self._option_string_actions)
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json``, which every command with output has."""
-    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
 
 
 def print_json(document: Any) -> None:
@@ -92,10 +76,10 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 # command -> (modules that it needs, what it does)
 SERVICE_COMMANDS = {
-    "serve": (("fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
-    "keys": (("pydantic_settings",), "Add, list and revoke API keys of the service."),
-    "purge": (("pydantic_settings",), "Remove old fits and measurements of the service."),
-    "doctor": (("pydantic_settings",), "Check the service's database and stored files."),
+    "serve": (("cyclopts", "fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
+    "keys": (("cyclopts", "pydantic_settings"), "Add, list and revoke API keys of the service."),
+    "purge": (("cyclopts", "pydantic_settings"), "Remove old fits and measurements of the service."),
+    "doctor": (("cyclopts", "pydantic_settings"), "Check the service's database and stored files."),
 }
 
 
@@ -109,10 +93,7 @@ def entry_point(group: str, name: str) -> Callable[..., Any]:
 def run_service_command(command: str, words: Sequence[str]) -> int:
     """Run one of `SERVICE_COMMANDS` with the arguments that follow it; return the exit code.
 
-    Raises
-    ------
-    MissingExtraError
-        If the service is not installed.
+    Raises MissingExtraError if the service is not installed.
     """
     needed, _ = SERVICE_COMMANDS[command]
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")

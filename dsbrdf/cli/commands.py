@@ -17,8 +17,11 @@ from cyclopts import (
     MissingArgumentError,
     Parameter,
     RepeatArgumentError,
+    Token,
     UnknownOptionError,
     UnusedCliTokensError,
+    ValidationError,
+    convert,
 )
 from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import Box
@@ -26,6 +29,17 @@ from rich.console import Console
 
 from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, did_you_mean, join_points, print_error
 from dsbrdf.version import __version__
+
+
+def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Convert as cyclopts does, but refuse 2.5, which it would round."""
+    (token,) = tokens
+    if "." in token.value:
+        raise CoercionError(token=token, target_type=kind)
+    return convert(kind, tokens)
+
+
+Whole = Parameter(converter=_whole_number, metavar="N")
 
 _WIDTH = 100  # of the help, at most
 _NO_LINES = Box("    \n" * 8)
@@ -45,7 +59,7 @@ _COMMANDS = {
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
-        "convert": ("convert_command:convert", "Write a measurement as another kind of file."),
+        "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
     },
     "More": {
         "completion": ("commands:completion", "Print what makes a shell complete commands and options."),
@@ -58,13 +72,14 @@ def command_names() -> list[str]:
     return [name for commands in _COMMANDS.values() for name in commands]
 
 
-def application() -> App:
-    """Return the application with all commands; those of the service are only listed."""
+def new_application(name: str, purpose: str) -> App:
+    """Return an application without commands, for `run_words`."""
+    options = Group("Options", sort_key=1)
     app = App(
-        name="dsbrdf",
-        help="Directional Statistics BRDF models of measured reflectance.",
+        name=name,
+        help=purpose,
         version=f"dsbrdf {__version__}",
-        group_parameters=Group("Options", sort_key=1),
+        group_parameters=options,
         default_parameter=Parameter(negative=(), show_default=_shown),
         help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=_NO_LINES, border_style="bold", padding=(0, 0, 0, 4))),
         result_action="return_value",
@@ -72,6 +87,14 @@ def application() -> App:
         print_error=False,
         suppress_keyboard_interrupt=False,
     )
+    for flag in ("--help", "--version"):
+        app[flag].group = (options,)
+    return app
+
+
+def application() -> App:
+    """Return the application with all commands; those of the service are only listed."""
+    app = new_application("dsbrdf", "Directional Statistics BRDF models of measured reflectance.")
     for heading, commands in _COMMANDS.items():
         group = Group.create_ordered(heading)
         for name, (function, purpose) in commands.items():
@@ -92,11 +115,17 @@ def run_command(words: Sequence[str]) -> int:
         what = f"option {words[0]!r} before the command" if words[0].startswith("-") else f"command {words[0]!r}"
         print_error(f"there is no {what}{did_you_mean(words[0], app)} (see dsbrdf --help)")
         return BAD_INPUT
+    return run_words(app, join_points(words))
+
+
+def run_words(app: App, words: Sequence[str]) -> int:
+    """Run what `words` ask of an application; say in one sentence what is wrong with them. Return the exit code."""
     width = min(shutil.get_terminal_size().columns, _WIDTH)
     try:
-        code: int | None = app(join_points(words), console=Console(width=width))
+        code: int | None = app(words, console=Console(width=width))
     except CycloptsError as error:
-        sys.stderr.write(f"{usage_sentence(error)}\n")
+        command = " ".join([*app.name, *(error.command_chain or ())])
+        sys.stderr.write(f"{command}: {_reason(error).removesuffix('.')} (see {command} --help)\n")
         return BAD_INPUT
     return code or 0
 
@@ -104,12 +133,6 @@ def run_command(words: Sequence[str]) -> int:
 def _shown(default: Any) -> str | None:
     """Return a default value for the help, unless nothing is the default."""
     return None if default in (None, False, ()) else str(default)
-
-
-def usage_sentence(error: CycloptsError) -> str:
-    """Return what is wrong, and what would be right."""
-    command = " ".join(["dsbrdf", *(error.command_chain or ())])
-    return f"{command}: {_reason(error).removesuffix('.')} (see {command} --help)"
 
 
 def _reason(error: CycloptsError) -> str:
@@ -123,6 +146,8 @@ def _reason(error: CycloptsError) -> str:
         return f"{error.token.keyword} is given more than once"
     if isinstance(error, MissingArgumentError) and error.argument is not None:
         return f"{error.keyword} needs a value" if error.keyword else f"{error.argument.name} is missing"
+    if isinstance(error, ValidationError) and error.argument is not None:
+        return f"{error.argument.name}: {error.exception_message}"
     if isinstance(error, CoercionError) and error.token is not None and error.msg is None:
         name = error.token.keyword or (error.argument.name if error.argument else "")
         return f"{name}: must be {_allowed(error.target_type)}, not {error.token.value!r}"
@@ -148,6 +173,7 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     shell
         Load the script with: eval "$(dsbrdf completion bash)"; in fish with: dsbrdf completion fish | source
     """
-    script = application().generate_completion(shell=shell)  # nosec B604
+    app = application()
+    script = app.generate_completion(shell=shell)  # nosec B604
     print(script)
     return 0

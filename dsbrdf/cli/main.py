@@ -20,18 +20,7 @@ INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments after ``dsbrdf``; by default those of the process.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Run one command with the arguments after ``dsbrdf``, by default those of the process; return the exit code."""
     try:
         code = _run(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()

@@ -1,22 +1,39 @@
-"""Commands that read a model, ``dsbrdf eval``, ``show``, ``decompose``, ``export``, or a measurement: ``convert``."""
+"""Commands of models, ``dsbrdf eval``, ``show``, ``decompose`` and ``export``, and ``convert`` for measurements."""
 
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import print_json, print_written
-from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, Points, direction
-from dsbrdf.cli.source_files import named_part, read_model
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.cli.arguments import print_json, print_warning, print_written
+from dsbrdf.cli.parameters import (
+    ComponentName,
+    Json,
+    ModelFile,
+    OutputFile,
+    Points,
+    named_in_errors,
+    named_part,
+    read_grid,
+    read_model,
+)
+from dsbrdf.data.files import write_atomically
+from dsbrdf.data.geometry import spherical
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, read_samples
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.export import FORMATS, export_model
-from dsbrdf.output.export.export_file import format_of
+from dsbrdf.output.export import FORMATS, export_model, format_of
+from dsbrdf.output.export.merl import merl_table
+from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
 
@@ -38,14 +55,14 @@ _NO_POINTS = Points()
 
 
 def evaluate(
-    model: ModelFile, /, *, points: Points = _NO_POINTS, component: Component = None, json: Json = False
+    model: ModelFile, /, *, points: Points = _NO_POINTS, component: ComponentName = None, json: Json = False
 ) -> int:
     """Print values of a model or of one of its components; return the exit code."""
     part = named_part(model, read_model(model)[0], component)
     columns = points.arrays()
     if "theta_in_deg" in columns:
-        theta_in, theta_out, phi_out = columns.values()
-        values = part.evaluate_directions(direction(theta_in, 0.0), direction(theta_out, phi_out))
+        theta_in, theta_out, phi_out = (np.radians(angles) for angles in columns.values())
+        values = part.evaluate_directions(spherical(theta_in, 0.0), spherical(theta_out, phi_out))
     elif "omega_in" in columns:
         values = part.evaluate_directions(columns["omega_in"], columns["omega_out"])
     else:
@@ -117,7 +134,9 @@ def export(
     *,
     file_format: Format = None,
     output: OutputFile,
-    component: Component = None,
+    component: ComponentName = None,
+    name: str | None = None,
+    sampling: bool = False,
     json: Json = False,
 ) -> int:
     """Write a model, or one of its components, for other programs; return the exit code.
@@ -126,14 +145,87 @@ def export(
     ----------
     output
         The file to write.
+    name
+        Of the function in GLSL; all other names in the file begin with it, so that a shader can hold several.
+    sampling
+        Add functions to GLSL that draw directions and return their density.
     """
-    name = file_format or format_of(output)
+    kind = file_format or format_of(output)
     stored, report = read_model(model)
-    content = export_model(named_part(model, stored, component), name, report if component is None else None)
+    part = named_part(model, stored, component)
+    content = export_model(part, kind, report if component is None else None, name=name, sampling=sampling)
     write_atomically(output, [content])
     if json:
-        print_json({"output": str(output), "format": name, "bytes": len(content)})
+        print_json({"output": str(output), "format": kind, "bytes": len(content)})
     else:
         of = "" if component is None else f" of the {component.replace('_', ' ')}"
-        print_written(output, f"{FORMATS[name].purpose.partition(',')[0]}{of}")
+        print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}")
     return 0
+
+
+_SUFFIXES = (".binary", ".bsdf")
+_LARGEST_DIFFERENCE = 0.1  # of swapped directions that a reciprocal file may hide without a warning
+
+
+def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> int:
+    """Write a measurement as another kind of file; return the exit code.
+
+    Parameters
+    ----------
+    source
+        A MERL .binary file, an isotropic RGL .bsdf file, or a table of samples, .csv, .tsv or .txt, which is fitted
+        first: the file has the values of the fit.
+    target
+        The file to write; .bsdf is for Mitsuba 3, .binary a MERL table.
+    spectral
+        Spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba.
+    """
+    suffix = target.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InvalidArgumentError(f"{target}: the output must end in {' or '.join(_SUFFIXES)}")
+    of_table, of_bsdf = source.suffix.lower() in TABLE_SUFFIXES, source.suffix.lower() == ".bsdf"
+    convert_source = _of_table if of_table else _of_bsdf if of_bsdf else _of_grid
+    content, sentences, about = convert_source(source, suffix, spectral=spectral)
+    write_atomically(target, [content])
+    for sentence in sentences:
+        print_warning(f"{source}: {sentence}")
+    if json:
+        print_json({"output": str(target), "format": suffix[1:], "bytes": len(content)} | about)
+    else:
+        print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file")
+    if about and not json:
+        print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
+    return 0
+
+
+def _of_grid(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
+    """Content of the file, sentences to warn with, and figures."""
+    measurement = read_grid(source)
+    if suffix == ".binary":
+        return encode_merl(measurement), (), {}
+    return rgl_bsdf(measurement, measurement.name, spectral=spectral), (), {}
+
+
+def _of_bsdf(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
+    """As `_of_grid`; only a MERL table needs the means of both orders of the directions."""
+    with named_in_errors(source):
+        material = read_rgl(source)
+        if suffix == ".bsdf":
+            return rgl_bsdf(material, material.name, spectral=True) if spectral else source.read_bytes(), (), {}
+        difference = material.non_reciprocity()
+        warning = (
+            f"values of swapped directions differ by {difference:.0%} in the median, and a MERL table has one "
+            "value for both, their mean: pictures change."
+        )
+        sentences = (warning,) if difference > _LARGEST_DIFFERENCE else ()
+        return encode_merl(material.measurement()), sentences, {"non_reciprocity": difference}
+
+
+def _of_table(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
+    """As `_of_grid`, of a fit with the default options."""
+    with named_in_errors(source):
+        result = fit(read_samples(source), FitOptions())
+    content = (
+        merl_table(result.model) if suffix == ".binary" else rgl_bsdf(result.model, source.stem, spectral=spectral)
+    )
+    return content, result.report.warnings, {"error_of_the_fit": result.report.metrics.relative_rms}

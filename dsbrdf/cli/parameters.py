@@ -1,37 +1,35 @@
-"""Parameters of commands with their help, placeholders and other names; options of a fit, and points, in degrees."""
+"""What commands take: parameters with their help and other names, options of a fit and points in degrees, files."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import CoercionError, Group, Parameter, Token, convert
-from numpy.typing import ArrayLike, NDArray
+from cyclopts import Group, Parameter, Token, convert
 
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.arrays import Array
+from dsbrdf.cli.commands import Whole
+from dsbrdf.data.files import known_kind
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
+from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.output.export import PARTS
+from dsbrdf.fitting.report import FitReport
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export import PARTS, part_of
+from dsbrdf.output.serialize import read_model_file
 
-Array = NDArray[np.float64]
-
-
-def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert as cyclopts does, but refuse 2.5, which it would round."""
-    (token,) = tokens
-    if "." in token.value:
-        raise CoercionError(token=token, target_type=kind)
-    return convert(kind, tokens)
-
-
-Whole = Parameter(converter=_whole_number, metavar="N")
 ModelFile = Annotated[Path, Parameter(help="A .json or .npz file from dsbrdf fit.")]
 SourceFile = Annotated[Path, Parameter(help="A .json or .npz model, or a .binary or .bsdf measurement.")]
 RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
 OutputFolder = Annotated[Path, Parameter(alias="-o", metavar="DIR")]
-Component = Annotated[
+ComponentName = Annotated[
     str | None,
     Parameter(choices=PARTS, help="One component, or the guide (all components' own lobes), instead of the model."),
 ]
@@ -130,20 +128,12 @@ class Points:
     omega_out: _Directions = ()
 
     def arrays(self) -> dict[str, Array]:
-        """Return the points.
+        """Return the points; what is given once is combined with all values of the others.
 
-        Returns
-        -------
-        dict
-            ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or ``theta_in_deg``,
-            ``theta_out_deg`` and ``phi_out_deg``, or ``omega_in`` and ``omega_out`` of shape (n, 3).  What is given
-            once is combined with all values of the others.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If an angle or a direction is missing or is none, ways to name points are mixed, or numbers differ and are
-            not 1.
+        They are ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or
+        ``theta_in_deg``, ``theta_out_deg`` and ``phi_out_deg``, or ``omega_in`` and ``omega_out`` of shape (n, 3).
+        Raises InvalidArgumentError if one of them is missing or is none, ways to name points are mixed, or numbers
+        differ and are not 1.
         """
         half = self.theta_half or self.theta_diff or self.phi_diff
         polar = self.theta_in or self.theta_out or self.phi_out
@@ -176,12 +166,6 @@ class Points:
         return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
 
 
-def direction(theta_deg: Array, phi_deg: ArrayLike) -> Array:
-    """Return unit vectors (n, 3) of angles to the normal and azimuths [degrees]."""
-    theta, phi = np.broadcast_arrays(np.radians(theta_deg), np.radians(phi_deg))
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-
-
 def _given(name: str, values: Sequence[object]) -> Array:
     if not values:
         raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both")
@@ -194,3 +178,50 @@ def _direction(text: str) -> list[float]:
     except ValueError:
         raise InvalidArgumentError(f"a direction must be three numbers x,y,z, not {text!r}") from None
     return [x, y, z]
+
+
+MEASUREMENTS = (".binary", ".bsdf", *TABLE_SUFFIXES)
+"""Suffixes of measurements."""
+
+
+@contextmanager
+def named_in_errors(path: Path) -> Iterator[None]:
+    """Put the name of a file in front of the message of an error."""
+    try:
+        yield
+    except DSBRDFError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def read_grid(path: Path) -> Measurement:
+    """Read a measurement on the grid (``.binary`` or ``.bsdf``); an error names the file."""
+    with named_in_errors(path):
+        measurement = read_measurement(path)
+        if not isinstance(measurement, Measurement):
+            raise InvalidArgumentError("scattered samples are no measurement on a grid; fit them first")
+        return measurement
+
+
+def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
+    """Read a model (``.json`` or ``.npz``) and its report, if any; an error names the file and what it is instead."""
+    with named_in_errors(path):
+        if path.suffix.lower() in MEASUREMENTS:
+            raise InvalidArgumentError(
+                "this command reads models, not measurements; fit it first with dsbrdf fit -o DIR"
+            )
+        with path.open("rb") as file:
+            kind = known_kind(file.read(16))
+        if kind is not None and not kind.startswith(("JSON", "a ZIP")):
+            raise ModelFormatError(f"the file is {kind}; a stored model is a .json or .npz file")
+        return read_model_file(path)
+
+
+def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | Component:
+    """Return a part of the model in a file, see `part_of`; an error names the file."""
+    with named_in_errors(path):
+        return part_of(model, part)
+
+
+def read_source(path: Path) -> Measurement | DSBRDF:
+    """Read a measurement on the grid, or a model (``.json`` or ``.npz``); an error names the file."""
+    return read_grid(path) if path.suffix.lower() in MEASUREMENTS else read_model(path)[0]

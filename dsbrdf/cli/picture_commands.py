@@ -6,12 +6,25 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.cli.arguments import print_json, print_written
-from dsbrdf.cli.parameters import Component, Json, ModelFile, OutputFile, RequiredFiles, SourceFile, Whole
-from dsbrdf.cli.source_files import MEASUREMENTS, named_in_errors, named_part, read_grid, read_model, read_source
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.cli.commands import Whole
+from dsbrdf.cli.parameters import (
+    MEASUREMENTS,
+    ComponentName,
+    Json,
+    ModelFile,
+    OutputFile,
+    RequiredFiles,
+    SourceFile,
+    named_in_errors,
+    named_part,
+    read_grid,
+    read_model,
+    read_source,
+)
+from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import InvalidArgumentError
@@ -24,8 +37,6 @@ from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
-
-Array = NDArray[np.float64]
 
 _PICTURES = (".hdr", ".exr")
 
@@ -50,7 +61,7 @@ class Look:
 
     lighting: Annotated[str, Parameter(metavar="NAME|FILE")] = LIGHTINGS[0]
     size: Annotated[int, Whole, Parameter(metavar="PIXELS")] = 256
-    component: Component = None
+    component: ComponentName = None
     exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
 
     def __post_init__(self) -> None:

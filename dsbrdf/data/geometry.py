@@ -15,8 +15,9 @@ incidence, at ``omega_in = omega_out`` and at the horizon.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.errors import InvalidArgumentError
 
 _UNIT_TOLERANCE = 1e-6
@@ -27,9 +28,7 @@ _COSINE_ROUNDING = 1e-12
 _SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
-def half_difference(
-    omega_in: ArrayLike, omega_out: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, Array, Array]:
     """Return the half and difference angles of pairs of directions.
 
     Parameters
@@ -40,9 +39,8 @@ def half_difference(
     Returns
     -------
     theta_half, theta_diff, phi_diff : ndarray, shape (...)
-        Radians; ``phi_diff`` is in [0, 2 pi). Opposite directions (``omega_in = -omega_out``, possible
-        only at the horizon) have no half vector; the normal is used instead. Where the half vector is the
-        normal, ``phi_diff`` is the azimuth of ``omega_in``; at ``omega_in = omega_out`` it is 0.
+        Radians; ``phi_diff`` is in [0, 2 pi).  Opposite directions, possible only at the horizon, have no half vector;
+        the normal is used instead.  Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
     """
     first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
     total = first + second
@@ -69,18 +67,10 @@ def half_difference(
 
 def directions(
     theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, phi_half: ArrayLike = 0.0
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the directions with given half and difference angles; the inverse of `half_difference`.
+) -> tuple[Array, Array]:
+    """Return omega_in and omega_out, unit vectors (..., 3), with given angles [rad]; the inverse of `half_difference`.
 
-    Parameters
-    ----------
-    theta_half, theta_diff, phi_diff, phi_half : array_like
-        Radians, of shapes that broadcast against each other.
-
-    Returns
-    -------
-    omega_in, omega_out : ndarray, shape (..., 3)
-        Unit vectors. One of them may lie below the horizon: see `above_horizon`.
+    One of them may lie below the horizon: see `above_horizon`.
     """
     half, diff, phi, azimuth = _angles(
         theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
@@ -89,7 +79,7 @@ def directions(
     x, y = np.sin(diff) * np.cos(phi), np.sin(diff) * np.sin(phi)
     cos_azimuth, sin_azimuth = np.cos(azimuth), np.sin(azimuth)
 
-    def rotated(sign: float) -> NDArray[np.float64]:
+    def rotated(sign: float) -> Array:
         tilted = cos_half * sign * x + sin_half * cos_diff
         parts = np.broadcast_arrays(
             cos_azimuth * tilted - sin_azimuth * sign * y,
@@ -101,20 +91,22 @@ def directions(
     return rotated(1.0), rotated(-1.0)
 
 
-def incident_cosines(
-    theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the cosines between ``omega_in``, ``omega_out`` and the surface normal.
+def spherical(theta: ArrayLike, phi: ArrayLike) -> Array:
+    """Return unit vectors (..., 3) of angles to the normal and azimuths that broadcast [rad]."""
+    theta, phi = np.broadcast_arrays(theta, phi)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
-    Parameters
-    ----------
-    theta_half, theta_diff, phi_diff : array_like
-        Radians, of shapes that broadcast against each other.
 
-    Returns
-    -------
-    cos_in, cos_out : ndarray, shape (...)
-        ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
+def random_directions(generator: np.random.Generator, cosine: Array) -> Array:
+    """Return unit vectors (..., 3) with given cosines to the normal, in any azimuth."""
+    turn, sine = generator.uniform(0.0, 2.0 * np.pi, cosine.shape), np.sqrt(1.0 - cosine**2)
+    return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+
+
+def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> tuple[Array, Array]:
+    """Return the cosines (...) between omega_in, omega_out and the surface normal, of angles that broadcast [rad].
+
+    They are ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
     """
     half, diff, phi = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
     mean = np.cos(half) * np.cos(diff)
@@ -122,26 +114,10 @@ def incident_cosines(
     return mean - offset, mean + offset
 
 
-def above_horizon(
-    theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2
-) -> NDArray[np.bool_]:
-    """Return whether both directions are above the horizon and within ``cutoff`` of the normal.
+def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2) -> Mask:
+    """Return whether both directions are above the horizon and at most `cutoff`, in (0, pi/2], from the normal [rad].
 
-    Parameters
-    ----------
-    theta_half, theta_diff, phi_diff : array_like
-        Radians, of shapes that broadcast against each other.
-    cutoff : float
-        Largest angle with the normal, radians, in (0, pi/2]. The cutoff itself is inside; the horizon is not.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the cutoff is not in (0, pi/2].
+    The cutoff itself is inside; the horizon is not.  Raises InvalidArgumentError if the cutoff is out of range.
     """
     if not 0.0 < cutoff <= np.pi / 2:
         raise InvalidArgumentError(
@@ -152,26 +128,11 @@ def above_horizon(
     return np.asarray(inside, dtype=np.bool_)
 
 
-def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> NDArray[np.float64]:
-    """Return directions scaled to exact unit length, or raise an error that says what is wrong with them.
+def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> Array:
+    """Return directions (..., 3) scaled to exact unit length; the name is theirs in the error message.
 
-    Parameters
-    ----------
-    name : str
-        Their name in the error message, such as ``"omega_in"``.
-    omega : array_like, shape (..., 3)
-        Vectors in the frame with the surface normal as z axis.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Unit vectors.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the shape is not (..., 3), a number is not finite, a length differs from 1 by more than 1e-6, or a
-        direction points below the horizon (z < 0) and that is not accepted.
+    Raises InvalidArgumentError if the shape is another, a number is not finite, a length differs from 1 by more than
+    1e-6, or a direction points below the horizon (z < 0) and that is not accepted.
     """
     vectors = _vectors(name, omega)
     if not np.isfinite(vectors).all():
@@ -189,14 +150,14 @@ def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False
     return unit
 
 
-def _vectors(name: str, omega: ArrayLike) -> NDArray[np.float64]:
+def _vectors(name: str, omega: ArrayLike) -> Array:
     vectors = _numbers(name, omega)
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise InvalidArgumentError(f"{name} must have the shape (..., 3), not {vectors.shape}.")
     return vectors
 
 
-def _angles(**named: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+def _angles(**named: ArrayLike) -> tuple[Array, ...]:
     arrays = tuple(_numbers(name, value) for name, value in named.items())
     if len({array.shape for array in arrays}) == 1:  # the check below costs as much as a point
         return arrays
@@ -208,7 +169,7 @@ def _angles(**named: ArrayLike) -> tuple[NDArray[np.float64], ...]:
     return arrays
 
 
-def _numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def _numbers(name: str, value: ArrayLike) -> Array:
     try:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -8,8 +8,8 @@ degrees: the other half follows from reciprocity.
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import above_horizon
 
 CHANNELS = ("red", "green", "blue")
@@ -20,7 +20,7 @@ CENTER_CUTOFF = float(np.radians(1.0))
 """The paper's procedure and metrics leave out samples with theta_half below this [rad] (Nishino 2009, section 6)."""
 
 
-def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def _read_only(array: Array) -> Array:
     array.flags.writeable = False
     return array
 
@@ -28,17 +28,13 @@ def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
 THETA_HALF = _read_only(np.deg2rad(np.arange(90) ** 2 / 90.0))
 THETA_DIFF = _read_only(np.deg2rad(np.arange(90.0)))
 PHI_DIFF = _read_only(np.deg2rad(np.arange(180.0)))
+QUARTER = PHI_DIFF.size // 2 + 1
+"""Nodes of phi_diff from 0 to 90 degrees: a model is the same at phi_diff and pi - phi_diff."""
 
 
 @cache
-def nodes_above_horizon() -> NDArray[np.bool_]:
-    """Return which nodes of the grid have both directions strictly above the horizon.
-
-    Returns
-    -------
-    ndarray of bool, shape (90, 90, 180)
-        Read-only; computed once and cached.
-    """
+def nodes_above_horizon() -> Mask:
+    """Return which nodes (90, 90, 180) have both directions strictly above the horizon; read-only, and cached."""
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
     for row, theta_half in enumerate(THETA_HALF):  # row by row, because the whole grid at once needs 50 MB
         above[row] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF)

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.file_kinds import known_kind
+from dsbrdf.arrays import Array
+from dsbrdf.data.files import known_kind
 from dsbrdf.errors import ImageFormatError
 from dsbrdf.extras import require
 
@@ -22,27 +23,11 @@ _RESOLUTION = re.compile(rb"-Y ([0-9]{1,6}) \+X ([0-9]{1,6})\n")
 _EXR_MAGIC = b"v/1\x01"
 
 
-def read_hdr_image(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read a picture of radiance.
+def read_hdr_image(path: str | os.PathLike[str]) -> Array:
+    """Read a ``.hdr`` or ``.exr`` file as linear RGB of shape (height, width, 3), the first row at the top.
 
-    Parameters
-    ----------
-    path : path-like
-        A ``.hdr`` or ``.exr`` file.
-
-    Returns
-    -------
-    ndarray, shape (height, width, 3)
-        Linear RGB, the first row at the top.
-
-    Raises
-    ------
-    ImageFormatError
-        If the file is none, is damaged or cut off, or has a value that is not finite; one sentence.
-    MissingExtraError
-        For an OpenEXR file if the extra ``exr`` is not installed.
-    OSError
-        If the file cannot be read.
+    Raises ImageFormatError if the file is none, is damaged or cut off, or has a value that is not finite, and
+    MissingExtraError for an OpenEXR file if the extra ``exr`` is not installed.
     """
     source = Path(path)
     if source.suffix.lower() not in _SUFFIXES:
@@ -61,7 +46,7 @@ def read_hdr_image(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return np.maximum(pixels, 0.0)
 
 
-def _read_exr(path: Path) -> NDArray[np.float64]:
+def _read_exr(path: Path) -> Array:
     require("exr", "OpenEXR", purpose="OpenEXR pictures")
     import OpenEXR  # type: ignore[import-not-found]  # ships no types
 
@@ -76,7 +61,7 @@ def _read_exr(path: Path) -> NDArray[np.float64]:
     raise ImageFormatError(f"The OpenEXR picture has the channels {', '.join(sorted(channels))}, not R, G and B.")
 
 
-def _parse_radiance(data: bytes) -> NDArray[np.float64]:
+def _parse_radiance(data: bytes) -> Array:
     head, _, rest = data.partition(b"\n\n")
     match = _RESOLUTION.match(rest)
     if match is None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
@@ -26,34 +27,17 @@ _POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache
 class InterpolatedMeasurement:
     """Values of a measurement at any angles; see `interpolate`.
 
-    Attributes
-    ----------
-    measurement : Measurement
-        The nodes' values.
-    source : ndarray of int32, shape (C, 90, 90, 180)
-        For each node, the flat index of the node whose value it takes: its own where it has one.  C = 3 if some node
-        has values in some channels only, else 1.
+    `source` has for each node the flat index of the node whose value it takes: its own where it has one.  C = 3 if some
+    node has values in some channels only, else 1.
     """
 
     measurement: Measurement
-    source: NDArray[np.int32]
+    source: NDArray[np.int32]  # (C, 90, 90, 180)
 
-    def evaluate(
-        self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2
-    ) -> NDArray[np.float64]:
-        """BRDF values for half and difference angles.
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
+        """BRDF values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
 
-        Parameters
-        ----------
-        theta_half, theta_diff : array_like
-            Angles, 0 to pi/2 [rad]; beyond the last row of the grid its value is held.
-        phi_diff : array_like
-            Any angle [rad].  The three broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            RGB values [1/sr], never negative.  Below the horizon they continue those above it.
+        Beyond the last row of the grid its value is held; below the horizon values continue those above it.
         """
         try:
             angles = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (theta_half, theta_diff, phi_diff)))
@@ -68,9 +52,7 @@ class InterpolatedMeasurement:
             values[block] = self._values(*(angle[block] for angle in flat)).T
         return values.reshape(*angles[0].shape, 3)
 
-    def _values(
-        self, theta_half: NDArray[np.float64], theta_diff: NDArray[np.float64], phi_diff: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values at N points, shape (3, N)."""
         rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
         row, row_share = _cells(rows, GRID_SHAPE[0])
@@ -95,18 +77,7 @@ class InterpolatedMeasurement:
 
 
 def interpolate(measurement: Measurement) -> InterpolatedMeasurement:
-    """Continue a measurement between its nodes.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        Every channel has a value at some node.
-
-    Returns
-    -------
-    InterpolatedMeasurement
-        Equal to the measurement where it has values, continuous everywhere.
-    """
+    """Continue a measurement between its nodes: equal to it where it has values, continuous everywhere."""
     if not measurement.valid.any():
         raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
     known = measurement.valid & (measurement.stored >= 0.0)
@@ -115,13 +86,13 @@ def interpolate(measurement: Measurement) -> InterpolatedMeasurement:
     return InterpolatedMeasurement(measurement, np.stack(sources))
 
 
-def _cells(position: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _cells(position: Array, count: int) -> tuple[Indices, Array]:
     """Lower node of the cell that holds each position, and the share of the upper one, at most 1: the last is held."""
     lower = np.minimum(position.astype(np.intp), count - 2)
     return lower, np.minimum(position - lower, 1.0)
 
 
-def _nearest_valid(valid: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
     """Flat index of the node whose value each node takes.
 
     Towards theta_diff = 0 first, where nodes are farther above the horizon; then away from it; then along another

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
 from dsbrdf.errors import MeasurementFormatError
@@ -34,9 +35,9 @@ class Measurement:
         Hexadecimal digest of the file's bytes: the identity of the measurement.
     """
 
-    stored: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    stored: Array
+    scale: Array
+    valid: Mask
     name: str
     sha256: str
 
@@ -56,12 +57,12 @@ class Measurement:
     def __hash__(self) -> int:
         return hash((self.sha256, self.name))
 
-    def known(self, row: int) -> NDArray[np.bool_]:
+    def known(self, row: int) -> Mask:
         """Where each channel has a value in the theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
         return self.valid[row] & (self.stored[:, row] >= 0.0)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Array:
         """The BRDF in 1/sr, shape (3, 90, 90, 180); a new array (35 MB) at every call.
 
         Only the nodes in ``valid`` have a measured value, in the channels where it is not negative.
@@ -95,14 +96,14 @@ class Measurement:
         return cls(stored=stored, scale=SCALE, valid=usable, name=name, sha256=sha256)
 
 
-def merl_pieces(stored: NDArray[np.float64]) -> Iterator[bytes | memoryview]:
+def merl_pieces(stored: Array) -> Iterator[bytes | memoryview]:
     """Yield the bytes of the MERL file with the given stored numbers, shape (3, 90, 90, 180)."""
     yield HEADER
     for channel in stored:
         yield np.ascontiguousarray(channel, dtype="<f8").data.cast("B")
 
 
-def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> NDArray[np.float64]:
+def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
     """Return the numbers to store: values [1/sr] divided by the scale, -1 where there is no value."""
     try:
         brdf = np.asarray(values, dtype=np.float64)

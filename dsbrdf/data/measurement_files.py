@@ -4,10 +4,10 @@ import os
 from pathlib import Path
 
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
+from dsbrdf.data.merl import map_merl, read_merl
+from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES, read_samples
-from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, parse_samples, read_samples
 
 
 def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSamples:
@@ -18,10 +18,6 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
     path : path-like
         ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and
         ``.txt`` are tables of scattered samples; any other file is a MERL ``.binary`` file.
-
-    Returns
-    -------
-    Measurement or ScatteredSamples
 
     Raises
     ------
@@ -34,3 +30,29 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
     if suffix == ".bsdf":
         return read_rgl(path).measurement()
     return read_samples(path) if suffix in TABLE_SUFFIXES else read_merl(path)
+
+
+def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
+    """Return a MERL file or a table of samples that was checked before; its content tells which.
+
+    Parameters
+    ----------
+    path : path-like
+        It must not change as long as the measurement is used.
+    sha256 : str
+        Hexadecimal digest of its bytes.
+
+    Returns
+    -------
+    Measurement or ScatteredSamples
+
+    Raises
+    ------
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        if file.read(HEADER_SIZE) == HEADER:
+            return map_merl(path, sha256)
+        file.seek(0)
+        return parse_samples(file.read(), Path(path).stem)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.files import write_atomically
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement, merl_pieces, stored_numbers
 from dsbrdf.data.merl_validation import (
@@ -42,10 +42,6 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") 
     name : str
         The material's name.
 
-    Returns
-    -------
-    Measurement
-
     Raises
     ------
     MeasurementFormatError
@@ -65,10 +61,6 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
     ----------
     path : path-like
         The file; its stem becomes the measurement's name.
-
-    Returns
-    -------
-    Measurement
 
     Raises
     ------
@@ -95,23 +87,8 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
 def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
     """Return a measurement whose file has been checked before: it is mapped, neither read whole nor checked again.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; its stem becomes the measurement's name. It must not change as long as the measurement is used.
-    sha256 : str
-        Hexadecimal digest of its bytes.
-
-    Returns
-    -------
-    Measurement
-
-    Raises
-    ------
-    OSError
-        If the file does not exist or cannot be read.
-    ValueError
-        If the file is shorter than a measurement.
+    The file, whose digest is `sha256`, must not change as long as the measurement is used.  A ValueError says that it
+    is shorter than a measurement.
     """
     source = Path(path)
     with source.open("rb") as file:

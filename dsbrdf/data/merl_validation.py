@@ -10,7 +10,8 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.file_kinds import known_kind
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.files import known_kind
 from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.errors import MeasurementFormatError
 
@@ -30,18 +31,7 @@ _AXES = ("theta_half", "theta_diff", "phi_diff")
 
 
 def check_header(header: bytes | bytearray | memoryview) -> None:
-    """Check the first 12 bytes of a file: its three dimensions.
-
-    Parameters
-    ----------
-    header : bytes-like
-        At least the first 12 bytes; further ones are ignored.
-
-    Raises
-    ------
-    MeasurementFormatError
-        If there are fewer than 12 bytes or a dimension is not that of the MERL grid.
-    """
+    """Raise MeasurementFormatError unless the first 12 bytes of a file are the dimensions of the MERL grid."""
     start = bytes(header[:HEADER_SIZE])
     if (kind := known_kind(start)) is not None:
         raise MeasurementFormatError(f"The data is {kind}; a MERL measurement is a .binary file of {FILE_SIZE} bytes.")
@@ -65,18 +55,7 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
 
 
 def check_length(n_bytes: int) -> None:
-    """Check the length of a whole file, header included.
-
-    Parameters
-    ----------
-    n_bytes : int
-        Its length in bytes.
-
-    Raises
-    ------
-    MeasurementFormatError
-        If it is not ``FILE_SIZE``.
-    """
+    """Raise MeasurementFormatError unless a whole file, header included, has `FILE_SIZE` bytes."""
     if n_bytes == FILE_SIZE:
         return
     right = f"a MERL measurement has exactly {FILE_SIZE} bytes (12 + 3 x 90 x 90 x 180 x 8)"
@@ -95,13 +74,8 @@ def check_length(n_bytes: int) -> None:
 class MerlChecker:
     """Check the bytes of a MERL file piece by piece, in bounded memory.
 
-    Pass all bytes in order to `update`, then call `finish`. Only two bits per node are kept, 0.4 MB, so that
-    many uploads can be checked at the same time.
-
-    Attributes
-    ----------
-    n_bytes : int
-        Number of bytes so far.
+    Pass all bytes in order to `update`, then call `finish`.  Only two bits per node are kept, 0.4 MB, so that many
+    uploads can be checked at the same time.  `n_bytes` is the number of bytes so far.
     """
 
     def __init__(self) -> None:
@@ -117,18 +91,10 @@ class MerlChecker:
         self._too_large = _FaultCount()
 
     def update(self, piece: bytes | bytearray | memoryview) -> None:
-        """Check the next bytes.
+        """Check the next bytes, of any length.
 
-        Parameters
-        ----------
-        piece : bytes-like
-            Of any length.
-
-        Raises
-        ------
-        MeasurementFormatError
-            As soon as the header is wrong or there are too many bytes. Wrong values are reported by `finish`,
-            because the message contains their number.
+        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes.  Wrong values are
+        reported by `finish`, because the message contains their number.
         """
         view = memoryview(piece).cast("B")
         if len(self._header) < HEADER_SIZE:
@@ -154,19 +120,11 @@ class MerlChecker:
         if whole < len(view):
             self._incomplete_value = bytes(view[whole:])
 
-    def finish(self) -> NDArray[np.bool_]:
-        """Return the valid nodes, after the last byte.
+    def finish(self) -> Mask:
+        """Return the valid nodes (90, 90, 180), after the last byte: above the horizon, with a value in some channel.
 
-        Returns
-        -------
-        ndarray of bool, shape (90, 90, 180)
-            Nodes where some channel is not negative and both directions are strictly above the horizon.
-
-        Raises
-        ------
-        MeasurementFormatError
-            If the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is negative at more than 99 %
-            of the nodes above the horizon, or all valid nodes are zero.
+        Raises MeasurementFormatError if the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is
+        negative at more than 99 % of the nodes above the horizon, or all valid nodes are zero.
         """
         check_header(self._header)  # which `update` has done unless there are fewer bytes than a header has
         check_length(self.n_bytes)
@@ -193,7 +151,7 @@ class MerlChecker:
             raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
         return valid.reshape(GRID_SHAPE)
 
-    def _check_values(self, values: NDArray[np.float64]) -> None:
+    def _check_values(self, values: Array) -> None:
         """Check values of one or several channels."""
         while values.size:
             channel, node = divmod(self._n_values, NODES)
@@ -202,7 +160,7 @@ class MerlChecker:
             self._check_channel_values(part, channel, slice(node, node + part.size))
             self._n_values += part.size
 
-    def _check_channel_values(self, values: NDArray[np.float64], channel: int, nodes: slice) -> None:
+    def _check_channel_values(self, values: Array, channel: int, nodes: slice) -> None:
         limit = LARGEST_VALUE / SCALE[channel]
         with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
             largest, smallest = values.max(), values.min()
@@ -217,7 +175,7 @@ class MerlChecker:
             self._positive[octets] |= _packed(values > 0.0, nodes.start % 8)
 
 
-def _packed(flags: NDArray[np.bool_], lead: int) -> NDArray[np.uint8]:
+def _packed(flags: Mask, lead: int) -> NDArray[np.uint8]:
     """Pack flags into bytes, with ``lead`` zero bits before them and as many as needed after them."""
     padded = np.zeros(-(-(lead + flags.size) // 8) * 8, dtype=np.bool_)
     padded[lead : lead + flags.size] = flags
@@ -231,7 +189,7 @@ class _FaultCount:
         self.count = 0
         self._first = ""
 
-    def record(self, where: NDArray[np.bool_], channel: int, start: int) -> None:
+    def record(self, where: Mask, channel: int, start: int) -> None:
         found = np.flatnonzero(where)
         if found.size and not self.count:
             node = tuple(int(index) for index in np.unravel_index(start + int(found[0]), GRID_SHAPE))
@@ -244,27 +202,10 @@ class _FaultCount:
         return f"{self.count} values, the first {self._first}, {many}"
 
 
-def checked_values(data: bytes | memoryview) -> tuple[NDArray[np.float64], NDArray[np.bool_], str]:
-    """Check a whole file and return its values.
+def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
+    """Check a whole file; return its numbers (3, 90, 90, 180), its valid nodes (90, 90, 180), and its sha256.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The file; read-only, used without a copy.
-
-    Returns
-    -------
-    stored : ndarray, shape (3, 90, 90, 180)
-        The numbers as in the file; a read-only view.
-    valid : ndarray of bool, shape (90, 90, 180)
-        The valid nodes, read-only.
-    sha256 : str
-        Hexadecimal digest of the bytes.
-
-    Raises
-    ------
-    MeasurementFormatError
-        With one sentence that says what is wrong and what would be right.
+    The numbers are a read-only view of the data.  A MeasurementFormatError says what is wrong and what would be right.
     """
     view = memoryview(data).cast("B")
     check_header(view)

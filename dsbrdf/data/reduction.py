@@ -21,14 +21,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import above_horizon, incident_cosines
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
-
-Array = NDArray[np.float64]
 
 N_BINS = 9
 """Bins of the folded phi_diff, 10 degrees each."""
@@ -39,6 +37,8 @@ WEIGHTINGS = ("plain", "cosine", "log")
 _BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS // 90, N_BINS - 1)
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
 """1 where a sample of phi_diff lies in a bin, else 0, shape (180, 9)."""
+SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
+"""How many samples in a bin each phi_diff up to 90 degrees stands for, mirrored ones too, shape (91, 9)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
@@ -51,18 +51,13 @@ _FEW_IN_BIN = 5  # samples, of which an outlier may be as many as the others
 class FoldedProfiles:
     """Samples up to the horizon, summed over bins of the folded phi_diff.
 
-    Attributes
-    ----------
-    mean, weight : ndarray, shape (3, 90, 90, 9)
-        Mean [1/sr] and number of the samples for each (channel, theta_diff, theta_half, bin), those that lie far from
-        the others of their bin counting less if the reduction is robust.
-    cos2_phi : ndarray, shape (90, 90, 9)
-        Mean of cos(phi_diff)**2 over the samples.
+    `mean` [1/sr] and `weight`, the number of samples, are those of each (channel, theta_diff, theta_half, bin); samples
+    far from the others of their bin count less if the reduction is robust.
     """
 
-    mean: Array
-    weight: Array
-    cos2_phi: Array
+    mean: Array  # (3, 90, 90, 9)
+    weight: Array  # (3, 90, 90, 9)
+    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples, (90, 90, 9)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,10 +119,6 @@ def profiles(
     robust : bool, optional
         Down-weight samples that lie far from the median over phi_diff.
 
-    Returns
-    -------
-    Profiles
-
     Raises
     ------
     InvalidArgumentError
@@ -155,13 +146,13 @@ def profiles(
     return Profiles(mean, weight, within, folded, *options, *of)
 
 
-def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
     """Samples of the theta_half row ``i`` that count, shape (3, 90 theta_diff, 180 phi_diff)."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.known(i) & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
 
 
-def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
     """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
     return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
 
@@ -174,8 +165,8 @@ def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
         )
 
 
-def _fold(folded: FoldedProfiles, i: int, samples: Array, known: NDArray[np.bool_], *, robust: bool) -> None:
-    """Enter the samples (3, 90, 180) of the theta_half row ``i``."""
+def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:
+    """Write the samples (3, 90, 180) of the theta_half row ``i`` into the folded profiles."""
     weights, valid = known.astype(float), known.any(axis=0)
     if robust:
         weights = _trusted_in_bins(samples, known)
@@ -186,7 +177,7 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, known: NDArray[np.bool
     folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
-def _trusted_in_bins(samples: Array, known: NDArray[np.bool_]) -> Array:
+def _trusted_in_bins(samples: Array, known: Mask) -> Array:
     """Weights of samples (3, 90, 180): low where a sample lies far from the others of its bin.
 
     A bin of a few samples cannot tell which of them are outliers: there the samples of the bins beside it help.
@@ -211,7 +202,7 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
     return mean, total, np.einsum("...p,...p,...p->...", weights, deviation, deviation)
 
 
-def _outlier_weights(samples: Array, used: NDArray[np.bool_]) -> Array:
+def _outlier_weights(samples: Array, used: Mask) -> Array:
     """1 near the median over phi_diff, falling to 0 far from it, in units of the third quartile of the deviations.
 
     The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations

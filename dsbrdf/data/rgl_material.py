@@ -20,15 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.file_kinds import known_kind
-from dsbrdf.data.geometry import check_directions, directions
+from dsbrdf.arrays import Array
+from dsbrdf.data.files import known_kind
+from dsbrdf.data.geometry import check_directions, directions, random_directions
 from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.rgl_warp import Warp, WarpStack, bilinear
-from dsbrdf.data.tensor_file import parse_tensors
+from dsbrdf.data.rgl_file import Warp, WarpStack, bilinear, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
-
-Array = NDArray[np.float64]
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
 _LARGEST_FILE = 1 << 28  # [bytes]; those of the data base have at most 100 MB
@@ -38,42 +36,20 @@ _N_PAIRS, _LEAST_COSINE = 4000, float(np.cos(np.radians(75.0)))  # where recipro
 
 @dataclass(frozen=True, eq=False)
 class RglMaterial:
-    """An isotropic material of the RGL data base.
-
-    Attributes
-    ----------
-    theta_i : ndarray, shape (T,)
-        Angles of the first direction [rad], ascending.
-    ndf, sigma : ndarray, shape (H, W)
-        See the module.
-    vndf : WarpStack
-        One warp for each theta_i.
-    rgb : ndarray, shape (T, 3, H, W)
-    name : str
-    sha256 : str
-        Hexadecimal digest of the file.
-    """
+    """An isotropic material of the RGL data base, see the top of this file; `theta_i` ascends, of shape (T,) [rad]."""
 
     theta_i: Array
-    ndf: Array
-    sigma: Array
-    vndf: WarpStack
-    rgb: Array
+    ndf: Array  # (H, W)
+    sigma: Array  # (H, W)
+    vndf: WarpStack  # one warp for each theta_i
+    rgb: Array  # (T, 3, H, W)
     name: str
-    sha256: str
+    sha256: str  # hexadecimal digest of the file
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
-        """BRDF values.
+        """RGB values (n, 3) [1/sr] of pairs of unit vectors (n, 3); 0 where a direction is not above the horizon.
 
-        Parameters
-        ----------
-        omega_in, omega_out : ndarray, shape (n, 3)
-            Unit vectors; the file's first direction is ``omega_in``.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            RGB [1/sr]; 0 where a direction is not above the horizon.
+        The file's first direction is omega_in.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         second = check_directions("omega_out", omega_out, below_horizon=True)
@@ -96,12 +72,7 @@ class RglMaterial:
         near the mirror direction.
         """
         generator = np.random.default_rng(0)
-        cosine, turn = (
-            generator.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)),
-            generator.uniform(0.0, 2.0 * np.pi, (2, _N_PAIRS)),
-        )
-        sine = np.sqrt(1.0 - cosine**2)
-        first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+        first, second = random_directions(generator, generator.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)))
         near = first[::4] * [-1.0, -1.0, 1.0] + generator.normal(0.0, 0.05, first[::4].shape)
         second[::4] = near / np.linalg.norm(near, axis=1)[:, np.newaxis]
         one, other = (self.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))
@@ -155,23 +126,9 @@ class RglMaterial:
 
 
 def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
-    """Read an RGL ``.bsdf`` file of an isotropic material in RGB.
+    """Read an RGL ``.bsdf`` file of an isotropic material in RGB; its stem becomes the name.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; its stem becomes the name.
-
-    Returns
-    -------
-    RglMaterial
-
-    Raises
-    ------
-    MeasurementFormatError
-        With one sentence that says what is wrong and what would be right.
-    OSError
-        If the file does not exist or cannot be read.
+    A MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
     source = Path(path)
     with source.open("rb") as file:

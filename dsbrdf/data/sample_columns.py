@@ -13,14 +13,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dsbrdf.data.geometry import directions
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.text_table import TextTable
 from dsbrdf.errors import MeasurementFormatError
-
-Array = NDArray[np.float64]
 
 _SIDES = {"in": ("in", "i", "incident"), "out": ("out", "o", "r", "s")}
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
@@ -59,23 +57,13 @@ _NAMES = dict(_spellings())
 
 @dataclass(frozen=True, eq=False)
 class SampleColumns:
-    """Directions and values of a table, one sample a row; NaN where the table has no number.
+    """Directions and values of a table, one of n samples a row; NaN where the table has no number."""
 
-    Attributes
-    ----------
-    omega_in, omega_out : ndarray, shape (n, 3)
-        As they are in the table, not yet of unit length.
-    values : ndarray, shape (n, 3)
-    weight : ndarray, shape (n,), or None
-    notes : tuple of str
-        What the reader decided, a sentence each.
-    """
-
-    omega_in: Array
-    omega_out: Array
-    values: Array
-    weight: Array | None
-    notes: tuple[str, ...]
+    omega_in: Array  # (n, 3), not yet of unit length
+    omega_out: Array  # (n, 3), not yet of unit length
+    values: Array  # (n, 3)
+    weight: Array | None  # (n,)
+    notes: tuple[str, ...]  # what the reader decided, a sentence each
 
 
 def is_known(cell: str) -> bool:
@@ -86,10 +74,7 @@ def is_known(cell: str) -> bool:
 def sample_columns(table: TextTable) -> SampleColumns:
     """Return the directions and values in a table.
 
-    Raises
-    ------
-    MeasurementFormatError
-        If a column is missing, is there twice, or has another unit.
+    Raises MeasurementFormatError if a column is missing, is there twice, or has another unit.
     """
     places: dict[str, list[int]] = {}
     for place, name in enumerate(table.names):
@@ -153,8 +138,8 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
         return first, second
     angles = {name: _radians(name, column[name], units[name]) for name in (*form, *_PHIS) if name in column}
     thetas = [angle for name, angle in angles.items() if name.startswith("theta") and not units[name]]
-    if thetas and max(_largest(angle) for angle in thetas) < np.radians(_SURELY_DEGREES):
-        largest = np.degrees(max(_largest(angle) for angle in thetas))
+    largest = np.degrees(max(map(_largest, thetas), default=0.0))
+    if 0.0 < largest < _SURELY_DEGREES:
         raise MeasurementFormatError(
             f"The angles {form[0]} and {form[1]} are at most {largest:.3g}, as angles in radians are: write degrees, "
             f"or name the columns {form[0]}_rad and so on."
@@ -164,7 +149,7 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
     in_plane = not angles.keys() & {*_PHIS}
     zero = np.zeros_like(angles["theta_in"])
     phi_in = zero + np.pi if in_plane else angles.get("phi_in", zero)
-    return _spherical(angles["theta_in"], phi_in), _spherical(angles["theta_out"], angles.get("phi_out", zero))
+    return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
 
 
 def _radians(name: str, angle: Array, unit: str) -> Array:
@@ -182,10 +167,6 @@ def _radians(name: str, angle: Array, unit: str) -> Array:
 
 def _largest(angle: Array) -> float:
     return float(np.abs(angle[np.isfinite(angle)]).max(initial=0.0))
-
-
-def _spherical(theta: Array, phi: Array) -> Array:
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def _notes(

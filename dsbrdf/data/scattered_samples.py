@@ -1,18 +1,27 @@
-"""Scattered samples: values of a BRDF at any pairs of directions."""
+"""Scattered samples: values of a BRDF at any pairs of directions, and the files of text that they are read from.
+
+`dsbrdf.data.text_table` finds the cells of a file, `dsbrdf.data.sample_columns` what they mean.  What a measurement
+leaves behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or
+below the horizon, small negative values, vectors that are nearly of unit length.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sized
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.files import known_kind
 from dsbrdf.data.merl_validation import LARGEST_VALUE
+from dsbrdf.data.sample_columns import SampleColumns, is_known, sample_columns
+from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.errors import MeasurementFormatError
-
-Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 200
 """Fewer samples than this do not determine a model."""
@@ -30,7 +39,7 @@ class ScatteredSamples:
     values : ndarray, shape (n, 3)
         RGB [1/sr].
     weight : ndarray, shape (n,)
-        What a sample counts.
+        How much each sample counts.
     name : str
         The material's name.
     sha256 : str
@@ -47,7 +56,7 @@ class ScatteredSamples:
     sha256: str
     notes: tuple[str, ...] = ()
 
-    def take(self, chosen: NDArray[np.bool_]) -> ScatteredSamples:
+    def take(self, chosen: Mask) -> ScatteredSamples:
         """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
@@ -84,10 +93,6 @@ class ScatteredSamples:
             The material's name.
         notes : tuple of str, optional
             See the attribute.
-
-        Returns
-        -------
-        ScatteredSamples
 
         Raises
         ------
@@ -139,10 +144,101 @@ def _unit(name: str, vectors: Array) -> Array:
     return np.asarray(vectors / length[:, np.newaxis])
 
 
-def _refuse(fault: str, name: str, wrong: NDArray[np.bool_], right: str) -> None:
+def _refuse(fault: str, name: str, wrong: Mask, right: str) -> None:
     if wrong.any():
         first = int(np.argmax(wrong)) + 1
         raise MeasurementFormatError(
             f"In {np.count_nonzero(wrong)} of {wrong.size} samples, the first of them number {first}, {name} {fault}; "
             f"{right}."
         )
+
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables of scattered samples."""
+_LARGEST_FILE = 1 << 30  # [bytes]
+_LOWEST_COSINE = 1e-6  # of a direction above the horizon: sines and cosines of angles in degrees are rounded
+_TABLE_TOLERANCE = 0.02
+_ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
+_LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
+
+
+def read_samples(path: str | os.PathLike[str]) -> ScatteredSamples:
+    """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, whose stem becomes the name.
+
+    A MeasurementFormatError says in one sentence what is wrong and what would be right.
+    """
+    source = Path(path)
+    if source.stat().st_size > _LARGEST_FILE:
+        raise MeasurementFormatError(f"The table is longer than {_LARGEST_FILE} bytes.")
+    return parse_samples(source.read_bytes(), source.stem)
+
+
+def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
+    """Return the samples in the bytes of a table; errors are those of `read_samples`."""
+    kind = known_kind(data[:16])
+    if kind is not None:
+        raise MeasurementFormatError(
+            f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
+        )
+    columns = sample_columns(parse_text_table(data, is_known))
+    notes = list(columns.notes)
+    used = _rows_with_numbers(columns, notes)
+    first, second = (_unit_vectors(side, getattr(columns, side), used, notes) for side in ("omega_in", "omega_out"))
+    above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
+    below = int(np.count_nonzero(used & ~above))
+    if below:
+        notes.append(f"{_rows(below)} a direction at or below the horizon; {_left_out(below)}.")
+    used &= above
+    values = _without_noise(columns.values[used], notes)
+    weight = None if columns.weight is None else columns.weight[used]
+    return ScatteredSamples.from_arrays(first[used], second[used], values, weight, name, notes=tuple(notes))
+
+
+def _rows_with_numbers(columns: SampleColumns, notes: list[str]) -> Mask:
+    parts = [columns.omega_in, columns.omega_out, columns.values]
+    parts += [] if columns.weight is None else [columns.weight[:, np.newaxis]]
+    used = np.isfinite(np.hstack(parts)).all(axis=1)
+    lacking = int(used.size - np.count_nonzero(used))
+    if lacking:
+        notes.append(f"{_rows(lacking)} no finite number in a column that is needed; {_left_out(lacking)}.")
+    return np.asarray(used)
+
+
+def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
+    """Return vectors made of unit length."""
+    length = np.linalg.norm(vectors, axis=1)
+    off = np.where(used, np.abs(length - 1.0), 0.0)
+    if off.max(initial=0.0) > _TABLE_TOLERANCE:
+        raise MeasurementFormatError(
+            f"In {np.count_nonzero(off > _TABLE_TOLERANCE)} of {off.size} rows {side} is not of unit length, which is "
+            f"{length[int(np.argmax(off))]:.4g} in one of them; directions are unit vectors."
+        )
+    if off.max(initial=0.0) > _ROUNDED:
+        notes.append(f"The vectors {side} were up to {off.max():.1%} off unit length; they were made unit vectors.")
+    return np.asarray(vectors / np.where(used & (length > 0.0), length, 1.0)[:, np.newaxis])
+
+
+def _without_noise(values: Array, notes: list[str]) -> Array:
+    """Return values with small negative ones as zero."""
+    negative = values < 0.0
+    count = int(np.count_nonzero(negative))
+    if count == 0:
+        return values
+    lowest, largest = -values.min(), values.max()
+    several = "1 value is" if count == 1 else f"{count} values are"
+    if lowest > _LARGEST_NOISE * largest or -values[negative].sum() > _LARGEST_NOISE * values[~negative].sum():
+        raise MeasurementFormatError(
+            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: write nan where there is "
+            "no measurement."
+        )
+    counts = "it counts" if count == 1 else "they count"
+    notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
+    return np.maximum(values, 0.0)
+
+
+def _rows(count: int) -> str:
+    return "1 row has" if count == 1 else f"{count} rows have"
+
+
+def _left_out(count: int) -> str:
+    return "it is left out" if count == 1 else "they are left out"

@@ -8,8 +8,8 @@ surface reflection increases. The sum is reciprocal and conserves energy.
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
@@ -21,7 +21,7 @@ _Triple = tuple[float, float, float]
 class Reflectance(Protocol):
     """A model with RGB values of the three angles, such as `dsbrdf.DSBRDF`."""
 
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> NDArray[np.float64]:
+    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values in 1/sr, shape (..., 3), at angles in radians."""
         ...
 
@@ -84,26 +84,10 @@ def synthetic_measurement(
 
 
 def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
-    """Return a measurement with the values of a model at all nodes.
+    """Return a measurement with the values of a model at all nodes, those below the horizon being marked invalid.
 
-    Parameters
-    ----------
-    model : object with ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``
-        The model, such as a `dsbrdf.DSBRDF`.
-    noise, seed, name
-        As for `synthetic_measurement`.
-
-    Returns
-    -------
-    Measurement
-        Nodes below the horizon are marked invalid.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the noise is out of its range.
-    MeasurementFormatError
-        If the model's values are not an acceptable measurement, such as NaN.
+    Noise, seed and name are as for `synthetic_measurement`.  Raises MeasurementFormatError if the model's values are
+    not an acceptable measurement, such as NaN.
     """
     above = nodes_above_horizon()
     values = np.full((3, *above.shape), -1.0)
@@ -114,11 +98,11 @@ def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, 
 
 
 def _ggx(
-    cos_half: NDArray[np.float64],
-    cos_in: NDArray[np.float64],
-    cos_out: NDArray[np.float64],
+    cos_half: Array,
+    cos_in: Array,
+    cos_out: Array,
     alpha: float,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the GGX distribution times the shadowing of both directions, divided by 4 cos_in cos_out."""
     square = alpha * alpha
     # 1 + (square - 1) cos^2 = sin^2 + square cos^2, without the cancellation at cos = 1.
@@ -129,7 +113,7 @@ def _ggx(
     return np.asarray(distribution * 0.5 / (smith_in + smith_out), dtype=np.float64)
 
 
-def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.float64]:
+def _noisy(values: Array, noise: float, seed: int) -> Array:
     """Return the values times log-normal noise with mean 1 and the given standard deviation."""
     if not 0.0 <= noise <= 1.0:
         raise InvalidArgumentError(f"noise must be in [0, 1], not {noise:g}.")
@@ -144,7 +128,7 @@ def _noisy(values: NDArray[np.float64], noise: float, seed: int) -> NDArray[np.f
     return factor
 
 
-def _checked_colour(name: str, colour: _Triple) -> NDArray[np.float64]:
+def _checked_colour(name: str, colour: _Triple) -> Array:
     values = np.asarray(colour, dtype=np.float64)
     if values.shape != (3,) or not ((values >= 0.0) & (values <= 1.0)).all():
         raise InvalidArgumentError(f"{name} must be three numbers (RGB) in [0, 1], not {colour}.")

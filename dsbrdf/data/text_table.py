@@ -8,13 +8,13 @@ without a known name may stand before it.  A line below the names without any nu
 import codecs
 import csv
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
@@ -25,26 +25,15 @@ _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Cells of a table.
+    """Cells of a table."""
 
-    Attributes
-    ----------
-    names, units : tuple of str
-        Of each column, as written; an empty unit is none.
-    rows : list of list of str
-        Each with one cell for each name.
-    lines : list of int
-        Number of each row's line in the file, from 1.
-    separator : str
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]
+    names: tuple[str, ...]  # of each column, as written
+    units: tuple[str, ...]  # of each column, as written; an empty one is none
+    rows: list[list[str]]  # each with one cell for each name
+    lines: list[int]  # number of each row's line in the file, from 1
     separator: str
 
-    def numbers(self, column: int) -> NDArray[np.float64]:
+    def numbers(self, column: int) -> Array:
         """Return the numbers of a column, NaN where there is none; a MeasurementFormatError names what is no number."""
         cells = [row[column] for row in self.rows]
         try:
@@ -66,20 +55,8 @@ class TextTable:
 def parse_text_table(data: bytes, is_known: Callable[[str], bool]) -> TextTable:
     """Return the table in the bytes of a text.
 
-    Parameters
-    ----------
-    data : bytes
-    is_known : callable
-        Whether a cell is the name of a known column: the line with most of them names the columns.
-
-    Returns
-    -------
-    TextTable
-
-    Raises
-    ------
-    MeasurementFormatError
-        With one sentence that says what is wrong and what would be right.
+    `is_known` says whether a cell is the name of a known column: the line with most of them names the columns.  A
+    MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
     lines = _text(data).splitlines()
     place, names = _find_names(lines, is_known)
@@ -147,22 +124,24 @@ def _separator_of_rows(row: tuple[int, str], names: tuple[str, ...]) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return next(_split([line], separator), [])
+    return next(iter(_split([line], separator)), [])
 
 
-def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:
+def _split(lines: Sequence[str], separator: str) -> list[list[str]]:
     blank = separator == " "
-    return csv.reader(
-        (line.replace("\t", " ") if blank else line for line in lines), delimiter=separator, skipinitialspace=True
-    )
+    spaced = (line.replace("\t", " ") if blank else line for line in lines)
+    try:
+        return list(csv.reader(spaced, delimiter=separator, skipinitialspace=True))
+    except csv.Error:
+        raise MeasurementFormatError(
+            f"The table cannot be split into cells: one is longer than {csv.field_size_limit()} characters, or a "
+            "quotation mark is not closed."
+        ) from None
 
 
 def _all_cells(rows: list[tuple[int, str]], separator: str) -> list[list[str]]:
     """Split rows; every line is one, whatever its quotation marks."""
-    try:
-        cells = list(_split([line for _, line in rows], separator))
-    except csv.Error as error:
-        raise MeasurementFormatError(f"The table cannot be split into cells: {error}.") from None
+    cells = _split([line for _, line in rows], separator)
     if len(cells) != len(rows):
         raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
     return cells

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome
-from dsbrdf.engines.fit_steps import compute, run_step
-from dsbrdf.engines.local import LocalEngine
+from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
+from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
@@ -28,40 +27,18 @@ _Message = tuple[int, "float | FileFit"]
 
 @dataclass(frozen=True)
 class FileFit:
-    """The fit of one file, or why it failed.
-
-    Attributes
-    ----------
-    file : Path
-        The measurement.
-    output : Path or None
-        The model's file; None if no folder was given.
-    result : FitResult or None
-        The fit; None if it failed.
-    error : str or None
-        One sentence that says why it failed.
-    lost : bool
-        Whether it failed for a reason other than the measurement: its process died, or the disk could not be read.
-    resumed : bool
-        Whether the result was taken from an earlier run.
-    """
+    """The fit of one file, or why it failed."""
 
     file: Path
-    output: Path | None = None
-    result: FitResult | None = None
-    error: str | None = None
-    lost: bool = False
-    resumed: bool = False
+    output: Path | None = None  # the model's file, if a folder was given
+    result: FitResult | None = None  # None if it failed
+    error: str | None = None  # one sentence that says why it failed
+    lost: bool = False  # by something else than the measurement: its process died, or the disk could not be read
+    resumed: bool = False  # taken from an earlier run
 
 
 def measurement_files(paths: Sequence[Path]) -> list[Path]:
-    """Replace every folder by the ``.binary`` files in it.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If a folder contains none.
-    """
+    """Replace every folder by the ``.binary`` files in it; an InvalidArgumentError names one that contains none."""
     files: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.binary")) if path.is_dir() else [path]
@@ -82,7 +59,7 @@ def fit_files(
     force: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Generator[FileFit, None, None]:
-    """Fit files: a single one in this process, several at once in processes of their own.
+    """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
 
     Every model is written completely or not at all, as soon as its fit is done.  Closing the iterator ends the
     processes.
@@ -90,7 +67,6 @@ def fit_files(
     Parameters
     ----------
     files : sequence of Path
-        MERL measurements.
     options : FitOptions
         For all of them.
     folder : Path, optional
@@ -98,8 +74,7 @@ def fit_files(
     jobs : int, optional
         Most fits at once; by default one for each processor core.  With a scheduler: most measurements read at once.
     scheduler : str, optional
-        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers compute the fits; see
-        `dsbrdf.engines.dask`.
+        Address of a Dask scheduler whose workers compute the fits, see `dsbrdf.engines.dask`.
     engine : Engine, optional
         Where to compute instead; it is started and closed here.
     force : bool, optional
@@ -108,19 +83,12 @@ def fit_files(
     progress : callable, optional
         Called with the number of finished files, fractions included.
 
-    Yields
-    ------
-    FileFit
-        One for each file, in order.
-
     Raises
     ------
     InvalidArgumentError
         If two files would be written to the same output, or ``jobs`` is less than 1.
     OSError
         If an output cannot be written, or no worker of the cluster can be reached.
-    MissingExtraError
-        If a scheduler is given and Dask is not installed.
     """
     if jobs is not None and jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")

@@ -1,7 +1,7 @@
 """Fits on the workers of a Dask cluster.
 
 The measurement is read and reduced in a worker process of this machine, the fit runs in a child process of a Dask
-worker, and only the profiles are sent, about 0.3 MB. Dask workers need the same versions of the software as this
+worker, and only the profiles are sent, some 5 MB. Dask workers need the same versions of the software as this
 machine and permission to start child processes; other workers of the cluster are not used. The fits of a worker that is
 lost run again on another one; after the connection to the scheduler was lost, all unfinished fits are sent again.
 
@@ -12,15 +12,15 @@ import asyncio
 import importlib
 import logging
 import time
+from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from typing import Any
 
-from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError, Slots
 from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.fit_steps import ReducedMeasurement, complete_report, fit_profiles, reduce_measurement
-from dsbrdf.engines.local import WorkerProcesses
-from dsbrdf.engines.slots import Slots
+from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_profiles, reduce_measurement
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
@@ -34,20 +34,9 @@ logger = logging.getLogger(__name__)
 class DaskEngine:
     """Engine whose fits run on a Dask cluster, as many at once as its workers have threads.
 
-    Parameters
-    ----------
-    scheduler : str
-        Its address, such as ``tcp://host:8786``.
-    helpers : int
-        Most worker processes of this machine at once; they read measurements.  As many fits are prepared in advance if
-        Dask workers run on other machines, so that these need not wait.
-    limits : FitLimits, optional
-        Of each process, on this machine and on the Dask workers.
-
-    Raises
-    ------
-    MissingExtraError
-        If Dask distributed is not installed.
+    `helpers` is the most worker processes of this machine at once, which read measurements.  As many fits are prepared
+    in advance if Dask workers run on other machines, so that these need not wait.  The `limits` hold for each process,
+    here and on the Dask workers.  Raises MissingExtraError if Dask distributed is not installed.
     """
 
     def __init__(self, scheduler: str, helpers: int, limits: FitLimits | None = None) -> None:
@@ -73,14 +62,18 @@ class DaskEngine:
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
-        reduced: ReducedMeasurement | Fault = await self._processes.run(reduce_measurement, task, on_progress=_ignore)
+        reduced: tuple[Profiles, float] | Fault = await self._here(reduce_measurement, task)
         if isinstance(reduced, Fault):
             return reduced
-        outcome = await self._fit(reduced.profiles, task.options, _increasing(on_progress))
+        profiles, seconds = reduced
+        outcome = await self._fit(profiles, task.options, _increasing(on_progress))
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._processes.run(complete_report, outcome, task, reduced, on_progress=_ignore)
+        completed: Outcome = await self._here(complete_report, outcome, task, profiles.sha256, seconds)
         return completed
+
+    async def _here(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        return await self._processes.run(step, *arguments, on_progress=lambda _: None)  # which takes little time
 
     async def check(self) -> None:
         """Raise RuntimeError if the scheduler has no worker that can run fits, or no measurement can be read."""
@@ -102,7 +95,7 @@ class DaskEngine:
     def _resize_slots(self, threads: int, elsewhere: bool) -> None:
         self._slots.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
 
-    async def _fit(self, profiles: bytes, options: FitOptions, on_progress: OnProgress) -> Outcome:
+    async def _fit(self, profiles: Profiles, options: FitOptions, on_progress: OnProgress) -> Outcome:
         lost = 0
         while lost <= _MAX_LOST_WORKERS:
             async with self._cluster.threads.slot() as worker:
@@ -121,7 +114,7 @@ class DaskEngine:
         return Fault("system", "WorkerLost", f"{lost} workers of the Dask cluster were lost while they ran this fit.")
 
 
-def fit_on_worker(profiles: bytes, options: FitOptions, limits: FitLimits) -> Outcome:
+def fit_on_worker(profiles: Profiles, options: FitOptions, limits: FitLimits) -> Outcome:
     """Fit profiles in a child process of the Dask worker that calls this; end it if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
@@ -169,7 +162,3 @@ def _increasing(on_progress: OnProgress) -> OnProgress:
             on_progress(share)
 
     return filtered
-
-
-def _ignore(_: float) -> None:
-    """Take no notice of the progress of reading, which takes little time."""

@@ -10,14 +10,14 @@ import logging
 import multiprocessing
 import time
 import uuid
-from collections.abc import Callable
-from contextlib import suppress
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from typing import Any
 
 from dsbrdf.engines.engine import OnProgress
-from dsbrdf.engines.slots import Slots
 from dsbrdf.engines.worker_process import start_fork_server
 from dsbrdf.version import versions
 
@@ -36,14 +36,57 @@ _RETRY_DELAY = 15.0  # before a worker that cannot run fits is asked again
 logger = logging.getLogger(__name__)
 
 
-class LostError(Exception):
-    """A call has ended without an answer because its worker or the scheduler is lost.
+class Slots:
+    """Slots of one or several places, each with a capacity that may change at any time.
 
-    Attributes
-    ----------
-    worker : bool
-        True if only the worker is lost, not the scheduler.
+    All calls must be made in one event loop.
     """
+
+    def __init__(self) -> None:
+        self._capacity: dict[str, int] = {}
+        self._taken: Counter[str] = Counter()
+        self._waiting: deque[asyncio.Future[str]] = deque()
+
+    def resize(self, capacity: Mapping[str, int]) -> None:
+        """Change the places and their numbers of slots; one of a removed place stays taken until it is released."""
+        self._capacity = dict(capacity)
+        self._serve()
+
+    @asynccontextmanager
+    async def slot(self) -> AsyncIterator[str]:
+        """Wait for a slot, hold it during the block, and yield its place: the one with the most free slots."""
+        granted: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._waiting.append(granted)
+        self._serve()
+        try:
+            place = await granted
+        except asyncio.CancelledError:
+            if granted.done() and not granted.cancelled():  # cancelled just after the slot was granted
+                self._release(granted.result())
+            raise
+        try:
+            yield place
+        finally:
+            self._release(place)
+
+    def _release(self, place: str) -> None:
+        self._taken[place] -= 1
+        self._serve()
+
+    def _serve(self) -> None:
+        while self._waiting:
+            free = {place: count - self._taken[place] for place, count in self._capacity.items()}
+            place = max(free, key=free.__getitem__, default=None)
+            if place is None or free[place] <= 0:
+                return
+            granted = self._waiting.popleft()
+            if not granted.done():  # else cancelled while it waited
+                self._taken[place] += 1
+                granted.set_result(place)
+
+
+class LostError(Exception):
+    """A call has ended without an answer because its worker or the scheduler is lost; `worker` tells which."""
 
     def __init__(self, *, worker: bool) -> None:
         super().__init__("the worker is lost" if worker else "the scheduler is lost")
@@ -93,17 +136,8 @@ class _Worker:
 class Cluster:
     """A Dask cluster and its usable workers; all calls must be made in one event loop.
 
-    Parameters
-    ----------
-    address : str
-        Of the scheduler.
-    on_size : callable
-        Called when the usable workers change, with their number of threads and whether some are on other machines.
-
-    Attributes
-    ----------
-    threads : Slots
-        Threads of the usable workers, by the workers' addresses.
+    `on_size` is called when the usable workers change, with the number of their `threads`, which are slots by the
+    addresses of the workers, and whether some are on other machines.
     """
 
     def __init__(self, address: str, on_size: Callable[[int, bool], None]) -> None:
@@ -158,10 +192,7 @@ class Cluster:
     async def call(self, worker: str, on_progress: OnProgress, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function on one worker; cancelling this call cancels the function's task on the worker.
 
-        Raises
-        ------
-        LostError
-            If the worker or the scheduler is lost before there is an answer.
+        Raises LostError if the worker or the scheduler is lost before there is an answer.
         """
         client = self._client
         if client is None or client.status != "running":

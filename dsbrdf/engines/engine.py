@@ -2,21 +2,25 @@
 
 An engine turns tasks into outcomes; it knows nothing of database rows, requests or output files. A task names a file
 on this machine; an engine that computes on other machines sends them the measurement's profiles, not the file.
-
 `dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both give the same
 result for the same task, a fit that fails does not affect the others, and no process outlives its engine.
 """
 
+import errno
+import logging
 import math
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
+from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.decomposition import Decomposition
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
+
+logger = logging.getLogger(__name__)
 
 Origin = Literal["input", "compute", "system"]
 
@@ -29,55 +33,26 @@ NOT_STARTED = "ProcessNotStarted"
 
 @dataclass(frozen=True)
 class FitLimits:
-    """Limits of one fit.
+    """Limits of one fit."""
 
-    Attributes
-    ----------
-    seconds : float
-        Time [s].
-    memory_mb : int or None
-        Address space of its process [MB]; None sets no limit.
-    niceness : int
-        How much the process gives way to others: what is added to its nice value, where the system has one.
-    """
-
-    seconds: float = math.inf
-    memory_mb: int | None = None
-    niceness: int = 0
+    seconds: float = math.inf  # time [s]
+    memory_mb: int | None = None  # address space of its process [MB]; None sets no limit
+    niceness: int = 0  # added to the nice value of its process, where the system has one
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """One fit to compute.
+    """One fit to compute."""
 
-    Attributes
-    ----------
-    fit_id : str
-        Identity of the fit, for names and logs.
-    path : Path
-        The measurement's file.
-    options : FitOptions
-    sha256 : str or None
-        Digest of the file if it has been checked before, so that it need not be checked again.
-    components : bool
-        Whether the outcome is a `DecomposedFit`.
-    """
-
-    fit_id: str
-    path: Path
+    fit_id: str  # for names and logs
+    path: Path  # the measurement's file
     options: FitOptions
-    sha256: str | None = None
-    components: bool = False
+    sha256: str | None = None  # digest of the file, if it has been checked before
 
 
 @dataclass(frozen=True)
 class DecomposedFit(FitResult):
-    """What a task that asks for components gets.
-
-    Attributes
-    ----------
-    decomposition : Decomposition
-    """
+    """A fit with the components of its model, which its warnings have needed already."""
 
     decomposition: Decomposition
 
@@ -86,23 +61,39 @@ class DecomposedFit(FitResult):
 class Fault:
     """A fit that failed.
 
-    Attributes
-    ----------
-    origin : {"input", "compute", "system"}
-        ``input``: the measurement or the options do not allow a fit. ``compute``: the computation failed, or
-        reached its time or memory limit. ``system``: the process was lost for a reason outside of the fit.
-    type : str
-        Name of the fault, which stays the same between releases, for scripts.
-    message : str
-        One sentence.
+    ``input``: the measurement or the options do not allow a fit.  ``compute``: the computation failed, or reached its
+    time or memory limit.  ``system``: the process was lost for a reason outside of the fit.
     """
 
     origin: Origin
-    type: str
-    message: str
+    type: str  # stays the same between releases, for scripts
+    message: str  # one sentence
 
 
 Outcome = FitResult | Fault
+
+
+MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+
+
+def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a step of a fit; every failure of the fit is returned as a `Fault`, not raised."""
+    try:
+        return step(*arguments)
+    except DSBRDFError as error:
+        return Fault("input", type(error).__name__, str(error))
+    except MemoryError:
+        return MEMORY_LIMIT
+    except OSError as error:
+        if error.errno == errno.ENOMEM:  # a file that is mapped, not read, is refused memory in this way
+            return MEMORY_LIMIT
+        logger.exception("a measurement could not be read")
+        reason = error.strerror or type(error).__name__
+        return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
+    except Exception as error:
+        logger.exception("a fit failed with an unexpected error")
+        message = f"The computation failed with {type(error).__name__}; the log has the details."
+        return Fault("compute", "InternalError", message)
 
 
 class Engine(Protocol):

@@ -1,39 +1,106 @@
-"""Fits on this machine: one worker process a fit."""
+"""What runs in processes of this machine, one a fit: an export, and a fit in one step, or in three.
+
+    compute:             file -> result
+
+    reduce_measurement:  file -> profiles
+    fit_profiles:        profiles -> result without metrics, perhaps on another machine
+    complete_report:     that result, same file -> result
+
+Both ways give the same result to the last bit, apart from the timings.
+"""
 
 import asyncio
 import contextvars
+import time
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
 from typing import Any
 
-from dsbrdf.engines.engine import FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.fit_steps import compute
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.measurement_files import open_checked, read_measurement
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
+from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
+from dsbrdf.fitting.decomposition import Component, decompose
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
+from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.export import export_model
+
+
+def compute(task: FitTask, on_progress: OnProgress) -> DecomposedFit:
+    """Fit the measurement of a task in one step."""
+    return _decomposed(_fit(_measurement(task), task.options, on_progress))
+
+
+def reduce_measurement(task: FitTask, _: OnProgress) -> tuple[Profiles, float]:
+    """Return the profiles of the measurement of a task, and the time [s] that the reduction took."""
+    measurement = _grid_measurement(task)
+    begin = time.perf_counter()
+    return profiles_for(measurement, task.options), time.perf_counter() - begin
+
+
+def fit_profiles(profiles: Profiles, options: FitOptions, on_progress: OnProgress) -> FitResult:
+    """Fit profiles; the report lacks the metrics that need the samples."""
+    return _fit(profiles, options, on_progress)
+
+
+def complete_report(result: FitResult, task: FitTask, sha256: str, seconds: float, _: OnProgress) -> Outcome:
+    """Add what `fit_profiles` cannot report; the file must still be the one with this digest, reduced in this time."""
+    measurement = _grid_measurement(task)
+    if measurement.sha256 != sha256:
+        return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
+    timings = result.report.timings | {"profiles": seconds}
+    result = FitResult(result.model, replace(result.report, timings=timings))
+    return _decomposed(add_sample_metrics(result, measurement))
+
+
+def export_step(model: DSBRDF | Component, file_format: str, _: OnProgress) -> bytes:
+    """Return the content of a file with a model, as `export_model` does, for formats that take seconds."""
+    return export_model(model, file_format)
+
+
+def _fit(
+    measurement: Measurement | Profiles | ScatteredSamples, options: FitOptions, on_progress: OnProgress
+) -> FitResult:
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
+        return fit(measurement, options, progress=on_progress)
+
+
+def _decomposed(result: FitResult) -> DecomposedFit:
+    return DecomposedFit(result.model, result.report, decompose(result.model))
+
+
+def _measurement(task: FitTask) -> Measurement | ScatteredSamples:
+    return read_measurement(task.path) if task.sha256 is None else open_checked(task.path, task.sha256)
+
+
+def _grid_measurement(task: FitTask) -> Measurement:
+    measurement = _measurement(task)
+    if isinstance(measurement, Measurement) and task.sha256 is not None:
+        measurement = read_measurement(task.path)  # with the digest that the file has now
+    if not isinstance(measurement, Measurement):
+        raise InvalidArgumentError("scattered samples are fitted on this machine only: fit them without a scheduler")
+    return measurement
 
 
 class WorkerProcesses:
-    """Worker processes of this machine, a limited number at once; further calls wait.
-
-    Parameters
-    ----------
-    count : int
-        Most processes at once.
-    limits : FitLimits
-        Of each process.
-    """
+    """At most `count` worker processes of this machine at once, each with the limits; further calls wait."""
 
     def __init__(self, count: int, limits: FitLimits) -> None:
         self._limits = limits
         self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
 
     async def run(self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress) -> Any:
-        """Call ``step(*arguments, on_progress)`` in a new process; when cancelled, end the process before returning.
+        """Call ``step(*arguments, on_progress)`` in a new process; return what it returns, or a `Fault`.
 
-        Returns
-        -------
-        object
-            What `step` returns, or a `Fault`.
+        When cancelled, the process is ended before this returns.
         """
         loop = asyncio.get_running_loop()
         process = WorkerProcess(step, arguments, self._limits)
@@ -58,15 +125,7 @@ class WorkerProcesses:
 
 
 class LocalEngine:
-    """Engine whose fits run on this machine.
-
-    Parameters
-    ----------
-    workers : int
-        Most fits at once; further ones wait.
-    limits : FitLimits, optional
-        Of each fit.
-    """
+    """Engine with at most so many fits at once on this machine, each in a worker process with the limits."""
 
     def __init__(self, workers: int, limits: FitLimits | None = None) -> None:
         self._slots = asyncio.Semaphore(workers)

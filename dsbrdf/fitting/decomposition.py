@@ -20,8 +20,9 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.guide import FAMILY, SPIKE_HALF_WIDTH, fit_guide, guide_data
 from dsbrdf.fitting.structure import mixture_model
@@ -33,8 +34,6 @@ from dsbrdf.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
-
-Array = NDArray[np.float64]
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""

@@ -6,7 +6,10 @@ A slice is the profile of one channel at one theta_diff.  The E-step gives every
 
 and the M-step fits each lobe alone to its share by Levenberg-Marquardt,
 
-    argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2.
+    argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2,
+
+where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherical exponential power distribution without
+its normalisation (eqs. 3 and 5): gamma = 0 is a constant, a Lambertian lobe, gamma -> infinity a mirror.
 
 Because q depends on theta_half only, the sum over the raw samples and the sum over the profile differ by a
 constant, so that the algorithm runs exactly on `Profiles`.  All slices, channels and lobes iterate together:
@@ -19,11 +22,50 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.model.hemi_epd import half_width
+from dsbrdf.arrays import Array, Mask
 
-Array = NDArray[np.float64]
+
+def lobe(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike) -> Array:
+    """Value of the lobe without its normalisation, ``exp(kappa cos(theta)**gamma) - 1``; the arguments broadcast.
+
+    `theta` is the angle from the normal, 0 to pi/2 [rad], kappa > 0 the scale, gamma >= 0 the shape.
+    """
+    kappa, gamma = np.asarray(kappa, float), np.asarray(gamma, float)
+    return np.expm1(kappa * _power(_log_cos(np.asarray(theta, float)), gamma))
+
+
+def half_width(kappa: ArrayLike, gamma: ArrayLike) -> Array:
+    """Angle at which the lobe has half its peak value [rad]; pi/2 where it never falls that low.
+
+    Solves ``exp(kappa cos(theta)**gamma) - 1 = (exp(kappa) - 1) / 2``.
+    """
+    kappa, gamma = np.asarray(kappa, float), np.asarray(gamma, float)
+    # log1p(expm1(kappa) / 2) without overflow for a large kappa.
+    log_ratio = np.log((kappa + np.log1p(np.exp(-kappa)) - np.log(2.0)) / kappa)
+    log_ratio = np.where(kappa < 1e-3, np.log(0.5) + np.log1p(kappa / 4.0), log_ratio)
+    with np.errstate(divide="ignore"):
+        log_cos = log_ratio / gamma
+    # arccos(exp(x)) through the sine, which keeps narrow lobes exact.
+    return np.arctan2(np.sqrt(-np.expm1(2.0 * log_cos)), np.exp(log_cos))
+
+
+def _log_cos(theta: Array) -> Array:
+    """Logarithm of the cosine, exact for small angles too; -infinity from pi/2 on."""
+    with np.errstate(divide="ignore"):
+        return np.where(
+            np.abs(theta) < np.pi / 4,
+            0.5 * np.log1p(-(np.sin(theta) ** 2)),
+            np.log(np.maximum(np.cos(theta), 0.0)),
+        )
+
+
+def _power(log_cos: Array, gamma: Array) -> Array:
+    """Power cos**gamma from its logarithm, with 0**0 = 1 and 1**infinity = 1."""
+    with np.errstate(invalid="ignore"):
+        return np.where((gamma == 0) | (log_cos == 0), 1.0, np.exp(gamma * log_cos))
+
 
 KAPPA_BOUNDS = (1e-9, 40.0)
 """Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
@@ -40,22 +82,12 @@ M_STEP_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class SliceFits:
-    """Mixtures fitted to a batch of slices.
+    """Mixtures fitted to a batch of slices."""
 
-    Attributes
-    ----------
-    kappa, gamma : ndarray, shape (slices, lobes)
-        Lobes sorted by kappa, the largest first.
-    iterations : ndarray of int, shape (slices,)
-        EM iterations used.
-    converged : ndarray of bool, shape (slices,)
-        Whether the curve stopped moving within the iterations allowed.
-    """
-
-    kappa: Array
-    gamma: Array
-    iterations: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    kappa: Array  # (slices, lobes), the largest first
+    gamma: Array  # (slices, lobes)
+    iterations: NDArray[np.int64]  # of the EM algorithm, (slices,)
+    converged: Mask  # whether the curve stopped moving within the iterations allowed, (slices,)
 
 
 def fit_slices(
@@ -69,28 +101,12 @@ def fit_slices(
     largest_kappa: Array | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> SliceFits:
-    """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice.
+    """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice, of angles (N,) [rad].
 
-    Parameters
-    ----------
-    theta_half : ndarray, shape (N,)
-        Angles of the samples [rad].
-    mean, weight : ndarray, shape (slices, N)
-        Data [1/sr] and their weights, 0 for what is not to be used.  Every slice needs some weight.
-    n_lobes : int
-        Number of lobes.
-    iterations : int, optional
-        Bound on the EM iterations.
-    robust : bool, optional
-        Down-weight large residuals of each M-step (Huber's weights about the mixture of the last iteration).
-    largest_kappa : ndarray, shape (slices,), optional
-        Bound on kappa below that of `KAPPA_BOUNDS`: what keeps a lobe from growing where there are no samples.
-    on_iteration : callable, optional
-        Called with the number of each EM iteration.
-
-    Returns
-    -------
-    SliceFits
+    `mean` and `weight` (slices, N) are the data [1/sr] and their weights, 0 for what is not to be used; every slice
+    needs some weight.  The EM `iterations` are bounded.  A `robust` fit weights large residuals of each M-step down
+    (Huber's weights about the mixture of the last iteration).  `largest_kappa` (slices,) keeps a lobe from growing
+    where there are no samples.  `on_iteration` is called with the number of each iteration.
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER, (len(mean), 1))
@@ -165,25 +181,11 @@ def huber_weights(residual: Array, weight: Array) -> Array:
 
 
 def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array | None = None) -> Array:
-    """Fit every lobe alone to its share of the data.
+    """Fit every lobe alone to its share q_k L of the data, `targets` (slices, lobes, N), from log-parameters `start`.
 
-    Parameters
-    ----------
-    log_cos : ndarray, shape (N,)
-        Log-cosines of theta_half.
-    targets : ndarray, shape (slices, lobes, N)
-        Shares q_k L of the data.
-    weights : ndarray, shape (slices, N)
-        Weights of the samples.
-    start : ndarray, shape (slices, lobes, 2)
-        Log-parameters to start from.
-    upper : ndarray, shape (slices, 2), optional
-        Largest log-parameters; those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS` if not given.
-
-    Returns
-    -------
-    ndarray, shape (slices, lobes, 2)
-        Log-parameters of the least-squares fits within the bounds.
+    The log-parameters, and those returned, have the shape (slices, lobes, 2); `upper` (slices, 2) are the largest
+    allowed, by default those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS`.  `log_cos` (N,) and `weights` (slices, N) are those
+    of the samples.
     """
     slices, lobes, n = targets.shape
     upper = np.tile(_UPPER, (slices * lobes, 1)) if upper is None else np.repeat(upper, lobes, axis=0)
@@ -223,7 +225,7 @@ def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) ->
     return root * (value - target), np.stack([by_log_kappa, by_log_kappa * log_power], axis=1)
 
 
-def _damped_step(jacobian: Array, residual: Array, damping: Array, at_bound: NDArray[np.bool_]) -> Array:
+def _damped_step(jacobian: Array, residual: Array, damping: Array, at_bound: Mask) -> Array:
     """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form.
 
     A parameter that stands at a bound (lower or upper: ``at_bound``, (2, problems, 2)) and would leave it is held, and

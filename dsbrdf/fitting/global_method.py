@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import IN_BIN, OUTLIER, Profiles
+from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
@@ -25,8 +25,6 @@ from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Struct
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
-
-Array = NDArray[np.float64]
 
 AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
@@ -49,8 +47,6 @@ _SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 _HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
-_QUARTER = PHI_DIFF.size // 2 + 1
-_SAMPLES_IN_BIN = IN_BIN[:_QUARTER] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
 _NEIGHBOURS = 5  # columns
 _DARK = 0.02  # of the mean of a row: residuals of values below are relative to it
@@ -81,26 +77,9 @@ def fit_global(
 ) -> GlobalFit:
     """Fit all rows at once.
 
-    Parameters
-    ----------
-    data : Profiles
-    options : FitOptions
-    progress : callable
-        Called with the share of the work done.
-    on_stage : callable
-        Called with the name of each stage that has ended.
-    split : tuple of Profiles, optional
-        What lobes are fitted to while they are searched for, and what tells whether they pay, where rows and columns
-        in between have no data of their own.
-
-    Returns
-    -------
-    GlobalFit
-
-    Raises
-    ------
-    FitError
-        If the options leave no data to fit.
+    `split` has what lobes are fitted to during the search, and what tells whether a lobe pays; without it, other rows
+    and columns of the data tell.  `progress` is called with the share of the work done, `on_stage` with the name of
+    each stage that has ended.  Raises FitError if the options leave no data to fit.
     """
     weight = fit_weights(data, options)
     coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)
@@ -126,15 +105,7 @@ def fit_global(
 def refine_at_samples(data: FitData, found: GlobalFit) -> GlobalFit:
     """Fit the mixture that was found in bins again, to values at the very points where they were measured.
 
-    Parameters
-    ----------
-    data : FitData
-        A row for each whole degree of theta_diff that has samples.
-    found : GlobalFit
-
-    Returns
-    -------
-    GlobalFit
+    The data have a row for each whole degree of theta_diff that has samples.
     """
     structure = found.mixture.structure
     # Fewer samples say less: parameters have to be smoother.
@@ -146,7 +117,7 @@ def refine_at_samples(data: FitData, found: GlobalFit) -> GlobalFit:
     return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), found.growth)
 
 
-def _found(structure: Structure, solution: Solution, seen: NDArray[np.bool_], growth: list[GrowthStep]) -> GlobalFit:
+def _found(structure: Structure, solution: Solution, seen: Mask, growth: list[GrowthStep]) -> GlobalFit:
     """Put a solution and what is reported of it together; `seen` says of each channel which rows had data."""
     model = _model(structure, solution.unknowns)
     knots = model.theta_diff
@@ -173,7 +144,7 @@ def weight_per_sample(data: Profiles, weight: Array) -> Array:
 
 
 def _search_data(data: Profiles, weight: Array, split: tuple[Profiles, Profiles] | None) -> tuple[FitData, FitData]:
-    """What lobes are fitted to while they are searched for, and what tells whether they pay."""
+    """Return the data that lobes are fitted to during the search, and the data that tell whether a lobe pays."""
     if split is None:
         fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
         held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
@@ -202,7 +173,7 @@ def _with_data(groups: tuple[Array, ...], weight: Array) -> tuple[Array, ...]:
     return tuple(chosen(knots) for knots in groups)
 
 
-def _apart(angles: Array, axis: Array, filled: NDArray[np.intp], fewest: int) -> list[float]:
+def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:
     """Keep the first of some angles [rad], and those that have enough filled bins of an axis before them."""
     kept = [float(angles[0])]
     for angle in angles[1:].tolist():
@@ -228,7 +199,7 @@ def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> 
     return Structure((), amplitude, shape, elongation, options.lobe, np.array(theta_half))
 
 
-def _select(data: Profiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FitData:
+def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
     """Take the rows and columns with data that are nearest to the wanted ones, or all where there are hardly any."""
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
@@ -286,11 +257,11 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
     """
     data = problem.data
     theta_half, theta_diff = data.theta_half[:, None], data.theta_diff[:, None, None]
-    count = above_horizon(theta_half, theta_diff, PHI_DIFF[:_QUARTER]) * _SAMPLES_IN_BIN.sum(axis=1)
-    nodes = np.broadcast_to(np.cos(PHI_DIFF[:_QUARTER]) ** 2, count.shape)
+    count = above_horizon(theta_half, theta_diff, PHI_DIFF[:QUARTER]) * SAMPLES_IN_BIN.sum(axis=1)
+    nodes = np.broadcast_to(np.cos(PHI_DIFF[:QUARTER]) ** 2, count.shape)
     values = MixtureProblem(replace(data, cos2_phi=nodes), problem.structure).values(unknowns)
-    total = count @ (_SAMPLES_IN_BIN > 0)
-    mean = (values * count) @ (_SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)
+    total = count @ (SAMPLES_IN_BIN > 0)
+    mean = (values * count) @ (SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)
     return np.where(total > 0, mean - problem.values(unknowns), 0.0)
 
 

@@ -20,17 +20,15 @@ is one lobe.  `guide_data` gives the values of any model to fit a guide to.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
 from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure
 from dsbrdf.model.lobes import half_width, lobe_values, reach_of_width
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.splines import roughness
-
-Array = NDArray[np.float64]
 
 FAMILY = "student"
 AMPLITUDE_KNOTS = np.radians([0.0, 40.0, 65.0, 80.0, 89.0])
@@ -74,17 +72,10 @@ _TRUSTED, _TRUST_POWER = float(np.radians(80.0)), 8
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Readable lobes as a mixture: the specular ones from narrow to wide, then the diffuse one.
-
-    Attributes
-    ----------
-    mixture : Mixture
-    error : float
-        Root of the weighted squared error, as a share of the signal.
-    """
+    """Readable lobes as a mixture: the specular ones from narrow to wide, then the diffuse one."""
 
     mixture: Mixture
-    error: float
+    error: float  # root of the weighted squared error, as a share of the signal
 
     @property
     def half_widths(self) -> Array:
@@ -104,17 +95,7 @@ class Guide:
 
 
 def fit_guide(data: FitData) -> Guide:
-    """Fit the readable lobes.
-
-    Parameters
-    ----------
-    data : FitData
-        With light: some value is not 0.
-
-    Returns
-    -------
-    Guide
-    """
+    """Fit the readable lobes to data with light: some value is not 0."""
     one = fit_single_highlight(data)
     two = _fit(data, (_SPIKE, _LOBE), _START_OF_TWO)
     narrow, wide, _ = two.half_widths

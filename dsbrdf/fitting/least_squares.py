@@ -22,11 +22,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dpotrf as potrf
 from scipy.linalg.lapack import dpotrs as potrs
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 from dsbrdf.fitting.structure import Structure
@@ -39,8 +39,6 @@ from dsbrdf.model.lobes import (
 )
 from dsbrdf.model.splines import roughness, spline_basis
 
-Array = NDArray[np.float64]
-
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
@@ -52,33 +50,40 @@ _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the t
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Values at points that lie in rows of equal theta_diff, with the weights that the fit gives them.
+    """Values at points that lie in R rows of equal theta_diff, with the weights that the fit gives them.
 
-    Attributes
-    ----------
-    mean, weight : ndarray, shape (3, R, N, P)
-        N angles theta_half in each row, P values of phi_diff each.
-    cos2_phi : ndarray, shape (R, N, P)
-    theta_diff : ndarray, shape (R,)
-        [rad].
-    theta_half : ndarray, shape (N,) or (R, N)
-        The same for all rows, or each row's own [rad].
+    There are N angles theta_half in each row, the same for all rows (N,) or each row's own (R, N), and P values of
+    phi_diff at each.  Angles are in radians.
     """
 
-    mean: Array
-    weight: Array
-    cos2_phi: Array
-    theta_diff: Array
+    mean: Array  # (3, R, N, P)
+    weight: Array  # (3, R, N, P)
+    cos2_phi: Array  # (R, N, P)
+    theta_diff: Array  # (R,)
     theta_half: Array
 
     @classmethod
-    def select(
-        cls, folded: FoldedProfiles, weight: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> "FitData":
+    def select(cls, folded: FoldedProfiles, weight: Array, rows: Indices, columns: Indices) -> "FitData":
         """Take rows of theta_diff and columns of theta_half of folded profiles, with all of their bins."""
         chosen = np.ix_(np.arange(3), rows, columns)
         cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
         return cls(folded.mean[chosen], weight[chosen], cos2_phi, THETA_DIFF[rows], THETA_HALF[columns])
+
+    @classmethod
+    def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
+        """Put samples, values and weights (n, 3), into rows of whole degrees of theta_diff.
+
+        Shorter rows end with samples of no weight.
+        """
+        rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
+        order = np.argsort(index, kind="stable")
+        place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        shape = (rows.size, counts.max())
+        mean, counted, cos2_phi = (np.zeros(s) for s in ((3, *shape, 1), (3, *shape, 1), (*shape, 1)))
+        data = cls(mean, counted, cos2_phi, THETA_DIFF[rows], np.zeros(shape))
+        data.mean[:, *place, 0], data.weight[:, *place, 0] = values[order].T, weight[order].T
+        data.cos2_phi[*place, 0], data.theta_half[place] = np.cos(phi_diff[order]) ** 2, theta_half[order]
+        return data
 
     def take_bins(self, bins: Sequence[int]) -> "FitData":
         """Keep some bins of phi_diff only."""
@@ -95,31 +100,17 @@ class FitData:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What the unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal.
+    """What the U unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal.
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (U, U)
-        Symmetric, not negative.
-    target : ndarray, shape (U,)
-        The same for all control values of a parameter, so that the smoothing does not pull against it.
+    The target is the same for all control values of a parameter, so that the smoothing does not pull against it.
     """
 
-    matrix: Array
-    target: Array
+    matrix: Array  # symmetric, not negative, (U, U)
+    target: Array  # (U,)
 
 
 class MixtureProblem:
-    """The cost of a mixture on data, and its derivatives.
-
-    Parameters
-    ----------
-    data : FitData
-    structure : Structure
-    smoothing : tuple of float, optional
-        See `SMOOTHING`.
-    prior : Prior, optional
-    """
+    """The cost of a mixture on data, and its derivatives; `SMOOTHING` and a `Prior` pull at the unknowns."""
 
     def __init__(
         self,
@@ -237,43 +228,22 @@ class MixtureProblem:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A mixture on its data.
+    """A mixture on its data."""
 
-    Attributes
-    ----------
-    unknowns : ndarray, shape (U,)
-    cost : float
-        Weighted squared error plus the pull towards smooth parameters.
-    amplitude : ndarray, shape (3, R, K)
-    curves : ndarray, shape (R, K + Q, N * P)
-        Lobes of height 1, then their derivatives in the Q parameters that the channels share.
-    residual : ndarray, shape (3, R, N * P)
-        Mixture less data.
-    """
-
-    unknowns: Array
-    cost: float
-    amplitude: Array
-    curves: Array
-    residual: Array
+    unknowns: Array  # (U,)
+    cost: float  # weighted squared error plus the pull towards smooth parameters
+    amplitude: Array  # (3, R, K)
+    curves: Array  # lobes of height 1, then derivatives in the Q parameters that channels share, (R, K + Q, N * P)
+    residual: Array  # mixture less data, (3, R, N * P)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Outcome of `minimize`.
-
-    Attributes
-    ----------
-    unknowns : ndarray
-    cost : float
-    converged : bool
-        Whether the cost stopped falling within the iterations allowed.
-    iterations : int
-    """
+    """Outcome of `minimize`."""
 
     unknowns: Array
     cost: float
-    converged: bool
+    converged: bool  # whether the cost stopped falling within the iterations allowed
     iterations: int
 
 
@@ -283,28 +253,13 @@ def minimize(
     *,
     tolerance: float,
     iterations: int,
-    fixed: NDArray[np.bool_] | None = None,
+    fixed: Mask | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Levenberg-Marquardt within the bounds of the structure.
+    """Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
 
-    Parameters
-    ----------
-    problem : MixtureProblem
-    start : ndarray
-        Unknowns to start from.
-    tolerance : float
-        Relative decrease of the cost below which an iteration counts as stalled.
-    iterations : int
-        Bound on the number of steps tried.
-    fixed : ndarray of bool, optional
-        Unknowns that keep the value they start from.
-    on_iteration : callable, optional
-        Called with the number of each step.
-
-    Returns
-    -------
-    Solution
+    An iteration stalls that lowers the cost by less than the share `tolerance`; at most so many steps are tried, and
+    `on_iteration` is called with the number of each.  The unknowns that are `fixed` keep the value they start from.
     """
     at = problem.evaluate(problem.structure.limit(start))
     matrix, gradient = problem.linearize(at)
@@ -335,7 +290,7 @@ def _step(
     matrix: Array,
     gradient: Array,
     damping: float,
-    fixed: NDArray[np.bool_] | None,
+    fixed: Mask | None,
 ) -> Array:
     """Damped Gauss-Newton step within the limits of the structure.
 

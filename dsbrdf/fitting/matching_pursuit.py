@@ -17,17 +17,15 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.guide import fit_single_highlight
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
 from dsbrdf.model.splines import roughness
 
-Array = NDArray[np.float64]
-
-MAX_LOBES = 7
+MAX_GROWN_LOBES = 7
 """Most lobes of a mixture whose number is found."""
 PAYS = 0.01
 """Share of the error on the rows held out by which a lobe has to lower it."""
@@ -99,23 +97,10 @@ def grow(
     ring_lobes: int | Literal["auto"],
     on_try: Callable[[], None],
 ) -> tuple[Mixture, list[GrowthStep]]:
-    """Grow a mixture.
+    """Grow a mixture, and return it with the lobes that were tried.
 
-    Parameters
-    ----------
-    fitted, held_out : FitData
-        The samples that mixtures are fitted to, and those that judge them.
-    empty : Structure
-        Without lobes: the knots and the family.
-    n_lobes, ring_lobes : int or "auto"
-        As in `FitOptions`.
-    on_try : callable
-        Called before each fit.
-
-    Returns
-    -------
-    mixture : Mixture
-    steps : list of GrowthStep
+    Mixtures are fitted to the data `fitted` and judged by those `held_out`.  The structure `empty` has no lobes, but
+    the knots and the family; numbers of lobes are as in `FitOptions`.  `on_try` is called before each fit.
     """
     curves = {candidate: _curve(fitted, candidate, empty.family) for candidate in _candidates()}
     mixture, steps, only_noise = Mixture(empty, np.zeros(0)), list[GrowthStep](), False
@@ -184,7 +169,7 @@ def _kinds_wanted(
     structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
 ) -> set[bool]:
     """Which kinds the next lobe may be: False about the normal, True a ring; none where the mixture is complete."""
-    room = (MAX_LOBES if wanted == "auto" else wanted) - structure.n_lobes
+    room = (MAX_GROWN_LOBES if wanted == "auto" else wanted) - structure.n_lobes
     missing_rings = room if wanted_rings == "auto" else wanted_rings - structure.n_rings
     kinds = {True} if missing_rings > 0 and structure.n_lobes else set[bool]()
     if room > (0 if wanted_rings == "auto" else missing_rings):
@@ -238,7 +223,7 @@ def _minimize(
     start: Mixture,
     iterations: int,
     tolerance: float = _TOLERANCE,
-    fixed: NDArray[np.bool_] | None = None,
+    fixed: Mask | None = None,
 ) -> Mixture:
     problem = MixtureProblem(data, start.structure)
     found = minimize(problem, start.unknowns, tolerance=tolerance, iterations=iterations, fixed=fixed)
@@ -246,14 +231,7 @@ def _minimize(
 
 
 def _prefer_plain(data: FitData, mixture: Mixture) -> tuple[Mixture, bool]:
-    """Replace ring lobes by lobes about the normal where these leave only noise.
-
-    Returns
-    -------
-    mixture : Mixture
-    only_noise : bool
-        Whether the residual of the mixture is noise.
-    """
+    """Replace ring lobes by lobes about the normal where these leave only noise; tell whether the residual is noise."""
     if mixture.structure.n_rings and mixture.structure.n_lobes <= _MOST_PLAIN_LOBES:
         plain, only_noise = _settle(data, _fit(data, _about_normal(mixture)))
         if only_noise:
@@ -299,12 +277,8 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
 def _project(data: FitData, residual: Array, curves: Array, others: Array) -> tuple[Array, Array]:
     """What each curve (n, R, N * P) would explain of the residual, beside the other lobes (K, R, N * P).
 
-    Returns
-    -------
-    gain : ndarray, shape (n,)
-        Where the amplitudes of the others answer to it, row by row: orthogonal matching pursuit.
-    amplitude : ndarray, shape (3, R, n)
-        Of the curve alone, where the others stay; zero or positive.
+    Returns the gain (n,) where the amplitudes of the others answer to it, row by row: orthogonal matching pursuit; and
+    the amplitude (3, R, n) of the curve alone, where the others stay, zero or positive.
     """
     n_rows, n_curves = data.theta_diff.size, len(curves)
     rows = np.concatenate([others, curves]).transpose(1, 0, 2)

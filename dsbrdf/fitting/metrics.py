@@ -19,10 +19,10 @@ from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.geometry import incident_cosines
-from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
@@ -30,8 +30,6 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere, sphere_likeness
-
-Array = NDArray[np.float64]
 
 BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
 """Bands of theta_diff that errors are reported for [rad]."""
@@ -42,7 +40,6 @@ ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
 _BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
 _SPHERE_SIZE = 64
-_QUARTER = PHI_DIFF.size // 2 + 1
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
 
 
@@ -118,42 +115,24 @@ METRICS = tuple(field.name for field in fields(Metrics))
 
 @dataclass(frozen=True, eq=False)
 class SampleErrors:
-    """Sums over the samples, each of shape (3 channels, 90 theta_diff).
+    """Sums over the samples, each of shape (3 channels, 90 theta_diff)."""
 
-    Attributes
-    ----------
-    power, error, scatter, asymmetry : ndarray
-        Of f**2, (f - fit)**2, and of the squared deviation from the mean over phi_diff and from the folded mean.
-    log_error, count : ndarray
-        Of |log(1 + f cos_in) - log(1 + fit cos_in)|, and of samples.
-    """
-
-    power: Array
-    error: Array
-    scatter: Array
-    asymmetry: Array
-    log_error: Array
-    count: Array
+    power: Array  # of f**2
+    error: Array  # of (f - fit)**2
+    scatter: Array  # of the squared deviation from the mean over phi_diff
+    asymmetry: Array  # of the squared deviation from the folded mean
+    log_error: Array  # of |log(1 + f cos_in) - log(1 + fit cos_in)|
+    count: Array  # of samples
 
 
 def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> SampleErrors:
-    """Compare a model with every sample that counts.
+    """Compare a model with every sample whose directions are within the cutoff of the normal [rad]; None: the horizon.
 
-    Parameters
-    ----------
-    model : DSBRDF
-    measurement : Measurement
-    horizon_cutoff : float or None
-        Largest angle of either direction to the normal [rad]; None is the horizon.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is nothing but zeros to compare with.
+    Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums = SampleErrors(*(np.zeros((3, THETA_DIFF.size)) for _ in range(6)))
     columns = np.flatnonzero(OUTSIDE_CENTER)
-    grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:_QUARTER])
+    grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:QUARTER])
     for i, values in zip(columns.tolist(), grid, strict=True):
         used = used_samples(measurement, i, horizon_cutoff)
         rows = np.flatnonzero(used.any(axis=(0, 2)))
@@ -167,9 +146,7 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     return sums
 
 
-def _add_row(
-    sums: SampleErrors, samples: Array, fit: Array, used: NDArray[np.bool_], cosine: Array, rows: NDArray[np.intp]
-) -> None:
+def _add_row(sums: SampleErrors, samples: Array, fit: Array, used: Mask, cosine: Array, rows: Indices) -> None:
     count = used.sum(axis=2)
     samples = samples * used
     mean = np.sum(samples, axis=2) / np.maximum(count, 1)
@@ -189,17 +166,7 @@ def _add_row(
 
 
 def sample_metrics(model: DSBRDF, measurement: Measurement, sums: SampleErrors, albedo: Array) -> Metrics:
-    """All metrics of a model.
-
-    Parameters
-    ----------
-    model : DSBRDF
-    measurement : Measurement
-    sums : SampleErrors
-        Of the model and the measurement, see `sample_errors`.
-    albedo : ndarray, shape (4, 3)
-        The model's directional albedo at `ALBEDO_ANGLES`.
-    """
+    """All metrics of a model, from `sample_errors` and its directional albedo (4, 3) at `ALBEDO_ANGLES`."""
     errors = relative_errors(sums)
     albedo_error, psnr, ssim = seen_errors(model, measurement, albedo)
     return Metrics(**({} if errors is None else asdict(errors)), albedo_error=albedo_error, psnr=psnr, ssim=ssim)
@@ -241,22 +208,9 @@ def error_tables(sums: SampleErrors) -> tuple[tuple[ChannelErrors, ...], tuple[B
 
 
 def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> tuple[float, float, float]:
-    """Errors of what people see.
+    """Errors of what people see, `albedo` being the model's (4, 3) at `ALBEDO_ANGLES`: albedo_error, psnr and ssim.
 
-    Parameters
-    ----------
-    model : DSBRDF
-    measurement : Measurement
-    albedo : ndarray, shape (4, 3)
-        The model's directional albedo at `ALBEDO_ANGLES`.
-
-    Returns
-    -------
-    albedo_error : float
-    psnr : float
-        Of a sphere under three lights, at most 200 [dB].
-    ssim : float
-        Of the same sphere.
+    Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
     """
     data = interpolate(measurement)
     # A table has no lobes narrower than its rows: a coarse rule is enough.

@@ -3,24 +3,31 @@
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
-from functools import wraps
-from typing import Literal, TypeVar
+from functools import cache, wraps
+from typing import Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
 from dsbrdf.data.reduction import check_horizon_cutoff
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.lobe_families import FAMILIES, Family
+from dsbrdf.model.lobe_families import Family
 
 MAX_LOBES = 8
-METHODS = ("global", "paper")
 MAX_RING_LOBES = MAX_LOBES - 1
-VARIATIONS = ("full", "parametric")
-WEIGHTINGS = ("balanced", "plain", "cosine", "log")
-COSINES = ("in", "out")
 MAX_MASK = 10.0
 MAX_EM_ITERATIONS = 10_000
+_RANGES = {"n_lobes": (1, MAX_LOBES), "ring_lobes": (0, MAX_RING_LOBES), "em_iterations": (1, MAX_EM_ITERATIONS)}
+# option -> what it can be with the method "paper", and why
+_OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
+    "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
+    "knots": ((None,), "has its slices every 5 degrees: leave the knots out"),
+    "variation": (("full",), 'has values at every slice: use the variation "full"'),
+    "lobe": (("hemi_epd",), 'has the lobe "hemi_epd" only'),
+    "weighting": ((None, "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
+}
+Weighting = Literal["balanced", "plain", "cosine", "log"]
+"""Weights of the samples, see `dsbrdf.fitting.weighting`."""
 
 Options = TypeVar("Options")
 
@@ -98,7 +105,7 @@ class FitOptions:
     variation: Literal["full", "parametric"] = "full"
     horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF
     mask: float | None = None
-    weighting: Literal["balanced", "plain", "cosine", "log"] | None = None
+    weighting: Weighting | None = None
     robust: bool = False
     em_iterations: int = 100
     cosine: Literal["in", "out"] | None = None
@@ -107,51 +114,36 @@ class FitOptions:
         for name, value in vars(self).copy().items():
             if isinstance(value, np.generic):  # an option taken from an array means the same
                 object.__setattr__(self, name, value.item())
-        if self.n_lobes != "auto" and not _is_integer(self.n_lobes, 1, MAX_LOBES):
-            raise InvalidArgumentError(
-                f'n_lobes must be an integer from 1 to {MAX_LOBES} or "auto", not {self.n_lobes!r}'
-            )
-        if self.ring_lobes != "auto" and not _is_integer(self.ring_lobes, 0, MAX_RING_LOBES):
-            raise InvalidArgumentError(
-                f'ring_lobes must be an integer from 0 to {MAX_RING_LOBES} or "auto", not {self.ring_lobes!r}'
-            )
+        for name in _literals():
+            self._check_choice(name)
         if self.n_lobes != "auto" and self.ring_lobes != "auto" and self.ring_lobes >= self.n_lobes:
             raise InvalidArgumentError(
                 f"ring_lobes must be below n_lobes, at most {self.n_lobes - 1} here, not {self.ring_lobes}: "
                 "a ring lobe is one of the lobes"
             )
-        if self.method not in METHODS:
-            raise InvalidArgumentError(f"method must be one of {', '.join(METHODS)}, not {self.method!r}")
-        if self.method == "paper" and self.ring_lobes not in ("auto", 0):
-            raise InvalidArgumentError('the method "paper" has no ring lobes: use ring_lobes 0 or "auto"')
-        if self.method == "paper" and self.knots is not None:
-            raise InvalidArgumentError('the method "paper" has its slices every 5 degrees: leave the knots out')
-        if self.variation not in VARIATIONS:
-            raise InvalidArgumentError(f"variation must be one of {', '.join(VARIATIONS)}, not {self.variation!r}")
-        if self.method == "paper" and self.variation != "full":
-            raise InvalidArgumentError('the method "paper" has values at every slice: use the variation "full"')
-        if self.lobe not in FAMILIES:
-            raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {self.lobe!r}")
-        if self.method == "paper" and self.lobe != "hemi_epd":
-            raise InvalidArgumentError('the method "paper" has the lobe "hemi_epd" only')
-        if self.method == "paper" and self.weighting == "balanced":
-            raise InvalidArgumentError('the method "paper" has no weighting "balanced": use "plain", "cosine" or "log"')
-        if self.weighting is not None and self.weighting not in WEIGHTINGS:
-            raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {self.weighting!r}")
         _check_knots(self.knots)
         if self.knots is not None:  # a list of knots means the same
             object.__setattr__(self, "knots", tuple(float(knot) for knot in self.knots))
+        for name, (possible, why) in _OF_PAPER.items():
+            if self.method == "paper" and getattr(self, name) not in possible:
+                raise InvalidArgumentError(f'the method "paper" {why}')
         check_horizon_cutoff(self.horizon_cutoff)
         if self.mask is not None and not 0.0 <= self.mask <= MAX_MASK:
             raise InvalidArgumentError(f"mask must be a number from 0 to {MAX_MASK:g}, not {self.mask!r}")
         if not isinstance(self.robust, bool):
             raise InvalidArgumentError(f"robust must be true or false, not {self.robust!r}")
-        if not _is_integer(self.em_iterations, 1, MAX_EM_ITERATIONS):
-            raise InvalidArgumentError(
-                f"em_iterations must be an integer from 1 to {MAX_EM_ITERATIONS}, not {self.em_iterations!r}"
-            )
-        if self.cosine is not None and self.cosine not in COSINES:
-            raise InvalidArgumentError(f"cosine must be one of {', '.join(COSINES)}, not {self.cosine!r}")
+
+    def _check_choice(self, name: str) -> None:
+        """Check an option that is a whole number or one of the words of its type."""
+        value, words = getattr(self, name), _literals()[name]
+        if name in _RANGES:
+            smallest, largest = _RANGES[name]
+            whole = isinstance(value, int) and not isinstance(value, bool) and smallest <= value <= largest
+            right = " or ".join([f"an integer from {smallest} to {largest}", *(f'"{word}"' for word in words)])
+        else:
+            whole, right = value is None and getattr(FitOptions, name) is None, f"one of {', '.join(words)}"
+        if not whole and value not in words:
+            raise InvalidArgumentError(f"{name} must be {right}, not {value!r}")
 
     @property
     def resolved_weighting(self) -> str:
@@ -169,5 +161,12 @@ def _check_knots(knots: tuple[float, ...] | None) -> None:
         raise InvalidArgumentError("knots must be at least two increasing angles of whole degrees from 0 to 89 degrees")
 
 
-def _is_integer(value: object, smallest: int, largest: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and smallest <= value <= largest
+@cache
+def _literals() -> dict[str, tuple[str, ...]]:
+    """Words that each option can be whose type has any, or that is a whole number."""
+    words = {}
+    for name, hint in get_type_hints(FitOptions).items():
+        found = [get_args(part) for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
+        if found or name in _RANGES:
+            words[name] = found[0] if found else ()
+    return words

@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting import em
+from dsbrdf.fitting.em import lobe
 from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, SelectionStep, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import KnotReport
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import lobe
-
-Array = NDArray[np.float64]
 
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
 """The 18 slices of the paper, 0 to 85 degrees [rad]."""
@@ -42,21 +41,7 @@ class PaperFit:
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> PaperFit:
     """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
 
-    Parameters
-    ----------
-    data : Profiles
-    options : FitOptions
-    progress : callable
-        Called with the share of the work done at each iteration.
-
-    Returns
-    -------
-    PaperFit
-
-    Raises
-    ------
-    FitError
-        If the options leave no data to fit.
+    `progress` is called with the share of the work done.  Raises FitError if the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
     data_slices = _slices(data, rows, options)
@@ -92,13 +77,11 @@ class _Slices:
     within: Array
     largest_kappa: Array
 
-    def with_nodes(self, count: int) -> NDArray[np.bool_]:
+    def with_nodes(self, count: int) -> Mask:
         """Slices (3, D) that have at least so many nodes."""
         return np.asarray(np.sum(self.weight > 0, axis=2) >= count)
 
-    def fit(
-        self, chosen: NDArray[np.bool_], n_lobes: int, options: FitOptions, progress: Callable[[float], None]
-    ) -> em.SliceFits:
+    def fit(self, chosen: Mask, n_lobes: int, options: FitOptions, progress: Callable[[float], None]) -> em.SliceFits:
         """Run Algorithm 1 on the chosen slices."""
         return em.fit_slices(
             _ANGLES,
@@ -112,7 +95,7 @@ class _Slices:
         )
 
 
-def _slices(data: Profiles, rows: NDArray[np.intp], options: FitOptions) -> _Slices:
+def _slices(data: Profiles, rows: Indices, options: FitOptions) -> _Slices:
     mask = 1.0 if options.mask is None else options.mask
     kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
     mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
@@ -137,7 +120,7 @@ def _choose(
     return choose_n_lobes(_ANGLES, mean, weight, within, fit_slices)
 
 
-def _largest_kappa(data: Profiles, rows: NDArray[np.intp]) -> Array:
+def _largest_kappa(data: Profiles, rows: Indices) -> Array:
     """Kappa of a lobe that peaks at twice the largest value of the slice, shape (3, D); no bound without its centre.
 
     Below 1 degree the lobes are not fitted: without a bound one that falls steeply just outside can reach any height.
@@ -146,21 +129,21 @@ def _largest_kappa(data: Profiles, rows: NDArray[np.intp]) -> Array:
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
 
 
-def _nearest_fitted(fitted: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _nearest_fitted(fitted: Mask) -> Indices:
     """Index, shape (3, D), of the fitted slice nearest to each slice of its channel; 0 if there is none."""
     index = np.arange(fitted.shape[1])
     distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
     return np.argmin(distance, axis=2)
 
 
-def _spread(values: NDArray[Any], fitted: NDArray[np.bool_], nearest: NDArray[np.intp]) -> NDArray[Any]:
+def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
     """Values (fitted slices, ...) at all slices (3, D, ...): those without data take the nearest slice's."""
     full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
     full[fitted] = values
     return full[np.arange(len(fitted))[:, None], nearest]
 
 
-def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -> Array:
+def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
     """Mean residual where theta_half < 1 degree by solid angle, shape (3, D); without data that of the nearest slice.
 
     Never negative: a term that is taken away somewhere would make the model negative between the nodes.
@@ -174,7 +157,7 @@ def _delta(data: Profiles, rows: NDArray[np.intp], kappa: Array, gamma: Array) -
     return np.maximum(np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1), 0.0)
 
 
-def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> NDArray[np.bool_]:
+def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> Mask:
     """Whether any lobe of a slice stands at a bound; a vanishing or flat lobe at its lower bound is no fault."""
     low = (slices.kappa <= em.KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.GAMMA_BOUNDS[0] * (1 + 1e-9))
     highest = np.minimum(largest_kappa, em.KAPPA_BOUNDS[1])[:, None]

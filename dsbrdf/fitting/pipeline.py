@@ -11,8 +11,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.reduction import Profiles, profiles
@@ -23,9 +23,15 @@ from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import PaperFit, fit_slicewise
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, KnotReport
-from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
+from dsbrdf.fitting.report_warnings import (
+    accuracy_warnings,
+    convergence_sentence,
+    coverage_warnings,
+    error_warnings,
+    fit_warnings,
+    unit_warnings,
+)
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
-from dsbrdf.fitting.sample_warnings import coverage_warnings, unit_warnings
 from dsbrdf.fitting.usual_materials import typical_error, usual_material, with_usual_values
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.process_settings import one_blas_thread
@@ -39,7 +45,7 @@ _EXACT_ROUNDS = 3  # fits of scattered samples where they are
 
 @one_blas_thread
 def fit(
-    measurement: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | NDArray[np.float64],
+    measurement: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | Array,
     options: FitOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
@@ -62,10 +68,6 @@ def fit(
     **choices
         Single options by name, such as ``n_lobes=2``, instead of ``options``.
 
-    Returns
-    -------
-    FitResult
-
     Raises
     ------
     FitError
@@ -81,7 +83,7 @@ def fit(
         If the fit, or slices of it, stopped at the bound on the iterations.  The report's `warnings` have this one too.
     """
     options = _options(options, choices)
-    measurement = _measurement(measurement)
+    measurement = _read(measurement)
     report_progress = progress if progress is not None else _ignore
     clock = _Clock()
     report_progress(0.0)
@@ -150,7 +152,8 @@ def _fit_samples(
     measured, (samples, far) = samples, with_usual_values(samples, usual.model)
     clock.lap("usual material")
     order = np.random.default_rng(0).permutation(len(samples.values))
-    parts = samples.take(order % _HELD_OUT != 0), samples.take(order % _HELD_OUT == 0)
+    left_out = order % _HELD_OUT == 0
+    parts = samples.take(~left_out), samples.take(left_out)
     model: DSBRDF | None = None
     for number in range(_BINNED_ROUNDS):
         data = sample_profiles(samples, options, model)
@@ -168,7 +171,14 @@ def _fit_samples(
     result = _result(found, data, options, clock)
     metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
     of_units = unit_warnings(measured, usual, np.array(result.report.albedo.albedo))
-    sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual), *result.report.warnings)
+    sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual))
+    if not (is_usual or options.robust):
+        rest = samples.take((order < _MOST_EXACT) & ~left_out)
+        without = refine_at_samples(sample_rows(rest, data, options, found.model), found).model
+        judged = measured.take(left_out[: len(measured.values)])
+        sentences += error_warnings(metrics, scattered_metrics(without, judged, options.horizon_cutoff))
+        clock.lap("left out")
+    sentences += result.report.warnings
     return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
 
 
@@ -189,8 +199,8 @@ def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
     return FitOptions(**choices) if options is None else options
 
 
-def _measurement(
-    source: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | NDArray[np.float64],
+def _read(
+    source: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | Array,
 ) -> Measurement | Profiles | ScatteredSamples:
     if isinstance(source, Measurement | Profiles | ScatteredSamples):
         return source
@@ -202,10 +212,7 @@ def _measurement(
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
     """Return the profiles of a measurement that a fit with these options works on.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If profiles are given that were made with other options.
+    Raises InvalidArgumentError if profiles are given that were made with other options.
     """
     if isinstance(measurement, Measurement):
         return profiles(
@@ -232,18 +239,9 @@ def _profile_weighting(options: FitOptions) -> str:
 
 
 def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
-    """Complete the report of a fit of profiles with what only the samples can tell.
+    """Complete the report of a `fit` of the profiles of a measurement with what only its samples can tell.
 
-    Parameters
-    ----------
-    result : FitResult
-        Of `fit` with the profiles of `measurement`.
-    measurement : Measurement
-
-    Returns
-    -------
-    FitResult
-        The same as a fit of `measurement` itself, apart from the timings.
+    The result is the same as a fit of the measurement itself, apart from the timings.
     """
     clock, model, report = _Clock(), result.model, result.report
     sums = sample_errors(model, measurement, report.options.horizon_cutoff)

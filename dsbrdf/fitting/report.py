@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array
 from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dsbrdf.data.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class DirectionalAlbedo:
     albedo: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(cls, model: DSBRDF, theta_out: NDArray[np.float64]) -> Self:
+    def of(cls, model: DSBRDF, theta_out: Array) -> Self:
         """Compute it at angles (n,)."""
         return cls(tuple(theta_out.tolist()), tuple(map(tuple, model.albedo(theta_out).tolist())))
 
@@ -173,7 +172,7 @@ class FitResult:
 
     def export(self, path: str | PathLike[str], file_format: str | None = None) -> None:
         """Write the model to a file for another program, see `dsbrdf.export`."""
-        from dsbrdf.output.export.export_file import export
+        from dsbrdf.output.export import export
 
         export(self, path, file_format)
 
@@ -185,10 +184,6 @@ class FitResult:
         measurement : Measurement, optional
             What was fitted.  With it, the figure has its profiles, the fit and the lobes; without, the parameters over
             theta_diff.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         from dsbrdf.output.notebook import plot_result
 

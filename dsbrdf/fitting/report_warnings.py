@@ -6,11 +6,14 @@ the one that is fitted worst, goes beyond any: the comment of each limit says ho
 
 import numpy as np
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
+from dsbrdf.fitting.usual_materials import FAR, UsualMaterial, usual_material
 from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
@@ -107,3 +110,61 @@ def _components(model: DSBRDF) -> list[str]:
         f"The split into components is uncertain: where the {name} shines, which has {share:.0%} of the light, only "
         f"{clarity:.0%} of all light is its own, so that another model of the same quality may split it otherwise."
     ]
+
+
+_MUCH_FAR = 0.1  # of the directions
+_MUCH_LARGER, _WORTH_A_WORD = 2.0, 0.05  # errors at samples left out
+_TOO_BRIGHT = 1.05  # albedo; noise may lift that of a white material above 1
+_UNITS = ((np.pi, "1/pi (are they radiance factors?)"), (100.0, "1/100 (are they per cent?)"))
+_OTHERWISE = "1/1500 or what else their unit is in 1/sr"
+_EXPLAINS = 0.5  # of the cost, that values divided by a cosine have if they were multiplied by it
+_BADLY_EXPLAINED = 0.2  # cost for each sample, of values that no known material has; those of materials have up to 1
+
+
+def coverage_warnings(far: float, *, is_usual: bool) -> tuple[str, ...]:
+    """Sentences about the share of directions without a sample nearby, and samples that no free fit can follow."""
+    sentences = []
+    if is_usual:
+        sentences.append(
+            "A fit of all parameters follows the samples worse than a material that is like others: the model is that "
+            "material, with one specular and one diffuse lobe; more samples would tell more."
+        )
+    if far > _MUCH_FAR:
+        sentences.append(
+            f"{far:.0%} of the directions have no sample within {np.degrees(FAR):.0f} degrees: there the model is what "
+            "materials are usually like, and not measured."
+        )
+    return tuple(sentences)
+
+
+def error_warnings(fitted: Metrics, left_out: Metrics) -> tuple[str, ...]:
+    """A sentence where samples that a fit left out tell of a larger error than the samples of the fit."""
+    here, there = fitted.relative_rms, left_out.relative_rms
+    if here is None or there is None or there < max(_MUCH_LARGER * here, _WORTH_A_WORD):
+        return ()
+    return (
+        f"At samples left out of a fit relative_rms is {there:.3g}, at those of the fit {here:.3g}: highlights "
+        "have too few samples, and between them the error is more like the larger one.",
+    )
+
+
+def unit_warnings(samples: ScatteredSamples, usual: UsualMaterial, albedo: Array) -> tuple[str, ...]:
+    """Sentences about values that are probably not those of a BRDF in 1/sr.
+
+    `usual` is the usual material of the samples, `albedo` the fit's at some angles and in all channels.
+    """
+    largest, sentences = float(albedo.max()), []
+    if largest > _TOO_BRIGHT:
+        remedy = next((words for factor, words in _UNITS if largest <= factor * _TOO_BRIGHT), _OTHERWISE)
+        sentences.append(
+            f"The model reflects {largest:.3g} times the light that it receives: the values are not those of a BRDF in "
+            f"1/sr; multiply them by {remedy}."
+        )
+    for side in ("in", "out"):
+        cost = usual_material(samples.divided_by_cosine(side)).cost if usual.cost > _BADLY_EXPLAINED else np.inf
+        if cost < _EXPLAINS * usual.cost:
+            sentences.append(
+                f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a "
+                f'usual material, and as they are they are not; if so, set cosine to "{side}".'
+            )
+    return tuple(sentences)

@@ -7,11 +7,11 @@ by less than a degree: there the ratio is near 1.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Indices
 from dsbrdf.data.geometry import above_horizon, half_difference
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import IN_BIN, N_BINS, FoldedProfiles, Profiles
+from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, fit_weights, weight_per_sample
 from dsbrdf.fitting.least_squares import FitData
@@ -19,27 +19,11 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 
-Array = NDArray[np.float64]
-
 _LARGEST_RATIO = 16.0  # a model that differs by more between a sample and its bin is not to be trusted with moving it
-_QUARTER = PHI_DIFF.size // 2 + 1
 
 
 def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRDF | None = None) -> Profiles:
-    """Put samples into bins.
-
-    Parameters
-    ----------
-    samples : ScatteredSamples
-    options : FitOptions
-        Of the fit; they are noted in the result.
-    model : DSBRDF, optional
-        A fit of the samples, by which they are moved to their bins.
-
-    Returns
-    -------
-    Profiles
-    """
+    """Put samples into bins, moved there by a model that was fitted to them, if there is one."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     cells, cell = np.unique(_cells(*angles), axis=1, return_inverse=True)
     values = samples.values
@@ -59,19 +43,8 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
 def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions, model: DSBRDF) -> FitData:
     """Put samples into rows of whole degrees of theta_diff, each at its own theta_half and phi_diff.
 
-    Parameters
-    ----------
-    samples : ScatteredSamples
-    binned : Profiles
-        The same samples in bins, whose weights they get.
-    options : FitOptions
-    model : DSBRDF
-        A fit of the samples, by which they are moved to their rows.
-
-    Returns
-    -------
-    FitData
-        Shorter rows end with samples of no weight.
+    They are moved to their rows by a model that was fitted to them, and get the weights of the same samples in bins.
+    Shorter rows end with samples of no weight.
     """
     angles = half_difference(samples.omega_in, samples.omega_out)
     weight = weight_per_sample(binned, fit_weights(binned, options))[:, *_cells(*angles)] * samples.weight
@@ -79,16 +52,7 @@ def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions
     row = _nearest(THETA_DIFF, theta_diff)
     at_row = model.evaluate_unmasked(theta_half, THETA_DIFF[row], phi_diff)
     values = samples.values * _ratio(at_row, model.evaluate_unmasked(*angles))
-    rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
-    order = np.argsort(index, kind="stable")
-    place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    shape = (rows.size, counts.max())
-    data = FitData(
-        np.zeros((3, *shape, 1)), np.zeros((3, *shape, 1)), np.zeros((*shape, 1)), THETA_DIFF[rows], np.zeros(shape)
-    )
-    data.mean[:, *place, 0], data.weight[:, *place, 0] = values[order].T, weight[:, order]
-    data.cos2_phi[*place, 0], data.theta_half[place] = np.cos(phi_diff[order]) ** 2, theta_half[order]
-    return data
+    return FitData.from_samples(values, weight.T, row, theta_half, phi_diff)
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
@@ -113,7 +77,7 @@ def _profiles(samples: ScatteredSamples, options: FitOptions, folded: FoldedProf
     return Profiles(mean, total, within, folded, *made, samples.name, samples.sha256)
 
 
-def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> NDArray[np.intp]:
+def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
     """Row, column and bin of phi_diff of each sample, shape (3, n)."""
     row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
     column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
@@ -127,29 +91,29 @@ def _ratio(there: Array, here: Array) -> Array:
     return np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
 
 
-def _nearest(axis: Array, angles: Array) -> NDArray[np.intp]:
+def _nearest(axis: Array, angles: Array) -> Indices:
     """Index of the nearest of ascending angles."""
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
 
 
-def _nodes_in_cells(cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
+def _nodes_in_cells(cells: Indices) -> tuple[Indices, Array]:
     """Nodes of phi_diff, from 0 to 90 degrees, and what each counts in each cell, shape (cells, 91).
 
     Those above the horizon count, as in a measurement on the grid, or all where none is.
     """
     row, column, bin_of = cells
-    members = IN_BIN[:_QUARTER].T[bin_of] * np.where(np.arange(_QUARTER) % (_QUARTER - 1) == 0, 1.0, 2.0)
-    above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:_QUARTER])
+    members = SAMPLES_IN_BIN.T[bin_of]
+    above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
     counted = members * above
-    return np.arange(_QUARTER), np.where(counted.any(axis=1, keepdims=True), counted, members)
+    return np.arange(QUARTER), np.where(counted.any(axis=1, keepdims=True), counted, members)
 
 
-def _cos2_in_cells(cells: NDArray[np.intp]) -> Array:
+def _cos2_in_cells(cells: Indices) -> Array:
     nodes, count = _nodes_in_cells(cells)
     return np.asarray(count @ np.cos(PHI_DIFF[nodes]) ** 2 / count.sum(axis=1))
 
 
-def _mean_in_cells(model: DSBRDF, cells: NDArray[np.intp]) -> Array:
+def _mean_in_cells(model: DSBRDF, cells: Indices) -> Array:
     """Mean of the model over the nodes of each cell, shape (cells, 3)."""
     nodes, count = _nodes_in_cells(cells)
     at, node = np.nonzero(count)

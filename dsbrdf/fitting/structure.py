@@ -14,15 +14,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
-
-Array = NDArray[np.float64]
 
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 """From nothing to the largest value that a measurement may have."""
@@ -49,29 +47,18 @@ class ShapeBounds:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Which lobes there are and where their parameters have knots; fixes the layout of the unknowns.
+    """Which lobes there are and where their parameters have knots [rad]; fixes the layout of the unknowns.
 
-    Attributes
-    ----------
-    rings : tuple of bool
-        For each lobe whether it has a center; those that have come last.
-    amplitude_knots, shape_knots, elongation_knots : ndarray
-        Angles theta_diff [rad].
-    family : str
-        One of `dsbrdf.model.lobe_families.FAMILIES`.
-    theta_half : ndarray
-        Angles with data [rad]: what is narrower than their spacing would only fit the gaps between them.
-    bounds_of : tuple of ShapeBounds
-        Of each lobe; the widest possible ones for all if empty.
+    What is narrower than the spacing of `theta_half`, the angles with data, would only fit the gaps between them.
     """
 
-    rings: tuple[bool, ...]
+    rings: tuple[bool, ...]  # whether a lobe has a center; those that have come last
     amplitude_knots: Array
     shape_knots: Array
     elongation_knots: Array
-    family: str
+    family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
-    bounds_of: tuple[ShapeBounds, ...] = ()
+    bounds_of: tuple[ShapeBounds, ...] = ()  # each lobe; the widest possible ones for all if empty
 
     @property
     def n_lobes(self) -> int:
@@ -101,22 +88,16 @@ class Structure:
         return (count[0], 3 * k), (count[1], 2 * k + self.n_rings), (count[2], k)
 
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Views on the unknowns.
+        """Views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
 
-        Returns
-        -------
-        amplitude : ndarray, shape (D, 3 K)
-            Logarithms, channel by channel.
-        shape : ndarray, shape (S, 2 K + rings)
-            log kappa, log reach, offset of the ring lobes.
-        elongation : ndarray, shape (E, K)
+        Amplitudes are logarithms, channel by channel; shapes log kappa, log reach, and offset of the ring lobes.
         """
         (d, p), (s, q), (e, r) = self._blocks
         amplitude, rest = unknowns[: d * p].reshape(d, p), unknowns[d * p :]
         shape, elongation = rest[: s * q].reshape(s, q), rest[s * q :].reshape(e, r)
         return amplitude, shape, elongation
 
-    def is_kappa(self) -> NDArray[np.bool_]:
+    def is_kappa(self) -> Mask:
         """Which unknowns are logarithms of kappa, shape (n_unknowns,)."""
         found = np.zeros(self.n_unknowns)
         self.split(found)[1][:, : self.n_lobes] = 1.0

@@ -12,12 +12,13 @@ where there are samples they outweigh them, elsewhere nothing else says what the
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.guide import AMPLITUDE_KNOTS, ELONGATION_KNOTS, FAMILY, SHAPE_KNOTS
@@ -25,8 +26,6 @@ from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, Solutio
 from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import reach_of_width
-
-Array = NDArray[np.float64]
 
 N_PAIRS = 800
 """Pairs of directions at which the usual material completes the samples."""
@@ -48,11 +47,7 @@ _LAST_COSINE = float(np.cos(np.radians(80.0)))
 class UsualMaterial:
     """The usual material that samples are most like.
 
-    Attributes
-    ----------
-    model : DSBRDF
-    cost : float
-        Squared relative errors of the samples and the prior's, in units of what they usually are, for each sample.
+    The cost is that of their squared relative errors and of the prior, in units of what it usually is, for each sample.
     """
 
     model: DSBRDF
@@ -62,21 +57,21 @@ class UsualMaterial:
 @cache
 def guides() -> Array:
     """Unknowns of the readable lobes of measured materials, shape (71, 70)."""
+    return np.asarray(_stored("unknowns"), dtype=np.float64)
+
+
+def names() -> list[str]:
+    """Return the names of the materials of `guides`."""
+    return list(map(str, _stored("names")))
+
+
+def _stored(name: str) -> np.ndarray[Any, Any]:
     with (files("dsbrdf.fitting") / "usual_materials.npz").open("rb") as file, np.load(file) as stored:
-        return np.asarray(stored["unknowns"], dtype=np.float64)
+        return np.asarray(stored[name])
 
 
 def usual_material(samples: ScatteredSamples) -> UsualMaterial:
-    """Fit the readable lobes to samples, against what materials are usually like.
-
-    Parameters
-    ----------
-    samples : ScatteredSamples
-
-    Returns
-    -------
-    UsualMaterial
-    """
+    """Fit the readable lobes to samples, against what materials are usually like."""
     known, data = guides(), _relative_rows(samples)
     structure = Structure(
         (False, False), AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS, FAMILY, np.zeros(1), (_ANY, _DIFFUSE)
@@ -95,20 +90,9 @@ def usual_material(samples: ScatteredSamples) -> UsualMaterial:
 
 
 def with_usual_values(samples: ScatteredSamples, model: DSBRDF) -> tuple[ScatteredSamples, float]:
-    """Complete samples with values of the usual material.
+    """Complete samples with `N_PAIRS` values of the model of `usual_material`.
 
-    Parameters
-    ----------
-    samples : ScatteredSamples
-    model : DSBRDF
-        Of `usual_material`.
-
-    Returns
-    -------
-    completed : ScatteredSamples
-        The samples and `N_PAIRS` more.
-    far : float
-        Share of the latter that have no sample within `FAR`.
+    Returns the completed samples, and the share of the pairs that have no sample within `FAR`.
     """
     omega_in, omega_out = _pairs(model)
     values = np.maximum(model.evaluate_directions(omega_in, omega_out), 0.0)
@@ -142,12 +126,7 @@ def _pairs(model: DSBRDF) -> tuple[Array, Array]:
 
 
 def _within_last(generator: np.random.Generator) -> Array:
-    cosine, turn = (
-        np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)),
-        generator.uniform(0.0, 2.0 * np.pi, N_PAIRS),
-    )
-    sine = np.sqrt(1.0 - cosine**2)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    return random_directions(generator, np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)))
 
 
 def _places(omega_in: Array, omega_out: Array) -> Array:
@@ -161,16 +140,9 @@ def _relative_rows(samples: ScatteredSamples) -> FitData:
     """Samples in rows of whole degrees of theta_diff, weighted so that relative errors count alike."""
     theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
     row = np.minimum(np.rint(np.degrees(theta_diff)).astype(np.intp), THETA_DIFF.size - 1)
-    rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
-    order = np.argsort(index, kind="stable")
-    place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    shape = (rows.size, counts.max())
     level = samples.values + _DARK * np.median(samples.values.mean(axis=1)) + 1e-12
     weight = samples.weight[:, None] / samples.weight.mean() / level**2
-    mean, weights, cos2_phi, half = (np.zeros(s) for s in ((3, *shape, 1), (3, *shape, 1), (*shape, 1), shape))
-    mean[:, *place, 0], weights[:, *place, 0] = samples.values[order].T, weight[order].T
-    cos2_phi[*place, 0], half[place] = np.cos(phi_diff[order]) ** 2, theta_half[order]
-    return FitData(mean, weights, cos2_phi, THETA_DIFF[rows], half)
+    return FitData.from_samples(samples.values, weight, row, theta_half, phi_diff)
 
 
 def _prior(known: Array, structure: Structure, signal: float) -> Prior:

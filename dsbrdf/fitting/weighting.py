@@ -17,12 +17,10 @@
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
-
-Array = NDArray[np.float64]
 
 PLAIN_SHARE = 1.0
 """What the plain error counts beside the seen one."""
@@ -38,12 +36,7 @@ _SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is near
 def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | None) -> Array:
     """Weights of the bins, shape (3, 90 theta_diff, 90 theta_half, 9).
 
-    Parameters
-    ----------
-    folded : FoldedProfiles
-    weighting : {"balanced", "plain", "cosine", "log"}
-    horizon_cutoff : float or None
-        Angle to the normal beyond which samples count less [rad]; None trusts all of them.
+    Beyond the cutoff, an angle to the normal [rad], samples count less; None trusts all of them.
     """
     plain = folded.weight * _trust(folded, horizon_cutoff) * _center_share()[:, None]
     center = THETA_HALF < CENTER_CUTOFF

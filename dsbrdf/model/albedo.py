@@ -12,16 +12,12 @@ closed form, and theta_half where the first or the last azimuth does; between th
 smooth enough without.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Evaluate, Indices
 from dsbrdf.data.grid import CENTER_CUTOFF
-
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 _SMOOTH = np.zeros(0)
 
@@ -38,23 +34,11 @@ _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 def directional_albedo(
     evaluate: Evaluate, theta_out: Array, knots: Array = _SMOOTH, narrowest: float = np.pi / 2
 ) -> Array:
-    """Directional albedo of a reciprocal isotropic BRDF.
+    """Directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) to the normal [rad].
 
-    Parameters
-    ----------
-    evaluate : callable
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (n, 3)`` [1/sr] for angles (n,).
-    theta_out : ndarray, shape (...)
-        Angles to the normal [rad].
-    knots : ndarray, shape (D,), optional
-        Values of theta_diff at which ``evaluate`` need not be smooth [rad].
-    narrowest : float, optional
-        Half width of the narrowest lobe that is not about the normal [rad].
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Relative error below 1e-5 for lobes wider than a hundredth of a degree, and ring lobes than a degree.
+    `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]; `narrowest` is the half width of
+    the narrowest lobe that is not about the normal [rad].  The relative error is below 1e-5 for lobes wider than a
+    hundredth of a degree, and ring lobes than a degree.
     """
     width = float(np.clip(narrowest, *_WIDTHS))
     rows = [_albedo_at(evaluate, float(angle), knots, width) for angle in theta_out.ravel()]
@@ -67,43 +51,20 @@ def _albedo_at(evaluate: Evaluate, theta_out: float, knots: Array, width: float)
 
 
 class HalfVectorRule(NamedTuple):
-    """Nodes for integrals over omega_in, each of shape (n,).
-
-    Attributes
-    ----------
-    theta_half, theta_diff, phi_diff : ndarray
-        Angles of the nodes [rad].
-    azimuth : ndarray
-        Of the half vector, from omega_out [rad]: half the circle stands for all of it.
-    cos_in : ndarray
-        Zero or positive.
-    weight : ndarray
-        Of the integral of ``f cos(theta_in) d omega_in`` [sr].
-    """
+    """Nodes for integrals over omega_in, each of shape (n,); angles in radians."""
 
     theta_half: Array
     theta_diff: Array
     phi_diff: Array
-    azimuth: Array
-    cos_in: Array
-    weight: Array
+    azimuth: Array  # of the half vector, from omega_out: half the circle stands for all of it
+    cos_in: Array  # zero or positive
+    weight: Array  # of the integral of f cos(theta_in) d omega_in [sr]
 
 
 def half_vector_rule(theta_out: float, knots: Array = _SMOOTH, width: float = float(_WIDTHS[-1])) -> HalfVectorRule:
     """Nodes in half vectors for integrals over the hemisphere of omega_in, see the module.
 
-    Parameters
-    ----------
-    theta_out : float
-        Angle to the normal [rad].
-    knots : ndarray, shape (D,), optional
-        Values of theta_diff at which the integrand need not be smooth [rad].
-    width : float, optional
-        Distance of the nodes' panels in theta_half, away from 0 [rad].
-
-    Returns
-    -------
-    HalfVectorRule
+    Their panels in theta_half, away from 0, are a `width` apart; `knots` are as for `directional_albedo` [rad].
     """
     theta_half, weight = _half_angle_rule(theta_out, knots, width)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
@@ -139,14 +100,10 @@ def _half_angle_rule(theta_out: float, knots: Array, width: float) -> tuple[Arra
     return (breaks[:-1, None] + length * place).ravel(), (length * slope * _WEIGHTS).ravel()
 
 
-def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[Indices, Array, Array]:
     """Composite Gauss-Legendre rule in the azimuth of each theta_half, cut at the knots.
 
-    Returns
-    -------
-    row : ndarray of int, shape (panels,)
-        The theta_half to which a panel belongs.
-    phi, weight : ndarray, shape (panels, nodes)
+    Returns the index of the theta_half to which each panel belongs, and azimuths and weights, each (panels, nodes).
     """
     last = last_azimuth(theta_half, theta_out)[:, None]
     across = np.sin(theta_out) * np.sin(theta_half)[:, None]

@@ -19,8 +19,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import check_directions
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
@@ -33,19 +34,8 @@ from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-
-_ARRAYS = (
-    "theta_diff",
-    "amplitude",
-    "kappa",
-    "gamma",
-    "center",
-    "elongation",
-    "shape_theta_diff",
-    "elongation_theta_diff",
-    "delta",
-)
+TEXTS = ("interpolation", "lobe")
+"""Attributes of a model that are texts; the others are arrays."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,6 +82,7 @@ class DSBRDF(ReflectanceModel):
     lobe: str = "hemi_epd"
 
     def __post_init__(self) -> None:
+        arrays = [field.name for field in fields(self) if field.name not in TEXTS]
         defaults: dict[str, Callable[[], Array]] = {
             "center": lambda: np.zeros_like(self.kappa),
             "elongation": lambda: np.zeros((1, self.kappa.shape[-1] if self.kappa.ndim else 0)),
@@ -99,7 +90,7 @@ class DSBRDF(ReflectanceModel):
             "elongation_theta_diff": lambda: np.zeros(1),
             "delta": lambda: np.zeros((3, self.theta_diff.size)),
         }
-        for name in _ARRAYS:
+        for name in arrays:
             value: ArrayLike | None = getattr(self, name)
             try:
                 array = np.array(defaults[name]() if value is None else value, dtype=float)
@@ -107,7 +98,7 @@ class DSBRDF(ReflectanceModel):
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        check_parameters({name: getattr(self, name) for name in _ARRAYS}, self.interpolation, self.lobe)
+        check_parameters({name: getattr(self, name) for name in arrays}, self.interpolation, self.lobe)
 
     @property
     def n_lobes(self) -> int:
@@ -122,7 +113,7 @@ class DSBRDF(ReflectanceModel):
         return int(stored + sum(array.size for array in (self.elongation, self.delta) if array.any()))
 
     @property
-    def is_ring(self) -> NDArray[np.bool_]:
+    def is_ring(self) -> Mask:
         """Lobes whose center is not 0 everywhere, shape (K,)."""
         return np.asarray(np.any(self.center != 0.0, axis=(0, 1)))
 

@@ -9,15 +9,16 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import label
 
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import spherical
 from dsbrdf.data.hdr_image import read_hdr_image
 from dsbrdf.errors import ImageFormatError
 
-Array = NDArray[np.float64]
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""What red, green and blue in linear sRGB count."""
 _WIDEST = 2048  # pixels of a picture; finer ones are averaged
 _BRIGHT = 16.0  # times the mean: brighter spots are taken for distant lights,
 _SMALL = np.radians(5.0) ** 2  # if they are not larger than this [sr]
@@ -26,15 +27,7 @@ _MOST_LIGHTS = 8
 
 @dataclass(frozen=True)
 class Light:
-    """A distant light.
-
-    Attributes
-    ----------
-    direction : tuple of float
-        Unit vector towards the light.
-    irradiance : tuple of float
-        RGB irradiance of a surface that faces the light.
-    """
+    """A distant light: unit vector towards it, and RGB irradiance of a surface that faces it."""
 
     direction: tuple[float, float, float]
     irradiance: tuple[float, float, float]
@@ -42,10 +35,7 @@ class Light:
 
 def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
     """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
-    polar, turn = np.radians((from_view, azimuth))
-    return _as_light(
-        np.array([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)]), np.full(3, irradiance)
-    )
+    return _as_light(spherical(*np.radians((from_view, azimuth))), np.full(3, irradiance))
 
 
 def _as_light(direction: Array, irradiance: Array) -> Light:
@@ -79,17 +69,9 @@ _WINDOW_HALF_SIZE, _WINDOW_EDGE = np.array([0.35, 0.5]), 0.02
 
 
 def environment_radiance(direction: Array) -> Array:
-    """Radiance of the environment without its sun: a sky above a ground, and a window.
+    """Linear RGB radiance (..., 3) of the environment without its sun: a sky above a ground, and a window.
 
-    Parameters
-    ----------
-    direction : ndarray, shape (..., 3)
-        Unit vectors towards the light; y is up.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Linear RGB.
+    The directions (..., 3) are unit vectors towards the light; y is up.
     """
     up = direction[..., 1]
     sky = _HORIZON + (_ZENITH - _HORIZON) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
@@ -140,10 +122,6 @@ class EnvironmentMap:
             the view looks at behind the sphere, so that the sphere mirrors the columns near the left and right edges.
             Small spots brighter than 16 times the mean, such as the sun, are taken out of it as distant lights.
 
-        Returns
-        -------
-        EnvironmentMap
-
         Raises
         ------
         ImageFormatError
@@ -190,10 +168,6 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
     path : path-like
         A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
 
-    Returns
-    -------
-    EnvironmentMap
-
     Raises
     ------
     ImageFormatError
@@ -226,7 +200,7 @@ def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
     height, width, _ = image.shape
     up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
     area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)
-    luminance = image @ _LUMINANCE
+    luminance = image @ LUMINANCE
     level = _BRIGHT * float(np.average(luminance, weights=area))
     spots, count = label(luminance > level)
     if not count:
@@ -244,7 +218,7 @@ def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
         direction = np.stack(
             [np.sin(up[row]) * np.sin(turn[column]), np.cos(up[row]), -np.sin(up[row]) * np.cos(turn[column])]
         )
-        middle = direction @ (share @ _LUMINANCE)
+        middle = direction @ (share @ LUMINANCE)
         lights.append(_as_light(middle / np.linalg.norm(middle), share.sum(axis=0)))
         image[row, column] -= taken
     return image, tuple(lights)

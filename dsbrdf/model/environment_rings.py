@@ -11,19 +11,15 @@ are spread over a map of directions in polar coordinates about the view, and the
 circular correlation of that map with the environment's.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.fft import irfft, rfft
 
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.arrays import Array, Evaluate, Indices
+from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.model.albedo import last_azimuth
-
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 _SPACING = np.radians(3.5)
 """Distance of the nodes in half vectors; with what the environment's widths are, an image agrees with that of finer
@@ -43,45 +39,26 @@ def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
     polar_angles, azimuths = map_shape(size)
     polar = ((np.arange(polar_angles) + shift[0]) * np.pi / (polar_angles - 1))[:, np.newaxis]
     azimuth = (np.arange(azimuths) + shift[1]) * 2.0 * np.pi / azimuths
-    parts = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth]
-    return np.stack(parts, axis=-1)
+    return spherical(polar, azimuth)
 
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentRings:
     """What the image under any environment is made of: R rings, a map of P polar angles by A azimuths.
 
-    Attributes
-    ----------
-    angles : tuple of ndarray, shape (M,)
-        theta_half, theta_diff and phi_diff of all nodes of all rings.
-    spread : tuple of sparse array
-        Weights of the values at the nodes in the maps of some rings each, shape (rings * P * A, nodes); together they
-        have all rings and all nodes, in order.
-    shape : tuple of int
-        P and A.
-    to_pixels : sparse array, shape (N, R * A)
-        Bilinear interpolation from rings to pixels.
+    `spread` has the weights of the values at the M nodes in the maps of some rings each, of shape (rings * P * A,
+    nodes); together they have all rings and all nodes, in order.
     """
 
-    angles: tuple[Array, Array, Array]
+    angles: tuple[Array, Array, Array]  # theta_half, theta_diff and phi_diff of all nodes, (M,) each
     spread: tuple[sparse.csc_array, ...]
-    shape: tuple[int, int]
-    to_pixels: sparse.csr_array
+    shape: tuple[int, int]  # P and A
+    to_pixels: sparse.csr_array  # bilinear interpolation, (N, R * A)
 
     def radiance(self, evaluate: Evaluate, environment: Array) -> Array:
-        """Radiance of the pixels.
+        """Radiance of the pixels (N, 3), from values (M, 3) of the three angles.
 
-        Parameters
-        ----------
-        evaluate : callable
-            Values (M, 3) of the three angles.
-        environment : ndarray, shape (3, P, A)
-            Radiance of the environment at the nodes of the map.
-
-        Returns
-        -------
-        ndarray, shape (N, 3)
+        The environment (3, P, A) is its radiance at the nodes of the map.
         """
         values = evaluate(*self.angles)
         series = rfft(environment, axis=-1)
@@ -101,18 +78,9 @@ class EnvironmentRings:
 
 
 def environment_rings(normals: Array, size: int) -> EnvironmentRings:
-    """Prepare the images of normals on a sphere.
+    """Prepare the images of normals (N, 3), z > 0, one for each pixel of a sphere.
 
-    Parameters
-    ----------
-    normals : ndarray, shape (N, 3)
-        Unit vectors with z > 0, one for each pixel.
-    size : int
-        Pixels along a side of the image: the finer the image, the finer the rings.
-
-    Returns
-    -------
-    EnvironmentRings
+    The larger the image, `size` pixels along a side, the finer the rings.
     """
     shape = map_shape(size)
     tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
@@ -135,7 +103,7 @@ def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:
     return _gathering(cells + ring * shape[0] * shape[1], shares * weight, len(nodes) * shape[0] * shape[1]).T
 
 
-def _gathering(cells: NDArray[np.intp], shares: Array, count: int) -> sparse.csr_array:
+def _gathering(cells: Indices, shares: Array, count: int) -> sparse.csr_array:
     """Matrix (N, count) whose row n sums the ``cells[:, n]`` with their shares."""
     each, points = cells.shape
     starts = np.arange(points + 1) * each
@@ -143,13 +111,10 @@ def _gathering(cells: NDArray[np.intp], shares: Array, count: int) -> sparse.csr
 
 
 def _ring_nodes(tilt: float) -> Array:
-    """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)).
+    """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)), shape (5, nodes).
 
-    Returns
-    -------
-    ndarray, shape (5, nodes)
-        theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which holds the cosine and
-        the solid angle.
+    They are theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which holds the cosine
+    and the solid angle.
     """
     largest = 0.5 * (np.pi / 2 + tilt)  # theta_half at which omega_in is at the horizon for every azimuth
     count = int(np.ceil(2.0 * largest / _SPACING))
@@ -164,9 +129,7 @@ def _ring_nodes(tilt: float) -> Array:
 
     sin_tilt, cos_tilt = np.sin(tilt), np.cos(tilt)
     # In the frame with the normal as z axis and the view in the half plane y = 0, x >= 0.
-    half = np.stack(
-        [np.sin(theta_half) * np.cos(around), np.sin(theta_half) * np.sin(around), np.cos(theta_half)], axis=-1
-    )
+    half = spherical(theta_half, around)
     omega_out = np.array([sin_tilt, 0.0, cos_tilt])
     cos_diff = half @ omega_out
     omega_in = 2.0 * cos_diff[:, np.newaxis] * half - omega_out
@@ -178,7 +141,7 @@ def _ring_nodes(tilt: float) -> Array:
     return np.stack([theta_half, theta_diff, phi_diff, azimuth, weight])
 
 
-def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:
+def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[Indices, Array]:
     """Flat indices and weights of the four neighbours of each point, shapes (4, N); the columns are periodic."""
     low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
     left = np.floor(column).astype(np.intp)

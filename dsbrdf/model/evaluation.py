@@ -12,12 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
-
-Array = NDArray[np.float64]
 
 _FEW = 512  # points that are quicker looked up than sorted
 _BLOCK = 65536  # points sorted at a time
@@ -26,31 +24,18 @@ _LARGEST_TANGENT = 1e15  # of theta_half = pi/2
 
 @dataclass(frozen=True, eq=False)
 class ParameterCurves:
-    """Control values of one group of parameters: log amplitude, shapes or elongation.
+    """Control values of one group of parameters, on the scale that runs as a spline or a line, such as a logarithm."""
 
-    Attributes
-    ----------
-    knots : ndarray, shape (B,)
-    values : ndarray, shape (D, R)
-        In the scale that runs as a spline or a line, such as a logarithm.
-    """
-
-    knots: Array
-    values: Array
+    knots: Array  # (B,)
+    values: Array  # (D, R)
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterPieces:
-    """Parameters as polynomials in theta_diff, for programs that evaluate a model themselves.
+    """Parameters as P polynomials in theta_diff, for programs that evaluate a model themselves.
 
-    Attributes
-    ----------
-    breaks : ndarray, shape (P + 1,)
-        Where the P pieces begin, and where the last one ends [rad]; theta_diff is held between the first and the last.
-    terms : ndarray, shape (4, R, P)
-        Coefficients of ``(theta_diff - break)**3`` to ``**0``.  Rows: amplitude (channel, lobe), kappa, gamma and
-        center (shape, lobe), elongation (lobe).  Amplitude, kappa and gamma are logarithms if the model's
-        interpolation is "spline"; else log1p(amplitude), kappa and gamma.
+    `breaks` (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.  `terms`
+    (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``, in rows as `Evaluator` has them.
     """
 
     breaks: Array
@@ -60,18 +45,9 @@ class ParameterPieces:
 class Evaluator:
     """The lobes of a model, made ready to be evaluated; safe to use from several threads.
 
-    Parameters
-    ----------
-    amplitude, shape, elongation : ParameterCurves
-        Rows: amplitude (channel, lobe); shape kappa (channel, lobe), gamma (channel, lobe), center (channel, lobe);
-        elongation (lobe).  Amplitude, kappa and gamma are logarithms if ``spline``; else log1p(amplitude), kappa and
-        gamma.
-    n_lobes, n_shapes : int
-        K, and C: 1 if the channels share the shapes, 3 if not.
-    is_ring : ndarray of bool, shape (K,)
-        Lobes that have a center.
-    family : str
-    spline : bool
+    Rows of the curves are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation
+    (lobe); amplitude, kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma.  There is one
+    shape if the channels share them, else 3; `is_ring` says which of the K lobes have a center.
     """
 
     def __init__(
@@ -82,7 +58,7 @@ class Evaluator:
         *,
         n_lobes: int,
         n_shapes: int,
-        is_ring: NDArray[np.bool_],
+        is_ring: Mask,
         family: str,
         spline: bool,
     ) -> None:
@@ -177,7 +153,7 @@ class Evaluator:
                 rows = self._natural(_polynomial(terms, steps))
                 result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
-    def _place(self, theta_diff: Array) -> tuple[NDArray[np.intp], Array]:
+    def _place(self, theta_diff: Array) -> tuple[Indices, Array]:
         """Piece of each angle, and the step from where the piece begins."""
         breaks = self._breaks
         held = np.minimum(np.maximum(theta_diff, breaks[0]), breaks[-1])

@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES
-
-Array = NDArray[np.float64]
 
 _ANGLES = ANGLES[:-1:2]  # 0 to 87 degrees; at the horizon itself nothing is seen
 _PAIRS = 4096
@@ -32,7 +31,7 @@ class FurnaceReport:
     albedo : ndarray, shape (n, 3)
         Brightness in the furnace, as a share of the walls', in each channel.
     reciprocity_error : float
-        Largest difference between the values of a pair of directions and of the swapped pair, as a share of the larger.
+        Largest difference between values of swapped directions, as a share of the larger.
     """
 
     theta_out: Array
@@ -60,20 +59,9 @@ class FurnaceReport:
 
 
 def white_furnace(model: DSBRDF) -> FurnaceReport:
-    """Check the energy and the reciprocity of a model.
-
-    Parameters
-    ----------
-    model : DSBRDF
-
-    Returns
-    -------
-    FurnaceReport
-    """
+    """Check the energy and the reciprocity of a model."""
     rng = np.random.default_rng(0)
-    cosine, turn = rng.random((2, _PAIRS)), 2.0 * np.pi * rng.random((2, _PAIRS))
-    sine = np.sqrt(1.0 - cosine**2)
-    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    first, second = random_directions(rng, rng.random((2, _PAIRS)))
     values, swapped = model.evaluate_directions(first, second), model.evaluate_directions(second, first)
     scale = np.maximum(np.maximum(values, swapped), np.finfo(float).tiny)
     error = float(np.max(np.abs(values - swapped) / scale))

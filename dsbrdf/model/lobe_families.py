@@ -5,12 +5,11 @@ A family has a name and a row in `FAMILIES`; `dsbrdf.model.lobes` has the formul
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dsbrdf.arrays import Array
 
 Family = Literal["hemi_epd", "student"]
 """Names of the families."""
@@ -21,26 +20,28 @@ _STEEPEST_TANGENT = 1e12
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
 
 
+class SeriesMath(NamedTuple):
+    """Functions on numbers of another program."""
+
+    exp: Callable[[Any], Any]
+    expm1: Callable[[Any], Any]
+    log1p: Callable[[Any], Any]
+
+
 @dataclass(frozen=True)
 class LobeFamily:
     """Functions of one family.
 
-    Attributes
-    ----------
-    fall_to_half, slope_of_fall : callable
-        Of kappa: gamma times the reach at half the height, and the derivative of its logarithm in log kappa.
-    reach, squared_tangent : callable
-        What gamma is multiplied by at an offset with this squared tangent, and its inverse.
-    slope_of_width : callable
-        Of a reach and the tangent of the offset there: the derivative of the offset in log reach [rad].
-    values : callable
-        Of tan(theta')**2, kappa, gamma and the center, if there is one: the lobe of height 1.
-    derivatives : callable
-        Of the same, the tangent of the offset and the negative part of the center: the value, and its derivatives in
-        log kappa, log gamma, the offset (without a center tan(theta')**2) and the negative center.
-    glsl : str
-        Statements that return a lobe of height 1, of ``squared`` and ``top_squared``, the squared tangents of the
-        offset and of the negative part of the center, and of ``kappa`` and ``gamma``.
+    `fall_to_half` is gamma times the reach at half the height, and `slope_of_fall` the derivative of its logarithm,
+    both of kappa and the latter in log kappa.  `reach` is what gamma is multiplied by at an offset with a squared
+    tangent, and `squared_tangent` its inverse; `slope_of_width` is the derivative of the offset in log reach [rad], of
+    a reach and the tangent there.  `values` are those of lobes of height 1, of tan(theta')**2, kappa, gamma and the
+    center, if there is one.  `derivatives`, of the same, the tangent of the offset and the negative part of the center,
+    are the value and its derivatives in log kappa, log gamma, the offset (without a center tan(theta')**2) and the
+    negative center.
+
+    `glsl` are statements that return a lobe of height 1, of ``squared`` and ``top_squared``, the squared tangents of
+    the offset and of the negative part of the center, and of ``kappa`` and ``gamma``.
     """
 
     fall_to_half: Callable[[Array], Array]
@@ -51,6 +52,7 @@ class LobeFamily:
     values: Callable[[Array, Array, Array, Array | None], Array]
     derivatives: Callable[[Array, Array, Array, Array | None, Array | None, Array], tuple[Array, ...]]
     glsl: str
+    value_of_squares: Callable[[SeriesMath, Any, Any, Any, Any], Any]
 
 
 def tangent_of_offset(squared_tangent: Array, center: Array, largest: float = LARGEST_TANGENT) -> Array:
@@ -135,6 +137,13 @@ _HEMI_EPD_GLSL = """\
 """
 
 
+def _hemi_epd_value_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
+    log_cos, log_cos_top = -0.5 * math.log1p(squared), -0.5 * math.log1p(top_squared)
+    top, log_ratio = kappa * math.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
+    # expm1(top * ratio) / expm1(top), without overflow.
+    return math.exp(top * math.expm1(log_ratio)) * math.expm1(-top * math.exp(log_ratio)) / math.expm1(-top)
+
+
 def _student_fall_to_half(kappa: Array) -> Array:
     return np.expm1(np.log(2.0) / kappa)
 
@@ -186,6 +195,11 @@ _STUDENT_GLSL = """\
   return exp(-kappa * (dsbrdf_log1p(gamma * squared) - dsbrdf_log1p(gamma * top_squared)));
 """
 
+
+def _student_value_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
+    return math.exp(-kappa * (math.log1p(gamma * squared) - math.log1p(gamma * top_squared)))
+
+
 FAMILIES: dict[str, LobeFamily] = {
     "hemi_epd": LobeFamily(
         _hemi_epd_fall_to_half,
@@ -196,6 +210,7 @@ FAMILIES: dict[str, LobeFamily] = {
         _hemi_epd_values,
         _hemi_epd_derivatives,
         _HEMI_EPD_GLSL,
+        _hemi_epd_value_of_squares,
     ),
     "student": LobeFamily(
         _student_fall_to_half,
@@ -206,6 +221,7 @@ FAMILIES: dict[str, LobeFamily] = {
         _student_values,
         _student_derivatives,
         _STUDENT_GLSL,
+        _student_value_of_squares,
     ),
 }
 """Known lobes."""

@@ -29,11 +29,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_TANGENT, tangent_of_offset
-
-Array = NDArray[np.float64]
 
 GRAZING_COSINE = 0.08
 """The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
@@ -48,23 +46,13 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LobeDerivatives:
-    """A lobe of height 1 and its derivatives, arrays of one shape.
-
-    Attributes
-    ----------
-    value : ndarray
-    by_log_kappa, by_log_gamma : ndarray
-    by_center : ndarray
-        Per radian; 0 where no center was given.
-    by_squared_tangent : ndarray
-        Derivative in tan(theta')**2.
-    """
+    """A lobe of height 1 and its derivatives, arrays of one shape."""
 
     value: Array
     by_log_kappa: Array
     by_log_gamma: Array
-    by_center: Array
-    by_squared_tangent: Array
+    by_center: Array  # per radian; 0 where no center was given
+    by_squared_tangent: Array  # in tan(theta')**2
 
 
 def log_cosine(theta_diff: Array) -> Array:
@@ -101,15 +89,7 @@ def width_of_reach(reach: Array, family: str) -> Array:
 def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elongation: Array) -> Stretch:
     """Stretch theta_half along and across the plane of incidence.
 
-    Parameters
-    ----------
-    squared_tangent : ndarray
-        ``tan(theta_half)**2``.
-    cos2_phi : ndarray
-        ``cos(phi_diff)**2``.
-    log_cos_diff : ndarray
-        As `log_cosine` gives it.
-    elongation : ndarray
+    The arguments are ``tan(theta_half)**2``, ``cos(phi_diff)**2``, what `log_cosine` gives, and the elongation.
     """
     along = cos2_phi * np.exp(-elongation * log_cos_diff)
     across = (1.0 - cos2_phi) * np.exp(elongation * log_cos_diff)
@@ -117,18 +97,9 @@ def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elonga
 
 
 def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str) -> Array:
-    """Values of lobes of height 1.
+    """Values of lobes of height 1, of one of `dsbrdf.model.lobe_families.FAMILIES`.
 
-    Parameters
-    ----------
-    squared_tangent : ndarray
-        ``tan(theta')**2``.
-    kappa, gamma : ndarray
-        Positive.
-    center : ndarray or None
-        Angle of the ring [rad]; None for lobes about the normal.
-    family : str
-        One of `dsbrdf.model.lobe_families.FAMILIES`.
+    The arguments are ``tan(theta')**2``, kappa and gamma, both positive, and the center [rad], None about the normal.
     """
     return FAMILIES[family].values(squared_tangent, kappa, gamma, center)
 
@@ -136,10 +107,7 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
 def lobe_derivatives(
     squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
 ) -> LobeDerivatives:
-    """Values and derivatives of lobes of height 1.
-
-    Parameters are those of `lobe_values`.
-    """
+    """Values and derivatives of lobes of height 1, of the arguments of `lobe_values`."""
     tangent = None if center is None else tangent_of_offset(squared_tangent, center)
     negative = np.zeros(()) if center is None else np.minimum(center, 0.0)
     found = FAMILIES[family].derivatives(squared_tangent, kappa, gamma, center, tangent, negative)

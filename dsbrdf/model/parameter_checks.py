@@ -3,13 +3,11 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
-
-Array = NDArray[np.float64]
 
 INTERPOLATIONS = ("linear", "spline")
 """How parameters run between knots, see `DSBRDF`."""
@@ -18,18 +16,9 @@ _LARGEST_ELONGATION = 10.0
 
 
 def check_parameters(arrays: Mapping[str, Array], interpolation: str, lobe: str) -> None:
-    """Check all attributes of a model.
+    """Check all attributes of a model: the arrays by their names, and the names of interpolation and lobe.
 
-    Parameters
-    ----------
-    arrays : mapping of str to ndarray
-        The attributes that are arrays, by their names.
-    interpolation, lobe : str
-
-    Raises
-    ------
-    InvalidArgumentError
-        If shapes disagree, a number is not finite or a parameter is out of range.
+    Raises InvalidArgumentError if shapes disagree, a number is not finite or a parameter is out of range.
     """
     if interpolation not in INTERPOLATIONS:
         raise InvalidArgumentError(f"interpolation must be one of {', '.join(INTERPOLATIONS)}, not {interpolation!r}")

@@ -6,13 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import check_directions, half_difference, incident_cosines
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
-
-Array = NDArray[np.float64]
 
 _HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
 
@@ -101,11 +100,9 @@ class ReflectanceModel(ABC):
         no marker there.
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
-        # The model is the same at phi_diff and pi - phi_diff: a quarter turn is enough.
-        quarter = PHI_DIFF.size // 2 + 1
-        for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:quarter])):
-            grid[:, row, :, :quarter] = values
-            grid[:, row, :, quarter:] = values[:, :, -2:0:-1]
+        for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:QUARTER])):
+            grid[:, row, :, :QUARTER] = values
+            grid[:, row, :, QUARTER:] = values[:, :, -2:0:-1]
         return grid
 
 

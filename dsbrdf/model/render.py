@@ -12,38 +12,26 @@ Where f is needed depends on the lighting and the size only.  It is found once, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from dsbrdf.arrays import Array, Evaluate, Indices, Mask
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, environment_radiance
 from dsbrdf.model.environment_rings import EnvironmentRings, environment_rings, map_directions, map_shape
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
-
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 LIGHTINGS = ("three_lights", "environment")
 SIZES = (8, 1024)
 """Smallest and largest number of pixels along a side."""
 _VIEW = np.array([0.0, 0.0, 1.0])
 _PIXELS_AT_NODE = 4  # of a panorama, at most, for each node of the map of directions and axis
-
-
-class Reflectance(Protocol):
-    """Anything that gives RGB values of the three angles, such as `dsbrdf.DSBRDF`."""
-
-    def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values in 1/sr, shape (..., 3), of angles in radians."""
-        ...
 
 
 Source = Measurement | Reflectance | Evaluate
@@ -95,20 +83,10 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
 
 
 def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
-    """PSNR [dB] and SSIM of two lit spheres as a screen shows them.
+    """PSNR [dB] and SSIM of two lit spheres of `render_sphere` as a screen shows them; PSNR is infinite for equal ones.
 
     Both get the exposure that takes the 99th percentile of the reference's sphere to 1, are clipped to [0, 1] and get
     the sRGB curve.  Only the sphere's pixels count; see `dsbrdf.model.image_metrics`.
-
-    Parameters
-    ----------
-    reference, image : ndarray, shape (size, size, 3)
-        Pictures by `render_sphere`, as a rule of the measurement and of a fit.
-
-    Returns
-    -------
-    psnr, ssim : float
-        The PSNR of equal pictures is infinite.
     """
     _, mask = sphere_normals(len(reference))
     factor = exposure(reference, mask)
@@ -117,7 +95,7 @@ def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=8)
-def sphere_normals(size: int) -> tuple[Array, NDArray[np.bool_]]:
+def sphere_normals(size: int) -> tuple[Array, Mask]:
     """Normals of the sphere's N pixels, shape (N, 3), row by row, and which pixels these are, shape (size, size)."""
     across = (np.arange(size) + 0.5) * 2.0 / size - 1.0
     x, y = np.meshgrid(across, -across)
@@ -140,7 +118,7 @@ def _evaluator(source: Source) -> Evaluate:
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
-    """Pixels that lights reach: ``gather[channel]`` sums the values at the points to the N pixels."""
+    """N pixels under distant lights: ``gather[channel]`` adds the values at the points to the pixels."""
 
     angles: tuple[Array, Array, Array]
     gather: tuple[sparse.csr_array, ...]
@@ -162,7 +140,7 @@ def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
     return _Lit((angles[0], angles[1], angles[2]), tuple(gather))
 
 
-def _light_angles(normals: Array, light: Light) -> tuple[NDArray[np.intp], Array, Array]:
+def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     """Pixels that a light reaches (n,), their three angles (3, n) and the irradiance that they receive (n, 3).
 
     Light and view are the same everywhere, and so are their half vector and theta_diff.  What is left are the polar

@@ -23,18 +23,14 @@ The mixtures are tabulated at `ANGLES`; a direction takes the nearest one, in `s
 agree to rounding.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Evaluate, Indices
+from dsbrdf.data.geometry import spherical
 from dsbrdf.model.albedo import half_vector_rule
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
@@ -70,19 +66,11 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DirectionSampler:
-    """The mixture of densities at the N angles of `ANGLES`; made by `direction_sampler`.
+    """The mixture of M densities beside the cosine at the N angles of `ANGLES`; made by `direction_sampler`."""
 
-    Attributes
-    ----------
-    along, across : ndarray, shape (N, M)
-        Roughnesses of the visible normals.
-    cumulative : ndarray, shape (N, M + 1)
-        Running sum of the shares of the visible normals and of the cosine.
-    """
-
-    along: Array
-    across: Array
-    cumulative: Array
+    along: Array  # roughness of the visible normals, (N, M)
+    across: Array  # the same at right angles
+    cumulative: Array  # running sum of the shares, (N, M + 1), the cosine's last
 
     def sample(self, omega_out: Array, rng: np.random.Generator) -> Array:
         """Draw a direction omega_in for each omega_out, both of shape (n, 3)."""
@@ -112,17 +100,7 @@ class DirectionSampler:
 
 
 def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
-    """Tabulate the mixture for a model.
-
-    Parameters
-    ----------
-    evaluate : callable
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (n, 3)`` [1/sr] for angles (n,).
-
-    Returns
-    -------
-    DirectionSampler
-    """
+    """Tabulate the mixture for the values of a model."""
     along, across = np.ones((2, ANGLES.size, _N_PARTS))
     share = np.zeros((ANGLES.size, _N_PARTS + 1))
     for row, theta_out in enumerate(ANGLES):
@@ -138,9 +116,7 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
     rule = half_vector_rule(theta_out)
     used = rule.cos_in > 0.0
     theta_half, azimuth, cos_in = rule.theta_half[used], rule.azimuth[used], rule.cos_in[used]
-    sin_half = np.sin(theta_half)
-    half = np.stack([sin_half * np.cos(azimuth), sin_half * np.sin(azimuth), np.cos(theta_half)], axis=-1)
-    omega_out = np.array([[np.sin(theta_out), 0.0, np.cos(theta_out)]])
+    half, omega_out = spherical(theta_half, azimuth), spherical([theta_out], 0.0)
     omega_in = 2.0 * (half @ omega_out[0])[:, None] * half - omega_out
     densities = np.empty((len(_CANDIDATES) + 1, cos_in.size))
     for density, (along, across) in zip(densities[:-1], _CANDIDATES, strict=True):

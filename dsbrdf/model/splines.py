@@ -6,9 +6,8 @@ single knot makes a constant.  `linear` interpolation, the paper's, has its valu
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dsbrdf.arrays import Array
 
 DEGREE = 3
 
@@ -24,19 +23,9 @@ def knot_vector(knots: Array) -> Array:
 
 
 def spline_basis(knots: Array, theta_diff: Array) -> Array:
-    """Weights of the control values in the spline's value at each theta_diff.
+    """Weights (R, D) of the control values in the spline's value at each theta_diff (R,), for knots (B,) [rad].
 
-    Parameters
-    ----------
-    knots : ndarray, shape (B,)
-        Increasing [rad].
-    theta_diff : ndarray, shape (R,)
-        Held at the first and the last knot beyond them [rad].
-
-    Returns
-    -------
-    ndarray, shape (R, D)
-        Non-negative; each row adds up to 1.
+    They are not negative, and each row adds up to 1; theta_diff is held at the first and the last knot.
     """
     if knots.size == 1:
         return np.ones((theta_diff.size, 1))
@@ -45,20 +34,10 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
 
 
 def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
-    """Coefficients of a spline on pieces that begin at the breaks.
+    """Coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
 
-    Parameters
-    ----------
-    knots : ndarray, shape (B,)
-    values : ndarray, shape (D, R)
-        Control values of R splines.
-    breaks : ndarray, shape (P,)
-        Increasing, all knots among them; the last one ends the last piece.
-
-    Returns
-    -------
-    ndarray, shape (4, P - 1, R)
-        Coefficients of (theta_diff - break)**3 to **0; constant beyond the spline's own knots.
+    They are those of R splines with control values (D, R) on knots (B,), all of which are among the breaks; the last
+    break ends the last piece.  Beyond its own knots a spline is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:

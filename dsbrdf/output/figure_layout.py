@@ -1,23 +1,29 @@
-"""How figures are laid out: rows of panels that stand below each other, with one style of ticks and legends.
+"""How figures are laid out, and what they draw of a model: its components, each with its own lobe, or its lobes.
 
-Ticks are a few round numbers, written out, on linear and on logarithmic axes.
+Rows of panels stand below each other, with one style of ticks and legends.  Ticks are a few round numbers, written out,
+on linear and on logarithmic axes.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from dsbrdf.arrays import Array
 from dsbrdf.extras import require
+from dsbrdf.fitting.decomposition import LABELS, decompose
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import half_width
+from dsbrdf.model.reflectance import ReflectanceModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase, SubFigure
-    from numpy.typing import NDArray
 
 PAIR_WIDTH, ROW_HEIGHT, SPHERES_HEIGHT = 5.5, 3.4, 2.5  # of two panels, and of a row of them, in inches
 _TITLE, _ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.4, 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
@@ -100,7 +106,7 @@ def set_ticks(ax: Axes) -> None:
     ax.tick_params(labelsize=8)
 
 
-def log_ticks(low: float, high: float) -> NDArray[np.float64]:
+def log_ticks(low: float, high: float) -> Array:
     """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
     decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
     for mantissas in _MANTISSAS:
@@ -109,3 +115,50 @@ def log_ticks(low: float, high: float) -> NDArray[np.float64]:
         if ticks.size <= _MOST:
             return ticks
     return ticks[:: -(-ticks.size // _MOST)]
+
+
+COMPONENT_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
+LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
+
+
+@dataclass(frozen=True)
+class FigurePart:
+    """A curve of one part of a model; one without a label is thin and not named in the legend."""
+
+    source: ReflectanceModel
+    colour: str  # as Matplotlib has it
+    style: str  # as Matplotlib has it
+    label: str = ""
+
+
+def component_parts(model: DSBRDF) -> list[FigurePart]:
+    """Components of a model, and below each, dashed, its own lobe."""
+    parts = []
+    for component in decompose(model):
+        colour = COMPONENT_COLOURS[component.label]
+        width = f"half width {np.degrees(component.half_width):.2g}°"
+        parts += [
+            FigurePart(component.lobe, colour, "--"),
+            FigurePart(component, colour, "-", f"{component.label.replace('_', ' ')}, {width}"),
+        ]
+    return parts
+
+
+def lobe_parts(model: DSBRDF, channel: int) -> list[FigurePart]:
+    """The lobes of a model, rings and cusps dashed, with their width at theta_diff = 0, and the delta term."""
+    at = model.parameters_at(0.0)
+    kappa, gamma, center = (
+        at[name][channel if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
+    )
+    widths, centers = np.degrees(half_width(kappa, gamma, model.lobe)), np.degrees(center)
+    parts = []
+    for lobe, is_ring in enumerate(model.is_ring):
+        name = f"lobe {lobe}"
+        if is_ring:
+            name = f"cusp {lobe}" if centers[lobe] < 0.0 else f"ring lobe {lobe} at {centers[lobe]:.2g}°"
+        label = f"{name}, half width {widths[lobe]:.2g}°"
+        colour = LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
+        parts.append(FigurePart(model.select((lobe,), with_delta=False), colour, "--" if is_ring else "-", label))
+    if model.delta.any():
+        parts.append(FigurePart(model.select((), with_delta=True), LOBE_COLOURS[-1], ":", "delta term"))
+    return parts

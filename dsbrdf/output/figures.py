@@ -19,12 +19,20 @@ from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.figure_layout import ROW_HEIGHT, SPHERES_HEIGHT, figure_of_rows, finish_row, panel_pairs, set_ticks
-from dsbrdf.output.figure_parts import component_parts, lobe_parts
+from dsbrdf.output.figure_layout import (
+    ROW_HEIGHT,
+    SPHERES_HEIGHT,
+    component_parts,
+    figure_of_rows,
+    finish_row,
+    lobe_parts,
+    panel_pairs,
+    set_ticks,
+)
 from dsbrdf.output.sphere_panels import draw_panels
 
 if TYPE_CHECKING:
@@ -35,8 +43,6 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
     from dsbrdf.output.sphere_panels import SphereComparison
-
-Array = NDArray[np.float64]
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """The slices that are drawn by default [rad]."""
@@ -51,28 +57,7 @@ _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at 
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
-    """Measured profiles (squares) and the fit (lines) of all channels (Nishino 2009, Figure 1, row a).
-
-    Parameters
-    ----------
-    profiles : Profiles
-        The measurement, averaged over phi_diff; the model's curves are averaged over the same directions.
-    model : DSBRDF
-        The fit.
-    theta_diff : sequence of float, optional
-        The slices [rad]; each is drawn at the nearest row of the measurement.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is no theta_diff, or one outside of 0..pi/2.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Row (a) of `overview_figure` alone."""
     rows = _nearest_rows(theta_diff)
     figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT])
     _profiles_row(row, profiles, model, rows)
@@ -87,28 +72,7 @@ def lobes_figure(
     channel: str = "red",
     model_lobes: bool = False,
 ) -> Figure:
-    """Components with their own lobes, or the model's lobes, and their sum (Nishino 2009, Figure 1, row b).
-
-    Parameters
-    ----------
-    profiles, model, theta_diff
-        As for `profiles_figure`.
-    channel : {"red", "green", "blue"}, optional
-        The colour channel; the paper shows one at a time too.
-    model_lobes : bool, optional
-        Whether to draw the lobes of the model instead of its components.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidArgumentError
-        As `profiles_figure`, and if the channel is unknown.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Row (b) of `overview_figure` alone."""
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
     what = _parts_name(model_lobes)
     figure, (row,) = figure_of_rows(f"{profiles.name}: {what}, {channel} channel", len(rows), [ROW_HEIGHT])
@@ -125,23 +89,29 @@ def overview_figure(
     model_lobes: bool = False,
     spheres: SphereComparison | None = None,
 ) -> Figure:
-    """Both rows of Nishino 2009, Figure 1: profiles with the fit, components in one channel; then lit spheres.
+    """Both rows of Nishino 2009, Figure 1, and lit spheres.
 
     Parameters
     ----------
-    profiles, model, theta_diff, channel, model_lobes
-        As for `lobes_figure`.
+    profiles : Profiles
+        The measurement, averaged over phi_diff; the model's curves are averaged over the same directions.
+    model : DSBRDF
+        The fit; row (a) compares it with the measurement in all channels.
+    theta_diff : sequence of float, optional
+        The slices [rad]; each is drawn at the nearest row of the measurement.
+    channel : {"red", "green", "blue"}, optional
+        Of row (b), which shows the components with their own lobes, and their sum.
+    model_lobes : bool, optional
+        Whether row (b) shows the lobes of the model instead.
     spheres : SphereComparison, optional
         What to draw in a third row.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-
     Raises
     ------
-    InvalidArgumentError, MissingExtraError
-        As `lobes_figure`.
+    InvalidArgumentError
+        If there is no theta_diff, or one outside of 0..pi/2, or the channel is unknown.
+    MissingExtraError
+        If Matplotlib is not installed.
     """
     rows, index = _nearest_rows(theta_diff), _channel_index(channel)
     heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, SPHERES_HEIGHT]
@@ -158,25 +128,9 @@ def overview_figure(
 
 
 def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
-    """Return the content of an image file with a figure.
+    """Return the content of an image file, one of `IMAGE_FORMATS`, with a figure; `dpi` is the resolution of a png.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        From one of the functions above.
-    image_format : {"png", "svg", "pdf"}, optional
-        The format of the file.
-    dpi : float, optional
-        Resolution of a png, in dots per inch.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the format is unknown.
+    Raises InvalidArgumentError if the format is unknown.
     """
     if image_format not in IMAGE_FORMATS:
         raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
@@ -226,25 +180,11 @@ def _parts_row(
 def slice_means(
     model: ReflectanceModel, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES
 ) -> Array:
-    """Return a model's mean over the phi_diff that count in profiles, in one slice of theta_diff.
+    """Return a model's means (n, 3) [1/sr] over the phi_diff that count in profiles, at angles theta_half (n,) [rad].
 
-    Both cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some
-    phi_diff and 90 degrees, and their mirror images.
-
-    Parameters
-    ----------
-    model : ReflectanceModel
-    row : int
-        Of the measurement's theta_diff.
-    horizon_cutoff : float or None
-        Of the profiles [rad].
-    theta_half : ndarray, shape (n,), optional
-        Where to evaluate [rad].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Means [1/sr].
+    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad].  Both
+    cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some phi_diff and
+    90 degrees, and their mirror images.
     """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])

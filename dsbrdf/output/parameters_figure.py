@@ -8,8 +8,14 @@ import numpy as np
 
 from dsbrdf.fitting.decomposition import LobeParameters, decompose
 from dsbrdf.model.lobes import half_width
-from dsbrdf.output.figure_layout import ROW_HEIGHT, draw_legend, empty_figure, set_ticks
-from dsbrdf.output.figure_parts import COMPONENT_COLOURS, LOBE_COLOURS
+from dsbrdf.output.figure_layout import (
+    COMPONENT_COLOURS,
+    LOBE_COLOURS,
+    ROW_HEIGHT,
+    draw_legend,
+    empty_figure,
+    set_ticks,
+)
 from dsbrdf.output.figures import CHANNEL_COLOURS
 
 if TYPE_CHECKING:
@@ -25,23 +31,8 @@ _STYLES = ("-", "--", "-.", ":")
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
     """Height in red, green and blue, half width, tail and elongation over theta_diff: the components' own lobes.
 
-    Parameters
-    ----------
-    model : DSBRDF
-    title : str, optional
-        Such as the name of the material.
-    model_lobes : bool, optional
-        Whether to draw the lobes of the model instead: with kappa as the tail, and the green channel's shape where
-        each channel has its own.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    With `model_lobes`, those of the model instead, with kappa as the tail, and the green channel's shape where each
+    channel has its own.  The title is such as the name of the material.
     """
     figure = empty_figure(title, 2, height=1.7 * ROW_HEIGHT)
     heights, widths, tails, elongations = figure.subplots(2, 2).flat

@@ -12,14 +12,12 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
 
-TEXTS = ("interpolation", "lobe")
-"""Attributes of a model that are texts."""
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 """Attributes of a model that are arrays."""
 
@@ -33,10 +31,8 @@ def model_to_dict(model: DSBRDF) -> dict[str, Any]:
 def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
     """Return the model of nested lists or arrays; the inverse of `model_to_dict`.
 
-    Raises
-    ------
-    ModelFormatError
-        If a key is missing or unknown, or a value has the wrong shape, is not finite or out of range.
+    Raises ModelFormatError if a key is missing or unknown, or a value has the wrong shape, is not finite or out of
+    range.
     """
     _check_keys("model", content, (*ARRAYS, *TEXTS))
     parameters: dict[str, Any] = {name: _numbers(name, content[name]) for name in ARRAYS}
@@ -53,10 +49,7 @@ def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
 def report_from_dict(content: Mapping[str, Any]) -> FitReport:
     """Return the report of dicts and lists; the inverse of `FitReport.to_dict`.
 
-    Raises
-    ------
-    ModelFormatError
-        If a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
+    Raises ModelFormatError if a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
     """
     try:
         report: FitReport = _typed(FitReport, content, "report")
@@ -105,7 +98,7 @@ def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind)
 
 
-def _numbers(name: str, value: Any) -> NDArray[np.float64]:
+def _numbers(name: str, value: Any) -> Array:
     try:
         array = np.asarray(value)
     except ValueError:

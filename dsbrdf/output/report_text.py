@@ -31,8 +31,7 @@ _VERDICTS = (
     (45.0, "hardly to be told apart"),
     (38.0, "very close"),
     (32.0, "close"),
-    (26.0, "alike"),
-    (0.0, "far off"),
+    (26.0, "visibly different"),
 )
 _NO_COMPONENTS = "The model has no light, and so no components."
 
@@ -194,8 +193,12 @@ def verdict(metrics: Metrics) -> str:
     """Return in words how close a fit is, with the number that says so: ``very close (38.4 dB)``."""
     if metrics.psnr is None:
         return "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
-    words = next(words for least, words in _VERDICTS if metrics.psnr >= least or least == 0.0)
-    return f"{words} ({metrics.psnr:.1f} dB)"
+    return f"{likeness(metrics.psnr)} ({metrics.psnr:.1f} dB)"
+
+
+def likeness(psnr: float) -> str:
+    """Return in words how alike the lit spheres of a measurement and its fit are, with this PSNR [dB]."""
+    return next((words for least, words in _VERDICTS if psnr >= least), "strongly different")
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
@@ -232,3 +235,42 @@ def component_document(component: Component) -> dict[str, Any]:
         "half_width_deg": float(np.degrees(component.half_width)),
         "clarity": component.clarity,
     }
+
+
+_THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
+_COLUMNS = (
+    "lobe",
+    "channel",
+    "theta_diff_deg",
+    "amplitude",
+    "kappa",
+    "gamma",
+    "center_deg",
+    "elongation",
+    "half_width_deg",
+)
+
+
+def parameters_csv(model: DSBRDF) -> str:
+    """Return a table of names and of one row for each lobe, channel and theta_diff, in steps of 5 degrees.
+
+    The amplitude is in 1/sr, the half width is counted from the center.
+    """
+    found = model.parameters_at(_THETA_DIFF)
+    widths = np.degrees(half_width(found["kappa"], found["gamma"], model.lobe))
+    lines = [",".join(_COLUMNS)]
+    for lobe in range(model.n_lobes):
+        for column, channel in enumerate(CHANNELS):
+            shape = column if found["kappa"].shape[1] == len(CHANNELS) else 0
+            table = (
+                np.degrees(_THETA_DIFF),
+                found["amplitude"][:, column, lobe],
+                found["kappa"][:, shape, lobe],
+                found["gamma"][:, shape, lobe],
+                np.degrees(found["center"][:, shape, lobe]),
+                found["elongation"][:, lobe],
+                widths[:, shape, lobe],
+            )
+            lead = f"{lobe},{channel},"
+            lines += [lead + ",".join(f"{value:.9g}" for value in row) for row in np.stack(table, axis=1).tolist()]
+    return "\n".join(lines) + "\n"

@@ -23,23 +23,7 @@ _TICKS = (0, 5, 20, 45, 90)  # degrees
 def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Relative difference of fit and measurement, means over phi_diff, for each channel, theta_half and theta_diff.
 
-    Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
-
-    Parameters
-    ----------
-    profiles : Profiles
-        The measurement, averaged over phi_diff; the model is averaged over the same directions.
-    model : DSBRDF
-        The fit.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    Where there is no measurement, the figure is grey.  The axis of theta_half is that of the grid, dense at the peak.
     """
     figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])

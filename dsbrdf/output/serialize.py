@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.atomic_write import write_atomically
+from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.decomposition import LABELS, Decomposition
 from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.plain_content import ARRAYS, TEXTS, model_from_dict, model_to_dict, report_from_dict
+from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
+from dsbrdf.output.plain_content import ARRAYS, model_from_dict, model_to_dict, report_from_dict
 
 FORMAT = "dsbrdf"
 VERSION = 2
@@ -62,10 +62,6 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
     path : path-like
         The file; its suffix determines the format.
 
-    Returns
-    -------
-    DSBRDF
-
     Raises
     ------
     ModelFormatError
@@ -85,10 +81,6 @@ def load_result(path: str | os.PathLike[str]) -> FitResult:
     ----------
     path : path-like
         The file; its suffix determines the format.
-
-    Returns
-    -------
-    FitResult
 
     Raises
     ------
@@ -119,23 +111,10 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    Parameters
-    ----------
-    model : DSBRDF
-    report : FitReport, optional
-    components : Decomposition, optional
-        Of the model, so that they need not be found again; `decomposition_from_json` reads them.
-
-    Returns
-    -------
-    str
-        ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``; with components also
-        ``"components": {"labels": [...], "guide": {...}}``.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the report has a value that JSON cannot store, such as NaN.
+    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``.  With components, so that
+    they need not be found again, it has ``"components": {"labels": [...], "guide": {...}}``, which
+    `decomposition_from_json` reads.  Raises InvalidArgumentError if the report has a value that JSON cannot store, such
+    as NaN.
     """
     document = {
         "format": FORMAT,
@@ -151,10 +130,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
 def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
     """Return the model and the report, if any, of a JSON text; the inverse of `to_json`.
 
-    Raises
-    ------
-    ModelFormatError
-        If the text is damaged, of another kind, or of another version.
+    Raises ModelFormatError if the text is damaged, of another kind, or of another version.
     """
     document = _parse(text)
     if not isinstance(document, dict):
@@ -170,10 +146,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 def decomposition_from_json(text: str) -> Decomposition:
     """Return a model and its components, which `to_json` was given.
 
-    Raises
-    ------
-    ModelFormatError
-        As `from_json`, and if there are no components in the text, or not as many as the guide has lobes.
+    Raises ModelFormatError as `from_json`, and if there are not as many components in the text as the guide has lobes.
     """
     model, _ = from_json(text)
     match _parse(text).get("components"):
@@ -190,14 +163,9 @@ def result_from_json(text: str) -> FitResult:
 
 
 def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
-    """Return a model and its report as the bytes of a NumPy ``.npz`` file.
+    """Return a model and its report as the bytes of a NumPy ``.npz`` file; errors are those of `to_json`.
 
-    The arrays have the names of the model's attributes; the report is a JSON text. Nothing is pickled.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the report has a value that JSON cannot store, such as NaN.
+    The arrays have the names of the model's attributes; the report is a JSON text.  Nothing is pickled.
     """
     buffer = io.BytesIO()
     np.savez(
@@ -213,13 +181,7 @@ def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
 
 
 def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
-    """Return the model and the report, if any, of the bytes of an ``.npz`` file; the inverse of `to_npz`.
-
-    Raises
-    ------
-    ModelFormatError
-        If the bytes are damaged, of another kind, or of another version.
-    """
+    """Return the model and the report, if any, of the bytes of an ``.npz`` file; errors are those of `from_json`."""
     stored = _unpack(data)
     _check_version(_scalar(stored.get("format")), _scalar(stored.get("version")))
     if "report" not in stored:

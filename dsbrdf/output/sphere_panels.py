@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -24,8 +24,6 @@ from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
-
-Array = NDArray[np.float64]
 
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
@@ -38,18 +36,12 @@ _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 class SphereComparison:
     """Lit spheres of a measurement and its fit.
 
-    Attributes
-    ----------
-    panels : dict of ndarray, shape (size, size, 3)
-        By title, as a screen shows them: measured, fit, difference, each component that the fit has.
-    exposure : float
-        What radiance was multiplied by.
-    psnr, ssim : float
-        Likeness of measured and fit, see `dsbrdf.model.render.sphere_likeness`.
+    `panels` has by title what a screen shows: measured, fit, difference, each component that the fit has.  PSNR and
+    SSIM are those of `dsbrdf.model.render.sphere_likeness`.
     """
 
-    panels: dict[str, Array]
-    exposure: float
+    panels: dict[str, Array]  # (size, size, 3) each
+    exposure: float  # what radiance was multiplied by
     psnr: float
     ssim: float
 
@@ -70,18 +62,8 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or another model, beside a fit.
 
-    Parameters
-    ----------
-    measured : Measurement or DSBRDF
-    fit : DSBRDF
-    lighting, size
-        As for `dsbrdf.render_sphere`.
-    factor : float, optional
-        Exposure; by default that of the measured sphere.
-
-    Returns
-    -------
-    SphereComparison
+    Lighting and size are as for `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured
+    sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
@@ -100,18 +82,10 @@ def side_by_side(panels: Mapping[str, Array]) -> Array:
 
 
 def cut_out(picture: Array) -> Array:
-    """Return a sphere that nothing is drawn around, with a smooth edge.
+    """Return a picture (size, size, 3) of a sphere as (size, size, 4), with nothing around it and a smooth edge.
 
-    Parameters
-    ----------
-    picture : ndarray, shape (size, size, 3)
-        As a screen shows it.
-
-    Returns
-    -------
-    ndarray, shape (size, size, 4)
-        The last channel is the share of each pixel that the sphere covers; at the edge, pixels have the colour of the
-        next one within.
+    The last channel is the share of each pixel that the sphere covers; at the edge, pixels have the colour of the next
+    one within.
     """
     size = len(picture)
     rows, columns = np.indices((size, size)) + 0.5 - size / 2.0
@@ -132,18 +106,8 @@ def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
         ax.set_axis_off()
 
 
-def encode_png(image: NDArray[np.float64]) -> bytes:
-    """Return the bytes of a PNG file.
-
-    Parameters
-    ----------
-    image : ndarray, shape (height, width, 3) or (height, width, 4)
-        Values from 0 to 1 as a screen shows them (sRGB), clipped.
-
-    Returns
-    -------
-    bytes
-    """
+def encode_png(image: Array) -> bytes:
+    """Return the bytes of a PNG file of values from 0 to 1 as a screen shows them, RGB (height, width, 3) or RGBA."""
     levels = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
     height, width, channels = levels.shape
     rows = np.concatenate([np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1)  # 0: no filter

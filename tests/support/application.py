@@ -16,8 +16,7 @@ from starlette.types import Message
 
 import dsbrdf
 from dsbrdf.engines import local
-from dsbrdf.engines.engine import FitLimits, OnProgress
-from dsbrdf.engines.fit_steps import run_step
+from dsbrdf.engines.engine import FitLimits, OnProgress, run_step
 from dsbrdf.output.serialize import to_json
 from service.access.keys import KeyLimits, add_key
 from service.app import create_app

@@ -12,13 +12,10 @@ from tests.support.launcher import launcher
 
 
 def run_main(main: Callable[[Sequence[str]], int], *words: str, **environment: str) -> "CompletedProcess[str]":
-    """Call the main function of a command; the exit code is that of its process, whether argparse ended it or not."""
+    """Call the main function of a command; the exit code is that of its process."""
     output, errors = io.StringIO(), io.StringIO()
     with redirect_stdout(output), redirect_stderr(errors), patch.dict(os.environ, environment):
-        try:
-            code = main(words)
-        except SystemExit as stop:
-            code = int(str(stop.code))
+        code = main(words)
     return CompletedProcess(words, code, output.getvalue(), errors.getvalue())
 
 

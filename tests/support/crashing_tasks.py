@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dsbrdf.engines.engine import FitTask, OnProgress, Outcome
-from dsbrdf.engines.fit_steps import compute
+from dsbrdf.engines.local import compute
 
 
 def die(_: OnProgress) -> None:

@@ -127,7 +127,7 @@ def _serve_requests(program: str) -> None:
     if program == "dask":
         for command in ("scheduler", "worker"):
             import_module(f"distributed.cli.dask_{command}")
-        import_module("dsbrdf.engines.fit_steps")  # for what workers run
+        import_module("dsbrdf.engines.local")  # for what workers run
     import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
     gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then

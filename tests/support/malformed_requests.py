@@ -12,73 +12,61 @@ from tests.support.malformed_targets import IDS, MARK, METHODS, PATHS, QUERIES, 
 _LINE = "GET /v1/fits/00000000000000000000000000000000 HTTP/1.1"
 _POST = "POST /v1/measurements HTTP/1.1"
 
-# Heads with something odd in them; an empty string stands for a Host that is right.
-HEADS = [
-    f"{_LINE}",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nHost: evil.example",
-    f"{_LINE}\r\nHost: evil.example",
-    f"{_LINE}\r\nHost: 127.0.0.1@evil.example",
-    f"{_LINE}\r\nHost: a b",
-    f"{_LINE}\r\nHost:",
-    f"{_LINE}\r\nHost : 127.0.0.1",
-    f"{_LINE}\r\n Host: 127.0.0.1",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX: \0",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX\0: y",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\n: y",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX y: z",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nno colon",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX: {'a' * 100_000}",
-    f"{_LINE}\r\nHost: 127.0.0.1" + "".join(f"\r\nX-{i}: y" for i in range(10_000)),
-    f"{_LINE}\r\nHost: 127.0.0.1\r\n{'X' * 70_000}: y",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nOrigin: null",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer x",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nAuthorization: Basic cm9vdDpyb290",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nAuthorization:",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer dsbrdf_0_{'A' * 5000}",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer dsbrdf_%00_x",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX-Original-URL: /v1/fits\r\nX-Rewrite-URL: /v1/fits",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX-HTTP-Method-Override: DELETE",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX-Forwarded-For: 127.0.0.1\r\nX-Forwarded-Host: evil.example",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nX-Request-ID: %0d%0aX-Evil: y",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nIf-None-Match: *",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nRange: bytes={'0-1,' * 10_000}",
-    f"{_LINE}\r\nHost: 127.0.0.1\r\nExpect: 999-nothing",
-    f"{_LINE.replace('1.1', '9.9')}\r\nHost: 127.0.0.1",
-    f"{_LINE.replace('HTTP/1.1', 'HTTP/1.1.1')}\r\nHost: 127.0.0.1",
-    f"{_LINE.replace(' HTTP/1.1', '')}",
-    f"{_LINE} x\r\nHost: 127.0.0.1",
-    f"{_LINE.replace('GET ', 'GET  ')}\r\nHost: 127.0.0.1",
-    f"{_LINE.replace('HTTP', 'HTCPCP')}\r\nHost: 127.0.0.1",
-    "PRI * HTTP/2.0",
-    "\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03",
-    "SSH-2.0-x",
-    "\0" * 50,
-    "\xff" * 50,
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: -1",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: +5",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0x10",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 1e3",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: {'9' * 5000}",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: {'9' * 19}\r\n\r\n0123456789ab",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length:",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 5\r\nContent-Length: 6",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 5, 6",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: gzip",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked, identity",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: xchunked",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\nTransfer-Encoding: chunked",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\nZZZ",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n-1",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n{'F' * 30}",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabcdefgh\r\n0",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\n\r\n0",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nContent-Type: application/x-python-pickle",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nContent-Type: multipart/form-data; boundary=x",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nContent-Encoding: br",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nContent-Encoding: gzip, gzip",
-    f"{_POST}\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nContent-Encoding: ../x",
+_HOST = "Host: 127.0.0.1"
+
+# Heads with something odd in them, lines after the first one.
+_GET_HEADS = [
+    "",
+    f"{_HOST}\r\nHost: evil.example",
+    "Host: evil.example",
+    "Host: 127.0.0.1@evil.example",
+    "Host: a b",
+    "Host:",
+    "Host : 127.0.0.1",
+    " Host: 127.0.0.1",
 ]
+_GET_HEADS += [
+    f"{_HOST}\r\n{line}"
+    for line in (
+        "X: \0",
+        "X\0: y",
+        ": y",
+        "X y: z",
+        "no colon",
+        f"X: {'a' * 100_000}",
+        "\r\n".join(f"X-{i}: y" for i in range(10_000)),
+        f"{'X' * 70_000}: y",
+        "Origin: null",
+        "Authorization:",
+        f"Authorization: Bearer dsbrdf_0_{'A' * 5000}",
+        "Authorization: Bearer dsbrdf_%00_x",
+        "X-Original-URL: /v1/fits\r\nX-Rewrite-URL: /v1/fits",
+        "X-HTTP-Method-Override: DELETE",
+        "X-Forwarded-For: 127.0.0.1\r\nX-Forwarded-Host: evil.example",
+        "X-Request-ID: %0d%0aX-Evil: y",
+        f"Range: bytes={'0-1,' * 10_000}",
+        "Expect: 999-nothing",
+    )
+]
+_CHUNKED = "Transfer-Encoding: chunked"
+_POST_HEADS = [
+    *(f"Content-Length: {length}" for length in ("-1", "+5", "0x10", "1e3", "9" * 5000, "", "5, 6")),
+    f"Content-Length: {'9' * 19}\r\n\r\n0123456789ab",
+    "Content-Length: 5\r\nContent-Length: 6",
+    *(f"Transfer-Encoding: {coding}" for coding in ("gzip", "chunked, identity", "xchunked")),
+    f"{_CHUNKED}\r\n{_CHUNKED}",
+    *(f"{_CHUNKED}\r\n\r\n{chunk}" for chunk in ("ZZZ", "-1", "F" * 30, "5\r\nabcdefgh\r\n0")),
+    f"Content-Length: 3\r\n{_CHUNKED}\r\n\r\n0",
+    *(f"Content-Length: 0\r\nContent-Type: {kind}" for kind in ("application/x-python-pickle", "multipart/form-data")),
+    *(f"Content-Length: 0\r\nContent-Encoding: {coding}" for coding in ("br", "gzip, gzip", "../x")),
+]
+HEADS = [f"{_LINE}\r\n{head}".removesuffix("\r\n") for head in _GET_HEADS]
+HEADS += [f"{_POST}\r\n{_HOST}\r\n{head}" for head in _POST_HEADS]
+HEADS += [
+    f"{_LINE.replace(*change)}\r\n{_HOST}"
+    for change in (("1.1", "9.9"), (" HTTP/1.1", ""), ("HTTP/1.1", "HTTP/1.1 x"), ("GET ", "GET  "), ("HTTP", "HTCPCP"))
+]
+HEADS += ["PRI * HTTP/2.0", "\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03", "SSH-2.0-x", "\0" * 50, "\xff" * 50]
 
 
 @dataclass(frozen=True)

@@ -2,125 +2,23 @@
 
 MARK = "@"  # stands for an id that exists
 
-IDS = [
-    # Out of the folder, in many spellings.
-    "..",
-    "../..",
-    "../../etc/passwd",
-    "..%2f..%2f..%2fetc%2fpasswd",
-    "..%2F..%2F..%2Fetc%2Fpasswd",
-    "%2e%2e%2f%2e%2e%2fdsbrdf.sqlite",
-    "%2e%2e/%2e%2e/dsbrdf.sqlite",
-    "..%5c..%5c..%5cwindows",
-    "..\\..\\windows",
-    "%252e%252e%252fetc%252fpasswd",
-    "..%c0%af..%c0%afetc%c0%afpasswd",
-    "%c0%ae%c0%ae%c0%af",
-    "%e0%80%ae%e0%80%ae/",
-    "%f0%80%80%ae",
-    "%uff0e%uff0e/",
-    "....//....//etc/passwd",
-    "..;/..;/etc/passwd",
-    ".%00./.%00./",
-    "%2fetc%2fpasswd",
-    "/etc/passwd",
-    "//etc/passwd",
-    "file:///etc/passwd",
-    "file:%2f%2f%2fetc%2fpasswd",
-    "~root",
-    "@/../@",
-    "@/..%2f@",
-    "blobs%2f@",
-    "..%2fblobs%2f@",
-    "@%2f..%2f@",
-    # Nearly an id.
-    "@%00",
-    "%00@",
-    "@%00.json",
-    "@%0a",
-    "@%0d%0a",
-    "@%0d%0aX-Evil:%20yes",
-    "@%20",
-    "%20@",
-    "@+",
-    "@.",
-    "@..",
-    "@/",
-    "@//",
-    "@;x=y",
-    "@%3f",
-    "@%23",
-    "@%ef%bb%bf",
-    "%ef%bb%bf@",
-    "@%e2%80%8b",
-    "@0",
-    "0@",
-    "@@",
-    "@,@",
-    "@%2c@",
-    "@.json",
-    "@~1",
-    "@:",
-    "@%2e",
-    # Numbers of all scripts, nothing, words.
-    "%D9%A3" * 32,
-    "%EF%BC%91" * 32,
-    "%E2%82%81" * 64,
-    "%F0%9D%9F%98" * 32,
-    "0",
-    "-1",
-    "1e9",
-    "0x10",
-    "null",
-    "None",
-    "undefined",
-    "NaN",
-    "true",
-    "*",
-    "%2a",
-    "{fit_id}",
-    "%7Bfit_id%7D",
-    "[0]",
-    "_",
-    ".",
-    "%2e",
-    "%",
-    "%zz",
-    "%u0041",
-    "%f",
-    "%80",
-    "%ff%fe",
-    "%ed%a0%80",
-    "%f4%90%80%80",
-    "%F0%9F%92%A9",
-    "a" * 31,
-    "a" * 33,
-    "a" * 63,
-    "a" * 65,
-    "a" * 5000,
-    "%61" * 4000,
-    "A" * 32,
-    "g" * 32,
-    "G" * 64,
-    # For a database, a shell, a template, a page, a log.
-    "'%20OR%20'1'='1",
-    "1;DROP%20TABLE%20fits",
-    "1'%20UNION%20SELECT%20*%20FROM%20fits--",
-    "%22%20OR%201=1--",
-    "@'--",
-    "@%25",
-    "_" * 32,
-    "%25" * 32,
-    "$(id)",
-    "`id`",
-    "@;id",
-    "@%7Cid",
-    "%7B%7B7*7%7D%7D",
-    "$%7Bjndi:ldap:%2f%2fx%7D",
-    "%3Cscript%3Ealert(1)%3C%2fscript%3E",
-    "%1b%5b2J",
-    "%0aINFO%20fake",
-]
+_OUT_OF_THE_FOLDER = """
+    .. ../../etc/passwd ..%2f..%2f..%2fetc%2fpasswd %2e%2e/%2e%2e/dsbrdf.sqlite ..%5c..%5cwindows ..\\..\\windows
+    %252e%252e%252fetc%252fpasswd ..%c0%af..%c0%afetc%c0%afpasswd %e0%80%ae%e0%80%ae/ %uff0e%uff0e/ ..;/..;/etc/passwd
+    .%00./.%00./ %2fetc%2fpasswd //etc/passwd file:///etc/passwd ~root @/../@ @/..%2f@ ..%2fblobs%2f@ @%2f..%2f@
+"""
+_NEARLY_AN_ID = """
+    @%00 %00@ @%0a @%0d%0aX-Evil:%20yes @%20 %20@ @. @/ @// @;x=y @%3f @%23 @%ef%bb%bf @%e2%80%8b @0 0@ @@ @,@ @.json
+    @: @%2e @'-- @%25
+"""
+_OTHER_WORDS = """
+    0 -1 1e9 null NaN * {fit_id} [0] _ . % %zz %80 %ff%fe %ed%a0%80 %F0%9F%92%A9 $(id) `id` @%7Cid %7B%7B7*7%7D%7D
+    '%20OR%20'1'='1 1;DROP%20TABLE%20fits $%7Bjndi:ldap:%2f%2fx%7D %3Cscript%3Ealert(1)%3C%2fscript%3E %1b%5b2J
+    %0aINFO%20fake
+"""
+_LONG = ["%D9%A3" * 32, "%F0%9D%9F%98" * 32, "a" * 31, "a" * 33, "a" * 63, "a" * 65, "%61" * 4000, "A" * 32, "g" * 32]
+_LONG += ["G" * 64, "_" * 32, "%25" * 32]
+IDS = [*_OUT_OF_THE_FOLDER.split(), *_NEARLY_AN_ID.split(), *_OTHER_WORDS.split(), *_LONG]
 
 TARGETS = [
     ("GET", "/v1/fits/{id}"),
@@ -131,134 +29,38 @@ TARGETS = [
     ("GET", "/v1/fits/@/components/{id}/brdf?theta_half_deg=1&theta_diff_deg=1"),
 ]
 
+_PATHS = """
+    //v1/fits /v1//fits /v1/fits/ /./v1/fits /v1/../v1/fits /v1/fits/../measurements /V1/fits /v1/fits;x=y /v1/fits%20
+    /v1/fits%00 /v1/fits%0a /v1/fits%3Flimit=1 /v1/fits%23 /v1 /v2/fits /%2fv1/fits /v1/fits/@/ /v1/fits/@//brdf
+    /v1/fits/@/nothing /v1/fits/@/export/ /v1/fits/@/events/.. /.env /dsbrdf.sqlite /data/dsbrdf.sqlite /blobs /run
+    /cgi-bin/../../bin/sh /openapi.json/ /docs/.. /static/../../etc/passwd /health/ http://evil.example/v1/fits
+    //evil.example/v1/fits v1/fits * ? \\v1\\fits
+"""
 PATHS = [
-    "//v1/fits",
-    "/v1//fits",
-    "/v1/fits/",
-    "/v1/fits//",
-    "///",
-    "/./v1/fits",
-    "/v1/./fits",
-    "/v1/../v1/fits",
-    "/x/../v1/fits",
-    "/v1/fits/../measurements",
-    "/V1/fits",
-    "/v1/FITS",
-    "/v1/fits;x=y",
-    "/v1/fits%20",
-    "/v1/fits%00",
-    "/v1/fits%0a",
-    "/v1/fits%3Flimit=1",
-    "/v1/fits%23",
-    "/v1",
-    "/v2/fits",
-    "/%2fv1/fits",
-    "/v1/fits/@/",
-    "/v1/fits/@//brdf",
-    "/v1/fits/@/nothing",
-    "/v1/fits/@/export/",
-    "/v1/fits/@/events/..",
-    "/v1/fits/@/components/",
-    "/.env",
-    "/.git/config",
-    "/dsbrdf.sqlite",
-    "/data/dsbrdf.sqlite",
-    "/blobs",
-    "/tmp",
-    "/run",
-    "/admin",
-    "/server-status",
-    "/wp-login.php",
-    "/cgi-bin/../../bin/sh",
-    "/openapi.json/",
-    "/openapi.yaml",
-    "/docs/..",
-    "/static/../../etc/passwd",
-    "/health",
-    "/health/",
-    "/metrics/",
-    "/favicon.ico/x",
-    "http://evil.example/v1/fits",
-    "//evil.example/v1/fits",
-    "v1/fits",
-    "*",
-    "?",
-    "\\v1\\fits",
+    *_PATHS.split(),
     "/" + "a" * 60_000,
     "/" + "../" * 5000 + "etc/passwd",
     "/v1/fits?" + "x=" * 20_000,
     "/v1/fits/" + "%2e" * 20_000,
 ]
 
+_OF_LISTS = """
+    limit=9999999999999999999999 limit=1%20OR%201=1 limit= limit[]=1 limit=%D9%A3 cursor=1;DROP%20TABLE%20fits
+    cursor=%00 cursor=1%0a cursor=%D9%A3 cursor= __proto__=1
+"""
+_OF_A_FIT = """
+    ?wait=1e999 ?wait= ?waits=1 /export?format=..%2f..%2fetc%2fpasswd /export?format=json&component=..
+    /export?format=json%00 /export?format=JSON /brdf?theta_half_deg=-1e-9&theta_diff_deg=1
+    /brdf?theta_half_deg=1e999&theta_diff_deg=1 /brdf?theta_half_deg=__import__('os')&theta_diff_deg=1
+    /brdf?theta_half_deg=%00&theta_diff_deg=1 /brdf?omega_in=0,0,1&theta_diff_deg=1
+    /brdf?theta_half_deg=%D9%A3&theta_diff_deg=1
+"""
 QUERIES = [
-    "/v1/fits?limit=0",
-    "/v1/fits?limit=-1",
-    "/v1/fits?limit=201",
-    "/v1/fits?limit=9999999999999999999999",
-    "/v1/fits?limit=1%20OR%201=1",
-    "/v1/fits?limit=NaN",
-    "/v1/fits?limit=",
-    "/v1/fits?limit[]=1",
-    "/v1/fits?limit=%D9%A3",
-    "/v1/fits?limit=0x10",
-    "/v1/fits?cursor=-1",
-    "/v1/fits?cursor=1;DROP%20TABLE%20fits",
-    "/v1/fits?cursor=%00",
-    "/v1/fits?cursor=1%0a",
-    "/v1/fits?cursor=9999999999999999999",
-    "/v1/fits?cursor=%D9%A3",
-    "/v1/fits?cursor=",
-    "/v1/fits?nothing=1",
-    "/v1/fits?__proto__=1",
-    "/v1/measurements?limit=1e2",
-    "/v1/measurements?cursor=..%2f",
+    *(f"/v1/fits?{query}" for query in _OF_LISTS.split()),
+    *(f"/v1/fits/@{query}" for query in _OF_A_FIT.split()),
     "/v1/measurements?order=created",
-    "/v1/fits/@?wait=-1",
-    "/v1/fits/@?wait=inf",
-    "/v1/fits/@?wait=nan",
-    "/v1/fits/@?wait=1e999",
-    "/v1/fits/@?wait=soon",
-    "/v1/fits/@?wait=",
-    "/v1/fits/@?waits=1",
-    "/v1/fits/@/export",
-    "/v1/fits/@/export?format=pickle",
-    "/v1/fits/@/export?format=..%2f..%2fetc%2fpasswd",
-    "/v1/fits/@/export?format=json&component=..",
-    "/v1/fits/@/export?format=json%00",
-    "/v1/fits/@/export?format=JSON",
-    "/v1/fits/@/export?format=json&x=y",
-    "/v1/fits/@/brdf",
-    "/v1/fits/@/brdf?theta_half_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=91&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=nan&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=-1e-9&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=1e999&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=__import__('os')&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=1&theta_half_deg=2&theta_diff_deg=1&theta_diff_deg=2&theta_diff_deg=3",
-    "/v1/fits/@/brdf?theta_half_deg=%00&theta_diff_deg=1",
-    "/v1/fits/@/brdf?omega_in=0,0,1&theta_diff_deg=1",
-    "/v1/fits/@/brdf?omega_in=0,0&omega_out=0,0,1",
-    "/v1/fits/@/brdf?omega_in=0,0,2&omega_out=0,0,1",
-    "/v1/fits/@/brdf?omega_in=0,0,-1.5&omega_out=0,0,1",
-    "/v1/fits/@/brdf?omega_in=nan,0,1&omega_out=0,0,1",
-    "/v1/fits/@/brdf?theta_half_deg=1_0&theta_diff_deg=1",
-    "/v1/fits/@/brdf?theta_half_deg=%D9%A3&theta_diff_deg=1",
     "/v1/fits/@/brdf?" + "theta_half_deg=1&" * 3000,
 ]
 
-METHODS = [
-    "PUT",
-    "PATCH",
-    "TRACE",
-    "OPTIONS",
-    "CONNECT",
-    "PROPFIND",
-    "get",
-    "Post",
-    "FOO",
-    "DELETE",
-    "G" * 5000,
-    "POST/x",
-    "%47ET",
-    "GET\t",
-]
+_METHODS = "PUT PATCH TRACE OPTIONS CONNECT PROPFIND get Post FOO DELETE POST/x %47ET"
+METHODS = [*_METHODS.split(), "G" * 5000, "GET\t"]

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from dsbrdf.data.reduction import profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.synthetic import model_measurement
+from dsbrdf.fitting.em import half_width
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import half_width
 
 Array = NDArray[np.float64]
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import httpx
 
 from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
-from tests.support.processes import children, wait_until
+from tests.support.processes import alive, children, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
 # not have to hurry.
@@ -108,6 +109,15 @@ class Server:
     def helpers(self) -> set[int]:
         """Process ids of what runs beside the server as long as it does."""
         return set(children(self.process.pid))
+
+    def processes(self) -> set[int]:
+        """Process ids of the server and of all that it has started, orphans included: its log is their stderr."""
+        found = set()
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):  # it has ended meanwhile
+                if (folder / "fd/2").readlink() == self.log and alive(int(folder.name)):
+                    found.add(int(folder.name))
+        return found
 
     def workers(self) -> set[int]:
         """Process ids of the fits that are being computed."""

@@ -1,37 +1,22 @@
 """Models and components for other programs: a table of the formats, and one file for each that is not our own."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
-from dsbrdf.fitting.report import FitReport
+from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.export.brdf_explorer import brdf_explorer_file
-from dsbrdf.output.export.glsl import glsl_function
+from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.merl import merl_table
-from dsbrdf.output.export.parameter_table import parameters_csv
 from dsbrdf.output.export.rgl import rgl_bsdf
+from dsbrdf.output.report_text import parameters_csv
 from dsbrdf.output.serialize import to_json, to_npz
-
-__all__ = [
-    "FORMATS",
-    "GUIDE",
-    "PARTS",
-    "ExportFormat",
-    "brdf_explorer_file",
-    "check_holds_component",
-    "export_model",
-    "glsl_function",
-    "materialx_document",
-    "merl_table",
-    "parameters_csv",
-    "part_of",
-    "rgl_bsdf",
-]
-
 
 GUIDE = "guide"
 """Name of all components' own lobes together."""
@@ -43,30 +28,16 @@ PARTS = (*LABELS, GUIDE)
 class ExportFormat:
     """One kind of file.
 
-    Attributes
-    ----------
-    purpose : str
-        What it is for, in a few words; command line, HTTP reference and page show it.
-    suffix : str
-        Of the file's name, without the dot.
-    media_type : str
-        For HTTP.
-    purpose : str
-        What the file is for, in a few words.
-    encode : callable
-        Returns the content of the file for a model and, if there is one, its report.
-    encode_component : callable, optional
-        Returns the content of the file for a component; None where the format holds lobes, which a component has not.
-    time : {"short", "medium", "long"}, optional
-        At most some 50 ms, about a second, or longer.
+    `encode` returns its content for a model and, if there is one, its report; `encode_component` for a component, None
+    where the format holds lobes, which a component has not.
     """
 
-    purpose: str
-    suffix: str
-    media_type: str
+    purpose: str  # in a few words, for command line, HTTP reference and page
+    suffix: str  # of the file's name, without the dot
+    media_type: str  # for HTTP
     encode: Callable[[DSBRDF, FitReport | None], bytes]
     encode_component: Callable[[Component], bytes] | None = None
-    time: Literal["short", "medium", "long"] = "short"
+    time: Literal["short", "medium", "long"] = "short"  # at most some 50 ms, about a second, or longer
 
 
 def _of_values(
@@ -80,6 +51,28 @@ def _of_values(
     return ExportFormat(purpose, suffix, media_type, lambda model, _: encode(model), encode, time)
 
 
+_BRDF_EXPLORER = """\
+analytic
+
+::begin parameters
+float scale 0 4 1
+::end parameters
+
+::begin shader
+{function}
+vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
+  mat3 frame = mat3(X, Y, N);
+  return scale * dsbrdf(L * frame, V * frame);
+}}
+::end shader
+"""
+
+
+def _brdf_explorer_file(source: DSBRDF | Component) -> bytes:
+    """Return an analytic ``.brdf`` file, in which ``BRDF(L, V, N, X, Y)`` gives the values in 1/sr, times ``scale``."""
+    return _BRDF_EXPLORER.format(function=glsl_function(source)).encode()
+
+
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
@@ -91,7 +84,7 @@ FORMATS = {
     "npz": ExportFormat("the model and its report for NumPy, without loss", "npz", _BINARY, to_npz),
     "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
     "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
-    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source: brdf_explorer_file(source).encode()),
+    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, _brdf_explorer_file),
     "csv": ExportFormat(
         "a table of the parameters",
         "csv",
@@ -120,52 +113,42 @@ FORMATS = {
 def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component:
     """Return a model's component, its guide or, for None, the model itself.
 
-    Parameters
-    ----------
-    model : DSBRDF
-    part : {"specular_spike", "specular_lobe", "diffuse", "guide"} or None
-
-    Returns
-    -------
-    DSBRDF or Component
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the model has no such component.
+    Raises InvalidArgumentError if the model has no such component.
     """
     if part is None:
         return model
     return decompose(model).guide if part == GUIDE else decompose(model)[part]
 
 
-def export_model(source: DSBRDF | Component, file_format: str, report: FitReport | None = None) -> bytes:
-    """Return the content of a file with a model or a component.
+def export_model(
+    source: DSBRDF | Component,
+    file_format: str,
+    report: FitReport | None = None,
+    *,
+    name: str | None = None,
+    sampling: bool = False,
+) -> bytes:
+    """Return the content of a file with a model or a component, `file_format` being one of `FORMATS`.
 
-    Parameters
-    ----------
-    source : DSBRDF or Component
-    file_format : str
-        A key of `FORMATS`, which says what each is for.
-    report : FitReport, optional
-        Stored by ``json`` and ``npz``.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the format is unknown or cannot hold a component, or the values are too large for it.
-    MeasurementFormatError
-        If a value of the model cannot be stored in a table.
+    Only ``json`` and ``npz`` store the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`.
+    Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
+    are too large for it, or the name is none, and MeasurementFormatError if a value cannot be stored in a table.
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
+    if check_shader_options(file_format, name, sampling=sampling):
+        return glsl_function(source, NAME if name is None else name, sampling=sampling).encode()
     if isinstance(source, DSBRDF):
         return FORMATS[file_format].encode(source, report)
     return check_holds_component(file_format)(source)
+
+
+def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> bool:
+    """Return whether one is given; raise InvalidArgumentError if the format does not take them."""
+    given = name is not None or sampling
+    if given and file_format != "glsl":
+        raise InvalidArgumentError(f"name and sampling are options of the format glsl, not of {file_format}")
+    return given
 
 
 def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
@@ -178,3 +161,50 @@ def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
             f"{', '.join(able[:-1])} or {able[-1]}, or export the guide, which is the components' own lobes together"
         )
     return encode
+
+
+def export(
+    source: DSBRDF | Component | FitResult,
+    path: str | os.PathLike[str],
+    file_format: str | None = None,
+    *,
+    name: str | None = None,
+    sampling: bool = False,
+) -> None:
+    """Write a model or a component to a file for another program, completely or not at all.
+
+    Parameters
+    ----------
+    source : DSBRDF, Component or FitResult
+    path : path-like
+        Its suffix determines the format: ``.json``, ``.npz``, ``.binary`` (MERL), ``.glsl``, ``.brdf``, ``.csv``,
+        ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
+    file_format : str, optional
+        One of `dsbrdf.output.export.FORMATS`; ``bsdf-spectral`` has no suffix of its own and must be named.
+    name : str, optional
+        Of the function in GLSL, ``dsbrdf`` if it is not given; all other names in the file begin with it.
+    sampling : bool, optional
+        Add functions to GLSL that draw directions and return their density.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the suffix or the format is unknown, or the format cannot hold the source or does not take an option.
+    MeasurementFormatError
+        If a value of the model cannot be stored in a table.
+    OSError
+        If the file cannot be written.
+    """
+    chosen = format_of(path) if file_format is None else file_format
+    model, report = (source.model, source.report) if isinstance(source, FitResult) else (source, None)
+    write_atomically(path, [export_model(model, chosen, report, name=name, sampling=sampling)])
+
+
+def format_of(path: str | os.PathLike[str]) -> str:
+    """Return the name of the format that a file's suffix tells; an InvalidArgumentError lists the suffixes."""
+    suffix = Path(path).suffix.lower().removeprefix(".")
+    names = [name for name, kind in FORMATS.items() if kind.suffix == suffix]
+    if not names:
+        known = ", ".join(dict.fromkeys(f".{kind.suffix}" for kind in FORMATS.values()))
+        raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or the format must be named")
+    return names[0]

@@ -8,17 +8,15 @@ difference is left: it is stated in the file, as PSNR.
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import LIGHTINGS, Evaluate, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.export.openpbr import Color, OpenPBR
 from dsbrdf.version import __version__
-
-Array = NDArray[np.float64]
 
 _DOCUMENT = """\
 <?xml version="1.0"?>
@@ -52,31 +50,14 @@ _POLISHED = 2  # starts, the best ones, that least squares improves
 
 @dataclass(frozen=True)
 class FittedSurface:
-    """An OpenPBR surface, and how closely its lit spheres match those of the material.
-
-    Attributes
-    ----------
-    surface : OpenPBR
-    psnr : dict
-        PSNR [dB] of a lit sphere under each of `dsbrdf.model.render.LIGHTINGS`.
-    """
+    """An OpenPBR surface, and the PSNR [dB] of its lit spheres against those of the material, by lighting."""
 
     surface: OpenPBR
     psnr: dict[str, float]
 
 
 def materialx_document(model: DSBRDF) -> str:
-    """Return a MaterialX 1.39 document with one material.
-
-    Parameters
-    ----------
-    model : DSBRDF
-
-    Returns
-    -------
-    str
-        XML; see `fit_openpbr` for the surface in it.
-    """
+    """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it."""
     fitted = fit_openpbr(model.evaluate)
     error = ", ".join(f"{value:.1f} dB ({name})" for name, value in fitted.psnr.items())
     doc = (
@@ -96,19 +77,7 @@ def _input(name: str, value: float | Color) -> str:
 def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
     """Find the OpenPBR surface that looks most like a material.
 
-    Parameters
-    ----------
-    evaluate : callable
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (n, 3)`` [1/sr] for angles (n,).
-
-    Returns
-    -------
-    FittedSurface
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the values are too large for a picture.
+    Raises InvalidArgumentError if the values are too large for a picture.
     """
     targets = [_Target.of(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
 

@@ -7,32 +7,19 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.merl_validation import HEADER, NODES, SCALE
 from dsbrdf.model.reflectance import ReflectanceModel
 
 _ROWS = 1  # angles theta_half at a time: what a part is made of
 _PIECE = _ROWS * THETA_DIFF.size * PHI_DIFF.size * 8  # bytes of them in one channel
-_QUARTER = PHI_DIFF.size // 2 + 1  # the model is the same at phi_diff and pi - phi_diff
 
 
 def merl_table(model: ReflectanceModel) -> bytes:
-    """Return the bytes of a MERL file with the values of a model at every node.
+    """Return the 34,992,012 bytes of a MERL file with the values of a model at every node.
 
-    Parameters
-    ----------
-    model : ReflectanceModel
-
-    Returns
-    -------
-    bytes
-        34,992,012 bytes.
-
-    Raises
-    ------
-    MeasurementFormatError
-        If a value is not finite.
+    Raises MeasurementFormatError if a value is not finite.
     """
     return encode_merl(model.tabulate())
 
@@ -41,17 +28,7 @@ def merl_parts(model: ReflectanceModel, folder: Path) -> Iterator[bytes]:
     """Yield the bytes of `merl_table` in parts, each computed when it is asked for, so that little memory is needed.
 
     The channels are in the file one after the other and computed together: green and blue wait in a temporary file
-    until red has been taken.
-
-    Parameters
-    ----------
-    model : ReflectanceModel
-    folder : Path
-        Of the temporary file, which has no name.
-
-    Yields
-    ------
-    bytes
+    without a name, in `folder`, until red has been taken.
     """
     yield HEADER
     with TemporaryFile(dir=folder, buffering=0) as file:
@@ -64,7 +41,7 @@ def merl_parts(model: ReflectanceModel, folder: Path) -> Iterator[bytes]:
 def _compute(model: ReflectanceModel, descriptor: int, offset: int) -> bytes:
     """Return the piece of red at an offset in its channel; write those of green and blue to the file."""
     first = offset // _PIECE * _ROWS
-    grid = model.evaluate_grid(THETA_HALF[first : first + _ROWS], THETA_DIFF, PHI_DIFF[:_QUARTER])
+    grid = model.evaluate_grid(THETA_HALF[first : first + _ROWS], THETA_DIFF, PHI_DIFF[:QUARTER])
     quarter = np.stack(list(grid), axis=1) / SCALE[:, None, None, None]
     red, *others = (part.tobytes() for part in np.concatenate([quarter, quarter[..., -2:0:-1]], axis=-1).astype("<f8"))
     for channel, part in enumerate(others):

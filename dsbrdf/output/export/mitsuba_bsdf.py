@@ -26,25 +26,18 @@ from typing import Any
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.environment import LUMINANCE
 from dsbrdf.output.export.mitsuba_math import Number, Table
 from dsbrdf.output.export.mitsuba_model import MitsubaModel
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from dsbrdf.output.serialize import load
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB
-
 
 def register() -> None:
     """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
 
-    Its only property is ``filename``, of a model in JSON or ``.npz``.
-
-    Raises
-    ------
-    MissingExtraError
-        If Mitsuba is not installed.
-    InvalidArgumentError
-        If no variant is set, or one with polarisation.
+    Its only property is ``filename``, of a model in JSON or ``.npz``.  Raises MissingExtraError if Mitsuba is not
+    installed, and InvalidArgumentError if no variant is set, or one with polarisation.
     """
     require("mitsuba", "mitsuba", purpose="the BSDF of a model")
     mitsuba = import_module("mitsuba")
@@ -130,7 +123,9 @@ def _bsdf_class(mitsuba: Any) -> Any:
             if mitsuba.is_spectral:
                 return mitsuba.Spectrum([self._at_wavelength(color, at) for at in surface.wavelengths])
             if mitsuba.is_monochromatic:
-                return mitsuba.Spectrum(sum(part * weight for part, weight in zip(color, _LUMINANCE, strict=True)))
+                return mitsuba.Spectrum(
+                    sum(part * weight for part, weight in zip(color, LUMINANCE.tolist(), strict=True))
+                )
             return mitsuba.Spectrum(*color)
 
         def _at_wavelength(self, color: list[Number], wavelength: Number) -> Number:

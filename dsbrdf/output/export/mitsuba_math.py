@@ -9,18 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from dsbrdf.model.lobe_families import FAMILIES, SeriesMath
+
 Number = Any
 """A float or int of Python, or an array of drjit."""
 
 
 class Table:
-    """Numbers that are looked up by their index.
-
-    Parameters
-    ----------
-    values : array_like, or a flat array of drjit
-        Of any shape; the index is that of the flat array.
-    """
+    """Numbers of any shape that are looked up by their index in the flat array."""
 
     def __init__(self, values: Any) -> None:
         self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
@@ -66,10 +62,4 @@ def lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | N
         root, tan_center = safe_root(squared), dr.tan(center)
         tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
         squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
-    if family == "student":
-        return dr.exp(-kappa * (log1p(gamma * squared) - log1p(gamma * top_squared)))
-    log_cos, log_cos_top = -0.5 * log1p(squared), -0.5 * log1p(top_squared)
-    top = kappa * dr.exp(gamma * log_cos_top)
-    # expm1(top * ratio) / expm1(top), without overflow.
-    log_ratio = gamma * (log_cos - log_cos_top)
-    return dr.exp(top * expm1(log_ratio)) * expm1(-top * dr.exp(log_ratio)) / expm1(-top)
+    return FAMILIES[family].value_of_squares(SeriesMath(dr.exp, expm1, log1p), squared, top_squared, kappa, gamma)

@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
@@ -44,14 +44,8 @@ class _Place(NamedTuple):
 class MitsubaModel:
     """A model in the arrays of the variant of Mitsuba that is set.
 
-    Parameters
-    ----------
-    model : DSBRDF
-
-    Attributes
-    ----------
-    parameters : dict of str to TensorXf
-        Those of `PARAMETERS`, of the shapes that they have in `DSBRDF`; call `update` after a change.
+    The tensors `parameters` are those of `PARAMETERS`, of the shapes that they have in `DSBRDF`; call `update` after a
+    change.
     """
 
     def __init__(self, model: DSBRDF) -> None:
@@ -92,7 +86,7 @@ class MitsubaModel:
         rows = [self._rows_of(name, basis) for name, basis in bernstein_bases(self._model).items()]
         self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
 
-    def _rows_of(self, name: str, basis: NDArray[np.float64]) -> Number:
+    def _rows_of(self, name: str, basis: Array) -> Number:
         """Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
         dr, index = self._dr, self._mitsuba.UInt32
         values = self._mitsuba.Float(self.parameters[name].array)

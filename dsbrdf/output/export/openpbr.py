@@ -14,11 +14,10 @@ Layering dims by the view's direction only, so that OpenPBR is not quite recipro
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import incident_cosines
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 _LEAST = 1e-6  # of a cosine and a roughness
@@ -42,20 +41,12 @@ _ALBEDO = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1 but for the indices of refraction.
+    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1 but for the indices of refraction (ior)."""
 
-    Attributes
-    ----------
-    base_color, specular_color : tuple of float
-        Linear RGB; the colour of the diffuse part or of the metal, and of the highlight or of the metal's edge.
-    base_metalness, specular_weight, specular_roughness, coat_weight, coat_roughness : float
-    specular_ior, coat_ior : float
-    """
-
-    base_color: Color = (0.8, 0.8, 0.8)
+    base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
     specular_weight: float = 1.0
-    specular_color: Color = (1.0, 1.0, 1.0)
+    specular_color: Color = (1.0, 1.0, 1.0)  # linear RGB of the highlight or of the metal's edge
     specular_roughness: float = 0.3
     specular_ior: float = 1.5
     coat_weight: float = 0.0
@@ -63,18 +54,7 @@ class OpenPBR:
     coat_ior: float = 1.6
 
     def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """BRDF values.
-
-        Parameters
-        ----------
-        theta_half, theta_diff, phi_diff : ndarray, shape (n,)
-            Angles [rad].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            [1/sr]; 0 where a direction is below the horizon.
-        """
+        """BRDF values (n, 3) [1/sr] at angles (n,) [rad]; 0 where a direction is below the horizon."""
         cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
         above = ((cos_in > 0.0) & (cos_out > 0.0))[:, None]
         at = _Directions(

@@ -7,55 +7,39 @@ these to half vectors (u, v) with
     theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
 
 and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4).  Here
-``vndf`` is the reflected luminance itself, so that what is left for ``luminance`` is nearly uniform; ``ndf``, the mean
-value at each theta_half, makes ``rgb`` smooth; and sigma is 1/4.
+``vndf`` is the reflected luminance and twice as much from everywhere, so that no direction is far from a node, and
+``luminance`` puts the samples right; ``ndf``, the mean value at each theta_half, makes ``rgb`` smooth; sigma is 1/4.
 
 Mitsuba's RGB variants read ``rgb``.  Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
 here the spectra that `dsbrdf.output.export.rgl` gives the same values; no program reads a file that has both.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.arrays import Array, Evaluate
+from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.rgl_file import Warp, bilinear, encode_tensors
 from dsbrdf.data.rgl_material import RglMaterial
-from dsbrdf.data.rgl_warp import Warp, bilinear
-from dsbrdf.data.tensor_file import encode_tensors
+from dsbrdf.model.environment import LUMINANCE
 from dsbrdf.model.reflectance import ReflectanceModel
-
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 _THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # closer together towards the horizon
 _N_SAMPLES = 64  # nodes along a side of rgb and luminance
 _VNDF_SHAPE = 48, 128  # azimuth, theta_half
 _N_NDF = 512
-_LEAST = 0.3  # least density of a half vector, as a share of the mean; ``luminance`` puts the samples right
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+_LEAST = 2.0  # added to the density of half vectors, in its means: keeps nodes everywhere, and rings apart
 
 
 def rgl_bsdf(
     source: ReflectanceModel | Measurement | RglMaterial, description: str = "", *, spectral: bool = False
 ) -> bytes:
-    """Return the bytes of a ``.bsdf`` file.
+    """Return the bytes of a ``.bsdf`` file, about 4 MB, 12 MB if spectral.
 
-    Parameters
-    ----------
-    source : ReflectanceModel, Measurement or RglMaterial
-        A measurement is interpolated; of the others, values need not be reciprocal.
-    description : str, optional
-        Stored in the file.
-    spectral : bool, optional
-        Whether the file is for Mitsuba's spectral variants and pbrt-v4, instead of Mitsuba's RGB variants.
-
-    Returns
-    -------
-    bytes
-        About 4 MB, 12 MB if spectral.
+    A measurement is interpolated; the values of other sources need not be reciprocal.  The description is stored in the
+    file.  A spectral file is for Mitsuba's spectral variants and pbrt-v4, the other for Mitsuba's RGB variants.
     """
     evaluate = interpolate(source).evaluate if isinstance(source, Measurement) else source.evaluate
     ndf = _ndf(evaluate)
@@ -81,7 +65,7 @@ def _ndf(evaluate: Evaluate) -> Array:
     """Typical value at each theta_half, evenly spaced in u, in two equal rows (2, `_N_NDF`)."""
     theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF) ** 2
     theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
-    values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ _LUMINANCE
+    values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
     typical = np.exp(np.mean(np.log(values + 1e-4), axis=1))
     return np.stack([typical, typical])
 
@@ -90,7 +74,7 @@ def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array
     """Tables vndf, luminance (S, S) and rgb (3, S, S) of one angle."""
     v, u = (part.ravel() for part in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in _VNDF_SHAPE), indexing="ij"))
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
-    density = ((reflected @ _LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
+    density = ((reflected @ LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
     mean = density.mean()
     # In u the solid angle is proportional to u sin(theta_half): half vectors evenly over the hemisphere.
     even = (u * np.sin(0.5 * np.pi * u * u)).reshape(_VNDF_SHAPE)
@@ -101,7 +85,7 @@ def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array
     u, v = warp.sample(columns, rows)
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
     rgb = (reflected / bilinear(ndf, u, v)[:, None]).T.reshape(3, _N_SAMPLES, _N_SAMPLES)
-    left = (reflected @ _LUMINANCE) * jacobian / bilinear(warp.density, u, v)
+    left = (reflected @ LUMINANCE) * jacobian / bilinear(warp.density, u, v)
     luminance = left.reshape(_N_SAMPLES, _N_SAMPLES)
     return density, luminance + 1e-3 * max(float(luminance.mean()), 1e-12), rgb
 
@@ -110,8 +94,7 @@ def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[
     """``f cos(theta_out)`` (n, 3) of half vectors, and the solid angle of the second direction for a du dv (n,)."""
     theta_half, azimuth = 0.5 * np.pi * u * u, (2.0 * v - 1.0) * np.pi
     sine = np.sin(theta_half)
-    half = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(theta_half)], axis=-1)
-    first = np.array([np.sin(theta_i), 0.0, np.cos(theta_i)])
+    half, first = spherical(theta_half, azimuth), spherical(theta_i, 0.0)
     cosine = half @ first
     second = 2.0 * cosine[:, None] * half - first
     above = (cosine > 0.0) & (second[:, 2] > 0.0)

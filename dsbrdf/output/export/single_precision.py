@@ -6,13 +6,11 @@ In that form a polynomial is a mean of its four coefficients, with weights that 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
-
-Array = NDArray[np.float64]
 
 _LARGEST = 3e38  # in single precision
 
@@ -21,36 +19,16 @@ _LARGEST = 3e38  # in single precision
 class BernsteinPieces:
     """Parameters over theta_diff.
 
-    Attributes
-    ----------
-    breaks : ndarray, shape (P + 1,)
-        Where the P pieces begin, and where the last one ends [rad]; theta_diff is held between the first and the last.
-    coefficients : ndarray, shape (R, P, 4)
-        Rows: those of `dsbrdf.model.evaluation.ParameterPieces`, then the three channels of the delta term.
+    The pieces and rows are those of `dsbrdf.model.evaluation.ParameterPieces`, followed by rows for the three channels
+    of the delta term.
     """
 
-    breaks: Array
-    coefficients: Array
+    breaks: Array  # (P + 1,)
+    coefficients: Array  # (R, P, 4)
 
 
 def bernstein_pieces(model: DSBRDF, program: str) -> BernsteinPieces:
-    """Return the parameters of a model.
-
-    Parameters
-    ----------
-    model : DSBRDF
-    program : str
-        Which program they are for, for the error message.
-
-    Returns
-    -------
-    BernsteinPieces
-
-    Raises
-    ------
-    InvalidArgumentError
-        If a parameter is too large for single precision.
-    """
+    """Return the parameters of a model; InvalidArgumentError if one is too large for a program's single precision."""
     pieces = model.pieces
     rows = np.concatenate([pieces.terms, _delta_terms(model, pieces.breaks)], axis=1)
     largest = max(model.amplitude.max(initial=0.0), model.gamma.max(initial=0.0), np.abs(rows).max(initial=0.0))
@@ -60,17 +38,9 @@ def bernstein_pieces(model: DSBRDF, program: str) -> BernsteinPieces:
 
 
 def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
-    """Return what each control value of a parameter adds to the Bernstein coefficients, under the parameter's name.
+    """Return what each control value of a parameter adds to the Bernstein coefficients, (D, P, 4), by its name.
 
-    Parameters
-    ----------
-    model : DSBRDF
-
-    Returns
-    -------
-    dict of str to ndarray, shape (D, P, 4)
-        Of amplitude, kappa, gamma, center and elongation: the coefficients of a row of `bernstein_pieces` are its
-        control values, on the row's scale, times these.
+    The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these.
     """
     pieces = pieces_of_spline if model.interpolation == "spline" else pieces_of_line
     breaks = model.pieces.breaks

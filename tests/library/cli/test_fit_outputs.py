@@ -1,6 +1,5 @@
 """What ``dsbrdf fit`` gives of several files: a line each, a table, CSV, figures; and fits on a server."""
 
-import asyncio
 import csv
 import json
 from collections.abc import Iterator
@@ -14,12 +13,9 @@ import dsbrdf
 from dsbrdf.cli import fit_command
 from dsbrdf.cli import main as cli
 from dsbrdf.engines.batch import FileFit
-from dsbrdf.engines.engine import FitTask
 from dsbrdf.fitting.report import FitResult
-from service import client_engine
-from service.client import AccessError
-from service.client_engine import ClientEngine
 from tests.support.command_line import QUICK, Capture, document, sentence
+from tests.support.guarded import Guarded
 from tests.support.server import Server
 
 
@@ -86,23 +82,6 @@ def test_server_that_does_not_answer_is_named(plastic_file: Path, capsys: Captur
     assert sentence(capsys).startswith("dsbrdf: http://127.0.0.1:9: ")
 
 
-def test_server_that_wants_a_key_is_named(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = ClientEngine("http://127.0.0.1:9", 1)
-
-    class Locked:
-        def __init__(self, url: str) -> None:
-            pass
-
-        def fit(self, *_: Any, **__: Any) -> None:
-            raise AccessError({"detail": "The service wants a valid API key."})
-
-        def close(self) -> None:
-            pass
-
-    async def ask() -> None:
-        monkeypatch.setattr(client_engine, "Client", Locked)
-        await engine.start()
-        await engine.run(FitTask("plastic", plastic_file, dsbrdf.FitOptions()), lambda _: None)
-
-    with pytest.raises(dsbrdf.InvalidArgumentError, match=r"valid API key\.; the environment variable DSBRDF_KEY"):
-        asyncio.run(ask())
+def test_server_that_wants_a_key_is_named(guarded: Guarded, plastic_file: Path, capsys: Capture) -> None:
+    assert cli.main(["fit", str(plastic_file), "--url", str(guarded.server.http.base_url)]) == 2
+    assert "the environment variable DSBRDF_KEY" in sentence(capsys)

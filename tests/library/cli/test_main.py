@@ -1,56 +1,56 @@
-"""The command ``dsbrdf`` as a whole: versions, usage, extras, the service's commands."""
-
+import json
 import os
 import subprocess
 import sys
-from typing import NoReturn
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 import dsbrdf
 from dsbrdf import extras
 from dsbrdf.cli import main as cli
-from tests.support.command_line import Capture, exit_code, sentence
+from dsbrdf.cli.arguments import SERVICE_COMMANDS
+from dsbrdf.cli.commands import command_names
+from tests.support.command_line import QUICK, Capture, exit_code, sentence
 
 # serve, demo, and the command itself
 
 
-def test_serve_replaces_its_process_by_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[list[str]] = []
-
-    def execv(_: str, command: list[str]) -> NoReturn:
-        calls.append(command)
-        raise SystemExit
-
-    monkeypatch.setattr(os, "execv", execv)
-    exit_code(["serve"])
-    exit_code(["serve", "--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"])
-    start = [sys.executable, "-m", "dsbrdf_service"]
-    every = ["--host", "::1", "--port", "81", "--data-dir", "d", "--workers", "3", "--insecure"]
-    assert calls == [start, start + every]
-
-
-def test_service_accepts_the_flags_of_serve() -> None:
-    answer = subprocess.run([sys.executable, "-m", "service", "--help"], capture_output=True, text=True, check=True)
-    for flag in ("--host", "--port", "--data-dir", "--workers", "--insecure"):
-        assert flag in answer.stdout
-
-
 @pytest.mark.parametrize(
-    ("command", "installed", "extra"),
-    [("serve", (), "service"), ("fit", (), "cli"), ("--help", (), "cli")],
+    ("command", "missing", "extra"),
+    [
+        ("serve", "fastapi", "service"),
+        ("fit a.binary", "cyclopts", "cli"),
+        ("--help", "cyclopts", "cli"),
+        ("fit a.binary --url http://host", "httpx", "client"),
+    ],
 )
 def test_missing_extra_is_named(
-    command: str, installed: tuple[str, ...], extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    command: str, missing: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda name: name in installed or None)
-    assert cli.main([command]) == 1
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == missing else name)
+    assert cli.main(command.split()) == 1
     assert f"pip install 'dsbrdf[{extra}]'" in sentence(capsys)
+
+
+def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsbrdf.cli.commands.run_command", Mock(side_effect=ZeroDivisionError))
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["show"])
 
 
 def test_version_is_printed(capsys: Capture) -> None:
     assert exit_code(["--version"]) == 0
     assert capsys.readouterr().out == f"dsbrdf {dsbrdf.__version__}\n"
+
+
+def test_fit_computes_with_one_blas_thread_from_the_start() -> None:
+    program = "import atexit, os\nfrom dsbrdf.cli.main import main\n"
+    program += "atexit.register(lambda: print(os.environ['OMP_NUM_THREADS']))\nmain(['fit', 'none.binary'])"
+    environment = os.environ | {"OMP_NUM_THREADS": "7"}
+    answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert answer.stdout == "1\n"
 
 
 @pytest.mark.parametrize("words", [["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]])
@@ -62,7 +62,46 @@ def test_command_that_computes_nothing_imports_no_numpy(words: list[str]) -> Non
     assert answer.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("words", [[], ["unknown"], ["fit"], ["eval"], ["export", "m.json"]])
-def test_wrong_usage_is_refused_in_one_sentence(words: list[str], capsys: Capture) -> None:
-    assert exit_code(words) == 2
-    assert sentence(capsys).startswith("dsbrdf")
+@pytest.mark.parametrize("command", command_names())
+@pytest.mark.parametrize(("columns", "widest"), [("80", 80), ("200", 100)])
+def test_help_is_plain_text_in_a_file(
+    command: str, columns: str, widest: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    assert cli.main([command, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"Usage: dsbrdf {command}")
+    assert max(map(len, out.splitlines())) <= widest
+    assert "\x1b" not in out
+    assert out.isascii()
+    assert "[default: False]" not in out
+
+
+def test_help_lists_all_commands_in_groups(capsys: Capture) -> None:
+    assert cli.main(["--help"]) == 0
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert {"Models", "Pictures", "Files", "Service", "Options"} <= {*lines}
+    listed = {line.split()[0] for line in lines if line}
+    assert listed >= {*command_names(), *SERVICE_COMMANDS, "--help", "--version"}
+
+
+def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, as far as rich knows
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert cli.main(["eval", "--help"]) == 0
+    assert "\x1b[36m" in capsys.readouterr().out  # cyan
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert cli.main(["eval", "--help"]) == 0
+    assert "\x1b[36m" not in capsys.readouterr().out
+
+
+def test_progress_goes_to_a_terminal_only(plastic_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    for is_terminal in (False, True):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda known=is_terminal: known, raising=False)
+        assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
+        captured = capsys.readouterr()
+        assert "1/1 files" in captured.err if is_terminal else captured.err == ""
+        assert json.loads(captured.out)["status"] == "succeeded"

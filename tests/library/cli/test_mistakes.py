@@ -1,12 +1,13 @@
-"""Typical mistakes, and the sentence that each gets."""
-
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from dsbrdf.fitting.report import FitResult
+from dsbrdf.data.sample_columns import VECTORS
 from dsbrdf.output.serialize import save
 from tests.support.command_line import Capture, exit_code, sentence
+from tests.support.mixtures import mixture, scattered_samples
 
 FILES = {
     "photo.png": b"\x89PNG\r\n\x1a\n" + bytes(100),
@@ -14,49 +15,130 @@ FILES = {
     "paint.json": b'{"format": "another", "version": 1}',
     "nickel.binary": b"\x5a\0\0\0\x5a\0\0\0\xb4\0\0\0" + bytes(100),
     "photo.json": b"\x89PNG\r\n\x1a\n" + bytes(100),
+    "empty.json": b"",
+    "empty.npz": b"",
+    "deep.json": b"[" * 5000,
+    "cut.bsdf": b"tensor_file\0\x01\x00",
+    "red.csv": b"red\n",
+    "bad.exr": b"nothing",
 }
+
+BAD_TABLE = "red.csv: The table lacks columns for the directions: theta_in, theta_out. It has red."
+BAD_TENSORS = "cut.bsdf: The tensor file is damaged or cut off"
+ABSENT = "dsbrdf: model.json: this model has no component specular_spike: it has "
+POINT = "eval model.json --theta-half 1 --theta-diff 1"
 
 MISTAKES = {
     "fti nickel.binary": "dsbrdf: there is no command 'fti'; did you mean fit?",
     "": "dsbrdf: name a command (see dsbrdf --help)",
+    "--jobs 2 fit nickel.binary": "dsbrdf: there is no option '--jobs' before the command",
+    "--helpp": "dsbrdf: there is no option '--helpp' before the command; did you mean --help?",
+    "completion tcsh": "dsbrdf completion: SHELL: must be bash or zsh or fish, not 'tcsh'",
+    # fit
     "fit": "dsbrdf fit: FILES is missing (see dsbrdf fit --help)",
     "fit nickel.binary --lobes 2": "dsbrdf fit: there is no option --lobes; did you mean --lobe or --n-lobes?",
+    "fit nickel.binary --no-such-flag": "dsbrdf fit: there is no option --no-such-flag",
     "fit nickel.binary --n-lobes two": "--n-lobes: must be a whole number or auto, not 'two'",
+    "fit nickel.binary --n-lobes 2.5": "--n-lobes: must be a whole number or auto, not '2.5'",
+    "fit nickel.binary --n-lobes 9": "n_lobes must be an integer from 1 to 8",
+    "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
+    "fit nickel.binary --weighting heavy": "--weighting: must be balanced or plain or cosine or log, not 'heavy'",
+    "fit nickel.binary --method paper --lobe student": 'the method "paper" has the lobe "hemi_epd" only',
+    "fit nickel.binary --horizon-cutoff 100": "cutoff must lie above 0 and at most at 90 degrees, not at 100",
+    "fit nickel.binary --horizon-cutoff nan": "cutoff must lie above 0",
+    "fit nickel.binary --horizon-cutoff far": "--horizon-cutoff: must be a number, not 'far'",
+    "fit nickel.binary --mask 1,2": "--mask: must be a number, not '1,2'",
+    "fit nickel.binary --knots 0,x": "--knots: must be a number, not 'x'",
+    "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
+    "fit nickel.binary --jobs 0": "the number of fits that run at once, must be at least 1, not 0",
+    "fit nickel.binary --jobs many": "--jobs: must be a whole number, not 'many'",
+    "fit nickel.binary --scheduler host": "--scheduler: must be an address such as tcp://host:8786, not 'host'",
+    "fit nickel.binary --scheduler tcp://host": "--scheduler: must be an address such as",
+    "fit nickel.binary --url localhost:8000": "must be an address such as http://127.0.0.1:8000, not 'localhost:8000'",
     "fit nickle.binary": "dsbrdf: nickle.binary: No such file or directory",
     "fit nickel.binary": "dsbrdf: nickel.binary: The data has only 112 bytes",
     "fit photo.png": "dsbrdf: photo.png: The data is a PNG image; a MERL measurement is a .binary file",
     "fit studio.exr": "dsbrdf: studio.exr: The data is an OpenEXR image; a MERL measurement is a .binary file",
     "fit paint.json": "dsbrdf: paint.json: The data is JSON, or another text; a MERL measurement is a .binary file",
-    "fit nickel.binary --url localhost:8000": "must be an address such as http://127.0.0.1:8000, not 'localhost:8000'",
+    "fit cut.bsdf": BAD_TENSORS,
+    "fit red.csv": BAD_TABLE,
+    "fit felt.csv --method paper": "cannot be fitted with method 'paper'",
+    "fit none": "dsbrdf: none: ",
+    "fit plastic.binary -o plastic.json": "must be a folder, in which NAME.json is saved, not a file such as",
+    # models
     "show nickel.binary": "nickel.binary: this command reads models, not measurements; fit it first with dsbrdf fit",
     "show photo.json": "dsbrdf: photo.json: the file is a PNG image; a stored model is a .json or .npz file",
     "show photo.png": "dsbrdf: photo.png: the file is a PNG image; a stored model is a .json or .npz file",
     "show paint.json": "dsbrdf: paint.json: The data is not a stored model: its format is not 'dsbrdf'",
-    "eval paint.json --theta-half ten": "dsbrdf eval: --theta-half: must be a number, not 'ten'",
-    "eval paint.json --thetahalf 10": "there is no option --thetahalf; did you mean --theta-half",
+    "show paint.json photo.json": "dsbrdf show: there is no place for photo.json",
+    "decompose empty.json": "dsbrdf: empty.json: ",
+    "decompose empty.npz": "dsbrdf: empty.npz: ",
+    "decompose deep.json": "dsbrdf: deep.json: ",
+    "decompose none.json": "dsbrdf: none.json: No such file or directory\n",
+    "decompose model.json -o guide.txt": "must end in .json or .npz",
     "export paint.json --format gltf -o a.glb": "dsbrdf export: --format: must be json or npz or merl",
     "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .npz, .binary, .glsl,",
-    "render paint.json": "dsbrdf render: --output is missing",
+    "export model.json --format npz -o none/model.npz": "dsbrdf: none/model.npz: No such file or directory\n",
+    "export model.json --component diffuse -o diffuse.json": "dsbrdf: json cannot hold a component",
+    "export model.json --component specular_spike -o a.binary": ABSENT,
+    "eval paint.json --theta-half ten": "dsbrdf eval: --theta-half: must be a number, not 'ten'",
+    "eval paint.json --theta-half=": "dsbrdf eval: --theta-half: must be a number, not ''",
+    "eval paint.json --thetahalf 10": "there is no option --thetahalf; did you mean --theta-half",
+    "eval model.json": "--theta-half is missing",
+    "eval model.json --phi-diff 1": "--theta-half is missing",
+    "eval model.json --theta-half 1": "--theta-diff is missing",
+    "eval model.json --omega-in 0,0,1": "--omega-out is missing",
+    "eval model.json --theta-half 1 2 --theta-diff 1 2 3": "cannot be combined",
+    "eval model.json --theta-half 91 --theta-diff 0": "theta_half must lie between 0 and 90 degrees",
+    "eval model.json --theta-half -1 --theta-diff 0": "theta_half must lie between 0 and 90 degrees",
+    "eval model.json --theta-half 1 --omega-in 0,0,1": "either --theta-half and --theta-diff, --theta-in and",
+    "eval model.json --omega-in 0,0,2 --omega-out 0,0,1": "omega_in must be of unit length",
+    "eval model.json --omega-in 0,1 --omega-out 0,0,1": "a direction must be three numbers x,y,z, not '0,1'",
+    f"{POINT} --phi-diff nan": "phi_diff must be finite",
+    f"{POINT} --component shiny": "--component: must be specular_spike or specular_lobe or diffuse or guide",
+    f"{POINT} --component specular_spike": ABSENT,
+    # pictures
     "plot paint.json -o paint.jpg": "dsbrdf: paint.jpg: the figure's file must end in .png, .svg or .pdf",
     "compare paint.json": "dsbrdf compare: SECOND is missing",
     "compare photo.json photo.json -o a.jpg": "dsbrdf: a.jpg: the picture's file must end in .png",
-    "completion tcsh": "dsbrdf completion: SHELL: must be bash or zsh or fish, not 'tcsh'",
-    "show paint.json photo.json": "dsbrdf show: there is no place for photo.json",
+    "render paint.json": "dsbrdf render: --output is missing",
     "render paint.json -o": "dsbrdf render: -o needs a value",
-    "--jobs 2 fit nickel.binary": "dsbrdf: there is no option '--jobs' before the command",
-    "--helpp": "dsbrdf: there is no option '--helpp' before the command; did you mean --help?",
-    "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
-    "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
-    "eval paint.json --theta-half=": "dsbrdf eval: --theta-half: must be a number, not ''",
+    "render plastic.binary -o a.jpg": "must end in .png",
+    "render plastic.binary -o a.png --size 4": "size must be a whole number from 8 to 1024",
+    "render plastic.binary -o a.png --size big": "--size: must be a whole number, not 'big'",
+    "render plastic.binary -o a.png --exposure 0": "exposure must be a positive number",
+    "render plastic.binary -o a.png --component diffuse": "a measurement has no components",
+    "render model.json -o a.png --component shine": "--component: must be ",
+    "render model.json -o a.png --component specular_spike": ABSENT,
+    "render plastic.binary plastic.binary -o a.png": "the second source must be a model",
+    "render plastic.binary model.json -o a.png --component diffuse": "leave --component out",
+    "render plastic.binary model.json model.json -o a.png": "one or two sources can be drawn, not 3",
+    "render model.json -o a.png --lighting moon": "moon",
+    "render model.json -o a.png --lighting no.hdr": "no.hdr: No such file",
+    "render model.json -o a.png --lighting bad.exr": "bad.exr: The file is neither a Radiance nor an OpenEXR picture",
+    "render cut.bsdf -o a.png": BAD_TENSORS,
+    "render red.csv -o a.png": BAD_TABLE,
+    "render felt.csv -o a.png": "felt.csv: scattered samples are no measurement on a grid",
+    # convert
+    "convert plastic.binary out.png": "the output must end in .binary or .bsdf",
+    "convert nickel.binary out.bsdf": "dsbrdf: nickel.binary: The data has only 112 bytes",
+    "convert none.binary out.bsdf": "dsbrdf: none.binary: No such file or directory",
+    "convert cut.bsdf out.binary": BAD_TENSORS,
+    "convert red.csv out.binary": BAD_TABLE,
 }
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files that are not what their names or the commands say; tests must not change them."""
+def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Good files, and such that are not what their names or the commands say; tests must not change them."""
     path = tmp_path_factory.mktemp("mistakes")
     for name, content in FILES.items():
         (path / name).write_bytes(content)
+    os.link(plastic_file, path / "plastic.binary")
+    save(mixture(2, 0), path / "model.json")
+    samples = scattered_samples(mixture(1, 0), 300)
+    columns, head = [samples.omega_in, samples.omega_out, samples.values], ",".join((*VECTORS, "red", "green", "blue"))
+    np.savetxt(path / "felt.csv", np.hstack(columns), delimiter=",", header=head, comments="")
     return path
 
 
@@ -67,13 +149,11 @@ def test_mistake_gets_one_sentence(
     monkeypatch.chdir(folder)
     assert exit_code(command.split()) == 2
     assert said in sentence(capsys)
-    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    assert {path.name for path in folder.iterdir()} == {*FILES, "plastic.binary", "model.json", "felt.csv"}
 
 
-def test_arguments_have_no_order(two_lobe_fit: FitResult, tmp_path: Path, capsys: Capture) -> None:
-    model_file = tmp_path / "paint.json"
-    save(two_lobe_fit, model_file)
-    outputs = []
+def test_arguments_have_no_order(folder: Path, capsys: Capture) -> None:
+    model_file, outputs = folder / "model.json", []
     for words in (
         f"eval {model_file} --theta-half 0 10 --theta-diff 30",
         f"eval --theta-half 0 10 --theta-diff 30 {model_file}",

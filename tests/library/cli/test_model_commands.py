@@ -1,9 +1,7 @@
-"""``dsbrdf eval``, ``show``, ``decompose`` and ``export``."""
-
 import subprocess
 import sys
 from contextlib import redirect_stdout
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,8 @@ import pytest
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.cli import model_commands
-from dsbrdf.fitting.decomposition import LABELS
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import from_json, from_npz, load
-from tests.support.command_line import FEW_LOBES, Capture, document, exit_code, sentence
+from tests.support.command_line import FEW_LOBES, Capture, document
 
 
 @pytest.fixture(scope="module")
@@ -34,46 +29,41 @@ def model_file(printed_and_stored: tuple[list[str], Path]) -> Path:
     return printed_and_stored[1]
 
 
-def test_fit_writes_what_the_library_would_save(model_file: Path, two_lobe_fit: FitResult) -> None:
-    stored = dsbrdf.load_result(model_file)
-    assert stored.model == two_lobe_fit.model
-    assert replace(stored.report, timings={}) == replace(two_lobe_fit.report, timings={})
-
-
-# models
-
-
-def test_eval_by_angles(model_file: Path, capsys: Capture) -> None:
-    command = ["eval", str(model_file), "--theta-half", "0", "10", "--theta-diff", "30"]
-    assert cli.main([*command, "--theta-half", "40", "--json"]) == 0
-    answer = document(capsys)
-    expected = load(model_file).evaluate(np.radians([0.0, 10.0, 40.0]), np.radians(30.0))
-    np.testing.assert_array_equal(answer["values"], expected)
-    assert answer["theta_half_deg"] == [0.0, 10.0, 40.0]
-    assert answer["theta_diff_deg"] == [30.0] * 3
-    assert answer["phi_diff_deg"] == [90.0] * 3
-    assert cli.main(command) == 0
+def test_eval_by_angles_as_a_table(model_file: Path, capsys: Capture) -> None:
+    assert cli.main(["eval", str(model_file), "--theta-half", "0", "10", "--theta-diff", "30"]) == 0
     rows = capsys.readouterr().out.splitlines()
     assert rows[0].split() == ["theta_half", "theta_diff", "phi_diff", "red", "green", "blue"]
-    np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, 90, *expected[1]], rtol=1e-5)
+    expected = load(model_file).evaluate(np.radians(10.0), np.radians(30.0))
+    np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, 90, *expected], rtol=1e-5)
 
 
-@pytest.mark.parametrize("words", [["30,45", "50"], ["30", "45", "50"], ["30,", "45,", "50"], ["30, 45", "50"]])
-def test_lists_take_commas_and_blanks(words: list[str], model_file: Path, capsys: Capture) -> None:
-    expected = [30.0, 45.0, 50.0]
-    assert cli.main(["eval", str(model_file), "--theta-half", *words, "--theta-diff", "30", "--json"]) == 0
-    assert document(capsys)["theta_half_deg"] == expected
-
-
-def test_eval_by_angles_of_the_directions(model_file: Path, capsys: Capture) -> None:
-    command = ["eval", str(model_file), "--theta-in", "30", "--theta-out", "30", "60", "--json"]
-    model = load(model_file)
-    assert cli.main(command) == 0  # on the side of the mirror direction, which is theta_half = 0 where both are 30
-    in_plane = document(capsys)["values"]
-    np.testing.assert_allclose(in_plane, model.evaluate(np.radians([0.0, 15.0]), np.radians([30.0, 45.0]), 0.0))
-    assert cli.main([*command, "--phi-out", "0"]) == 0  # back to the light, which is theta_diff = 0 where both are 30
-    back = document(capsys)["values"]
-    np.testing.assert_allclose(back, model.evaluate(np.radians([30.0, 45.0]), np.radians([0.0, 15.0]), 0.0))
+@pytest.mark.parametrize(
+    ("words", "degrees"),
+    [
+        ("--theta-half 0 10 --theta-diff 30 --theta-half 40", ([0.0, 10.0, 40.0], 30.0, 90.0)),
+        ("--theta-half 30,45 50 --theta-diff 30", ([30.0, 45.0, 50.0], 30.0, 90.0)),
+        ("--theta-half 30, 45, 50 --theta-diff 30", ([30.0, 45.0, 50.0], 30.0, 90.0)),
+        # the first is 100 degrees from the normal
+        ("--theta-half 40 --theta-diff 60 --phi-diff 0 70 -110", (40.0, 60.0, [0.0, 70.0, -110.0])),
+        # on the side of the mirror direction, which is theta_half = 0 where both are 30; and back to the light
+        ("--theta-in 30 --theta-out 30 60", ([0.0, 15.0], [30.0, 45.0], 0.0)),
+        ("--theta-in 30 --theta-out 30 60 --phi-out 0", ([30.0, 45.0], [0.0, 15.0], 0.0)),
+        (
+            "--omega-in -0.6,0,0.8 --omega-in 0,0,1 --omega-out 0.6,-0,0.8",
+            ([0.0, 18.43494882], [36.86989765, 18.43494882], 0.0),
+        ),
+        ("--omega-in 0,0,-1 --omega-out 0,0,1", ([90.0], 90.0, 0.0)),
+    ],
+)
+def test_eval_gives_the_values_of_the_library(words: str, degrees: Any, model_file: Path, capsys: Capture) -> None:
+    assert cli.main(["eval", str(model_file), *words.split(), "--json"]) == 0
+    answer = document(capsys)
+    expected = load(model_file).evaluate(*(np.radians(angle) for angle in degrees))
+    np.testing.assert_allclose(answer["values"], expected, rtol=1e-6)
+    if "--theta-half" in words:
+        asked = np.broadcast_arrays(*degrees)
+        names = ("theta_half_deg", "theta_diff_deg", "phi_diff_deg")
+        assert [answer[name] for name in names] == [angles.tolist() for angles in asked]
 
 
 @pytest.mark.parametrize("words", [["eval", "--theta-half", "0,10", "--theta-diff", "30"], ["show"], ["decompose"]])
@@ -86,78 +76,14 @@ def test_text_holds_at_60_columns(
     assert [line for line in lines if len(line) > 60 and not line.startswith("warning")] == []
 
 
-def test_eval_with_phi_diff(model_file: Path, capsys: Capture) -> None:
-    point = ["--theta-half", "40", "--theta-diff", "60"]
-    assert cli.main(["eval", str(model_file), *point, "--phi-diff", "0", "70", "-110", "--json"]) == 0
-    answer = document(capsys)
-    assert answer["phi_diff_deg"] == [0.0, 70.0, -110.0]
-    phi_diff = np.radians([0.0, 70.0, -110.0])
-    expected = load(model_file).evaluate(np.radians(40.0), np.radians(60.0), phi_diff)
-    np.testing.assert_array_equal(answer["values"], expected)
-    assert answer["values"][0] == [0.0] * 3  # 100 degrees from the normal
-    assert min(answer["values"][1]) > 0.0
-    np.testing.assert_allclose(answer["values"][1], answer["values"][2], rtol=1e-12)
-
-
-def test_direction_below_the_horizon_gives_0(model_file: Path, capsys: Capture) -> None:
-    words = ["--omega-in", "0,0,-1", "--omega-in", "0,0,1", "--omega-out", "0,0,1", "--json"]
-    assert cli.main(["eval", str(model_file), *words]) == 0
-    below, above = document(capsys)["values"]
-    assert below == [0.0] * 3
-    assert min(above) > 0.0
-
-
-def test_eval_by_directions(model_file: Path, capsys: Capture) -> None:
-    words = ["--omega-in", "-0.6,0,0.8", "--omega-in", "0,0,1", "--omega-out", "0.6,-0,0.8", "--json"]
-    assert cli.main(["eval", str(model_file), *words]) == 0
-    expected = load(model_file).evaluate_directions(np.array([[-0.6, 0, 0.8], [0, 0, 1]]), np.array([0.6, 0, 0.8]))
-    np.testing.assert_array_equal(document(capsys)["values"], expected)
-    exchanged = ["--omega-in", "0.6,0,0.8", "--omega-out", "-0.6,0,0.8", "--json"]
-    assert cli.main(["eval", str(model_file), *exchanged]) == 0
-    np.testing.assert_allclose(document(capsys)["values"], expected[:1], rtol=1e-12)
-
-
-def test_components_sum_to_the_model(model_file: Path, capsys: Capture) -> None:
+def test_components_are_those_of_the_library(model_file: Path, capsys: Capture) -> None:
     command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
-    assert cli.main(command) == 0
-    whole = np.array(document(capsys)["values"])
-    total = np.zeros_like(whole)
-    labels = dsbrdf.decompose(load(model_file)).labels
-    assert len(labels) == 2
-    for label in labels:
-        assert cli.main([*command, "--component", label]) == 0
-        total += document(capsys)["values"]
-    np.testing.assert_allclose(total, whole, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ([], "--theta-half is missing"),
-        (["--theta-half", "1"], "--theta-diff is missing"),
-        (["--omega-in", "0,0,1"], "--omega-out is missing"),
-        (["--theta-half", "1", "2", "--theta-diff", "1", "2", "3"], "cannot be combined"),
-        (["--theta-half", "91", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
-        (["--theta-half", "-1", "--theta-diff", "0"], "theta_half must lie between 0 and 90 degrees"),
-        (["--theta-half", "x", "--theta-diff", "0"], "--theta-half: must be a number, not 'x'"),
-        (["--theta-half", "1", "--omega-in", "0,0,1"], "either --theta-half and --theta-diff, --theta-in and"),
-        (["--omega-in", "0,0,2", "--omega-out", "0,0,1"], "omega_in must be of unit length"),
-        (["--phi-diff", "1"], "--theta-half is missing"),
-        (["--phi-diff", "1", "--omega-in", "0,0,1", "--omega-out", "0,0,1"], "either --theta-half and --theta-diff, "),
-        (["--theta-half", "1", "--theta-diff", "1", "--phi-diff", "nan"], "phi_diff must be finite"),
-        (["--theta-half", "1", "--theta-diff", "1", "2", "--phi-diff", "1", "2", "3"], "cannot be combined"),
-        (["--omega-in", "0,1", "--omega-out", "0,0,1"], "a direction must be three numbers x,y,z, not '0,1'"),
-        (
-            ["--theta-half", "1", "--theta-diff", "1", "--component", "shiny"],
-            "--component: must be specular_spike or specular_lobe or diffuse or guide",
-        ),
-    ],
-)
-def test_invalid_points_are_refused_in_one_sentence(
-    words: list[str], said: str, model_file: Path, capsys: Capture
-) -> None:
-    assert exit_code(["eval", str(model_file), *words]) == 2
-    assert said in sentence(capsys)
+    angles = np.radians([0.5, 12.0, 60.0]), np.radians([0.0, 45.0, 20.0])
+    components = list(dsbrdf.decompose(load(model_file)))
+    assert len(components) == 2
+    for component in components:
+        assert cli.main([*command, "--component", component.label]) == 0
+        np.testing.assert_array_equal(document(capsys)["values"], component.evaluate(*angles))
 
 
 def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> None:
@@ -181,38 +107,11 @@ def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> N
         np.testing.assert_allclose(printed, np.transpose(shown), rtol=1e-3)
 
 
-def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path) -> None:
     saved, exported = tmp_path / "guide.json", tmp_path / "guide.npz"
     assert cli.main(["decompose", str(model_file), "-o", str(saved)]) == 0
     assert cli.main(["export", str(model_file), "--component", "guide", "-o", str(exported)]) == 0
-    guide = load(saved)
-    assert guide == load(exported) == dsbrdf.decompose(load(model_file)).guide
-    np.testing.assert_allclose(guide.evaluate(0.2, 0.5), load(model_file).evaluate(0.2, 0.5), rtol=0.2)
-    capsys.readouterr()
-    assert cli.main(["decompose", str(model_file), "-o", str(tmp_path / "guide.txt")]) == 2
-    assert "must end in .json or .npz" in sentence(capsys)
-
-
-@pytest.mark.parametrize("command", [["eval", "--theta-half", "0", "--theta-diff", "0"], ["export", "-o", "a.binary"]])
-def test_an_absent_component_is_named_with_the_file(
-    command: list[str], model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    there = dsbrdf.decompose(load(model_file)).labels
-    (absent,) = set(LABELS) - set(there)
-    assert cli.main([*command, str(model_file), "--component", absent]) == 2
-    assert (
-        sentence(capsys)
-        == f"dsbrdf: {model_file}: this model has no component {absent}: it has {' and '.join(there)}\n"
-    )
-    assert not any(tmp_path.iterdir())
-
-
-def test_a_component_in_a_format_of_lobes_is_refused(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
-    output = tmp_path / "diffuse.json"
-    assert cli.main(["export", str(model_file), "--component", "diffuse", "-o", str(output)]) == 2
-    assert sentence(capsys).startswith("dsbrdf: json cannot hold a component")
-    assert not output.exists()
+    assert load(saved) == load(exported) == dsbrdf.decompose(load(model_file)).guide
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -272,6 +171,14 @@ def test_export_without_loss(model_file: Path, tmp_path: Path, capsys: Capture) 
     assert (tmp_path / "back.json").read_text() == model_file.read_text()
 
 
+def test_export_as_a_named_shader_that_samples(model_file: Path, tmp_path: Path) -> None:
+    shader = tmp_path / "paint.glsl"
+    assert cli.main(["export", str(model_file), "-o", str(shader), "--name", "paint", "--sampling"]) == 0
+    assert "\nvec3 paint_sample(vec3 omega_out" in shader.read_text()
+    assert cli.main(["export", str(model_file), "-o", str(tmp_path / "paint.csv"), "--name", "paint"]) == 2
+    assert not (tmp_path / "paint.csv").exists()
+
+
 def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
     table = tmp_path / "table.binary"
     command = ["export", str(model_file), "--format", "merl", "-o", str(table), "--component", "diffuse", "--json"]
@@ -282,37 +189,6 @@ def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) ->
     # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees
     expected = part.evaluate(np.radians(10.0), np.radians(20.0))
     np.testing.assert_allclose(measurement.values[:, 30, 20, 90], expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"format": "other"}', b"[" * 5000])
-@pytest.mark.parametrize("suffix", [".json", ".npz", ".txt"])
-def test_file_that_is_no_model_is_refused_in_one_sentence(
-    content: bytes, suffix: str, tmp_path: Path, capsys: Capture
-) -> None:
-    path = tmp_path / f"model{suffix}"
-    path.write_bytes(content)
-    assert cli.main(["decompose", str(path)]) == 2
-    assert sentence(capsys).startswith(f"dsbrdf: {path}: ")
-
-
-def test_missing_model_is_reported_in_one_sentence(tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["decompose", str(tmp_path / "none.json")]) == 2
-    assert sentence(capsys) == f"dsbrdf: {tmp_path / 'none.json'}: No such file or directory\n"
-
-
-def test_missing_output_folder_is_reported_by_its_given_name(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
-    output = tmp_path / "nowhere" / "model.npz"
-    assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(output)]) == 2
-    assert sentence(capsys) == f"dsbrdf: {output}: No such file or directory\n"
-
-
-def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, model_file: Path) -> None:
-    def broken(*_: Any, **__: Any) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(model_commands, "model_text", broken)
-    with pytest.raises(ZeroDivisionError):
-        cli.main(["decompose", str(model_file)])
 
 
 def test_closed_output_pipe_is_no_error(model_file: Path) -> None:

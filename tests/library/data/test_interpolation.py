@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
@@ -26,12 +26,6 @@ def holed(plastic: Measurement) -> Measurement:
     valid[:, :, 100] = False
     valid[33] = False
     return Measurement.from_values(np.where(valid, plastic.values, 1e6), valid)
-
-
-def test_nodes_are_reproduced(plastic: Measurement) -> None:
-    row, diff, column = np.nonzero(plastic.valid)
-    found = interpolate(plastic).evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])
-    np.testing.assert_allclose(found, plastic.values[:, plastic.valid].T, rtol=1e-9)
 
 
 def test_nodes_are_reproduced_beside_lost_ones(holed: Measurement) -> None:
@@ -97,21 +91,6 @@ def test_the_last_row_is_held(plastic: Measurement) -> None:
     np.testing.assert_allclose(interpolated.evaluate(np.pi / 2, 0.0, 0.3), held, rtol=1e-12)
     held = interpolated.evaluate(0.0, THETA_DIFF[89], 0.3)
     np.testing.assert_allclose(interpolated.evaluate(0.0, np.pi / 2, 0.3), held, rtol=1e-12)
-
-
-def test_halfway_is_the_geometric_mean(plastic: Measurement) -> None:
-    halfway = 0.5 * (THETA_DIFF[20] + THETA_DIFF[21])
-    ends = plastic.values[:, 12, 20, 7] * plastic.values[:, 12, 21, 7]
-    found = interpolate(plastic).evaluate(THETA_HALF[12], halfway, PHI_DIFF[7])
-    np.testing.assert_allclose(found, np.sqrt(ends), rtol=1e-4)
-
-
-def test_black_stays_black() -> None:
-    values = np.zeros((3, *GRID_SHAPE))
-    values[0] = 0.5
-    found = interpolate(Measurement.from_values(values, nodes_above_horizon())).evaluate(*random_angles(1_000))
-    np.testing.assert_allclose(found[:, 0], 0.5, rtol=1e-9)
-    np.testing.assert_allclose(found[:, 1:], 0.0, atol=1e-15)
 
 
 def test_many_points_are_evaluated_as_one_by_one(plastic: Measurement) -> None:

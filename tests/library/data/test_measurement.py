@@ -1,5 +1,6 @@
 import dataclasses
 import hashlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,20 +65,19 @@ def test_from_values_equals_reading_the_encoded_bytes() -> None:
     assert measurement.sha256 == hashlib.sha256(encode_merl(measurement)).hexdigest()
 
 
-@pytest.mark.parametrize("shape", [(90, 90, 180), (3, 90, 180, 90), (90, 90, 180, 3), ()])
-def test_from_values_names_a_wrong_shape(shape: tuple[int, ...]) -> None:
-    with pytest.raises(MeasurementFormatError, match=r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"):
-        Measurement.from_values(np.zeros(shape))
-
-
-def test_from_values_names_other_faults() -> None:
-    values = np.ones((3, *GRID_SHAPE))
-    with pytest.raises(MeasurementFormatError, match=r"valid nodes have the shape \(90, 180, 90\)"):
-        Measurement.from_values(values, np.ones((90, 180, 90), dtype=bool))
-    with pytest.raises(MeasurementFormatError, match=r"Every valid node is zero"):
-        Measurement.from_values(np.zeros_like(values))
-    with pytest.raises(MeasurementFormatError, match=r"must be real numbers"):
-        Measurement.from_values([["a"]])
-    values[2, 3, 4, 5] = np.inf
-    with pytest.raises(MeasurementFormatError, match=r"^1 of the values is NaN or infinite"):
-        Measurement.from_values(values)
+@pytest.mark.parametrize(
+    ("values", "valid", "words"),
+    [
+        (np.zeros((90, 90, 180)), None, r"have the shape \(90, 90, 180\); a measurement has \(3, 90, 90, 180\)"),
+        (np.zeros((90, 90, 180, 3)), None, r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"),
+        (np.zeros(()), None, r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"),
+        (np.ones((3, *GRID_SHAPE)), np.ones((90, 180, 90), bool), r"valid nodes have the shape \(90, 180, 90\)"),
+        (np.zeros((3, *GRID_SHAPE)), None, "Every valid node is zero"),
+        (np.array([["a"]]), None, "must be real numbers"),
+        (np.where(np.arange(180) == 7, np.inf, np.ones((3, *GRID_SHAPE))), None, "^24300 of the values are NaN"),
+    ],
+    ids=["no channels", "channels last", "a number", "nodes", "zeros", "text", "infinite"],
+)
+def test_from_values_names_the_fault(values: Any, valid: Any, words: str) -> None:
+    with pytest.raises(MeasurementFormatError, match=words):
+        Measurement.from_values(values, valid)

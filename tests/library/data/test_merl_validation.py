@@ -1,6 +1,3 @@
-"""What is refused of a MERL file, and in which sentence."""
-
-import itertools
 import os
 import re
 import struct
@@ -9,20 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.merl import parse_merl, read_merl
-from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker, check_header, check_length
+from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker, check_header
 from dsbrdf.errors import MeasurementFormatError
-from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, position, with_values
-
-
-@pytest.fixture(scope="module")
-def data(plastic_file: Path) -> bytes:
-    return plastic_file.read_bytes()
+from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, with_values
 
 
 def streamed(data: bytes, size: int) -> str | None:
@@ -65,39 +55,25 @@ def test_checking_a_stream_takes_bounded_memory(data: bytes) -> None:
     assert peak < 3_000_000
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(cuts=st.lists(st.integers(0, FILE_SIZE), max_size=12), near=st.lists(st.integers(0, 40), max_size=6))
-def test_stream_may_be_split_anywhere(data: bytes, cuts: list[int], near: list[int]) -> None:
-    changed = with_values(data, {(0, (0, 0, 0)): -1.0, (1, (1, 1, 1)): -1.0, (2, (89, 0, 179)): -1.0})
-    channel = [12 + 8 * NODES * k + d for k, d in enumerate(near[:3])]
-    edges = [0, *sorted([*cuts, *near, *channel]), FILE_SIZE]
-    checker = MerlChecker()
-    for start, stop in itertools.pairwise(edges):
-        checker.update(memoryview(changed)[start:stop])
-    assert checker.n_bytes == FILE_SIZE
-    np.testing.assert_array_equal(checker.finish(), parse_merl(changed).valid)
-
-
 def test_single_bytes_can_be_streamed(data: bytes) -> None:
     checker = MerlChecker()
     for start in range(50):
         checker.update(data[start : start + 1])
-    checker.update(data[50:])
+    checker.update(memoryview(data)[50:])
+    assert checker.n_bytes == FILE_SIZE
     np.testing.assert_array_equal(checker.finish(), parse_merl(data).valid)
-
-
-# Refusals: length
 
 
 @pytest.mark.parametrize("length", [1, 11, 12, 13, 19, 20, 12 + 8 * NODES, FILE_SIZE - 8, FILE_SIZE - 1])
 def test_truncated_file_is_refused(data: bytes, length: int) -> None:
-    sentence = refusal(data[:length])
-    assert f"only {length} bytes" in sentence
-    assert "34992012" in sentence
+    assert re.search(f"only {length} bytes.*34992012", refusal(data[:length]))
 
 
-def test_empty_file_is_refused() -> None:
+def test_what_a_wrong_length_or_order_looks_like_is_named(data: bytes) -> None:
     assert refusal(b"").startswith("The data is empty; a MERL measurement has exactly 34992012 bytes")
+    values = np.frombuffer(data, dtype="<f8", offset=12).astype("<f4")
+    assert "the length of float32 values" in refusal(HEADER + values.tobytes())
+    assert "big-endian" in refusal(struct.pack(">3i", 90, 90, 180) + data[12:])
 
 
 @pytest.mark.parametrize("extra", [b"\0", bytes(8), bytes(2_000_000)])
@@ -113,32 +89,13 @@ def test_a_stream_is_refused_as_soon_as_it_is_too_long(data: bytes) -> None:
         checker.update(b"\0")
 
 
-def test_float32_file_is_named(data: bytes) -> None:
-    values = np.frombuffer(data, dtype="<f8", offset=12).astype("<f4")
-    assert "the length of float32 values" in refusal(HEADER + values.tobytes())
-
-
-def test_check_length_accepts_only_the_size() -> None:
-    check_length(FILE_SIZE)
-    for length in (0, 1, 12, FILE_SIZE - 1, FILE_SIZE + 1, 10**12):
-        with pytest.raises(MeasurementFormatError):
-            check_length(length)
-
-
-# Refusals: header
-
-
 @pytest.mark.parametrize(
     ("dimensions", "fault"),
     [
         ((0, 90, 180), "theta_half is 0 and not 90"),
         ((90, 0, 180), "theta_diff is 0 and not 90"),
-        ((90, 90, 0), "phi_diff is 0 and not 180"),
         ((-90, -90, 180), "theta_half is -90 and not 90, theta_diff is -90 and not 90"),
         ((90, 90, 2**31 - 1), "phi_diff is 2147483647 and not 180"),
-        ((90, 180, 180), "theta_diff is 180 and not 90"),
-        ((90, 90, 360), "phi_diff is 360 and not 180"),
-        ((45, 180, 180), "theta_half is 45 and not 90, theta_diff is 180 and not 90"),
         ((1, 1, 90 * 90 * 180), "theta_half is 1 and not 90"),
         ((180, 90, 90), "swapped: (180, 90, 90); a MERL measurement has (90, 90, 180)"),
         ((90, 180, 90), "swapped: (90, 180, 90); a MERL measurement has (90, 90, 180)"),
@@ -150,8 +107,6 @@ def test_dimensions_are_checked_one_by_one(data: bytes, dimensions: tuple[int, i
     assert fault in refusal(header + data[12:1000])  # rather than the length
     with pytest.raises(MeasurementFormatError, match=re.escape(fault)):
         check_header(header)
-    with pytest.raises(MeasurementFormatError, match=re.escape(fault)):
-        MerlChecker().update(header)
 
 
 @pytest.mark.parametrize(
@@ -169,10 +124,6 @@ def test_other_formats_are_named(data: bytes, start: bytes, kind: str) -> None:
         assert f"The data is {kind}" in refusal(content)
 
 
-def test_big_endian_file_is_named(data: bytes) -> None:
-    assert "big-endian" in refusal(struct.pack(">3i", 90, 90, 180) + data[12:])
-
-
 def test_check_header_ignores_what_follows_and_needs_twelve_bytes(data: bytes) -> None:
     check_header(data[:12])
     check_header(data[:5000])
@@ -180,25 +131,17 @@ def test_check_header_ignores_what_follows_and_needs_twelve_bytes(data: bytes) -
         check_header(data[:11])
 
 
-# Refusals: values
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize(("channel", "node"), [(0, (0, 0, 0)), (1, BELOW), (2, (89, 89, 179))])
+@pytest.mark.parametrize(
+    ("channel", "color", "node"), [(0, "red", (0, 0, 0)), (1, "green", BELOW), (2, "blue", (89, 89, 179))]
+)
 def test_value_that_is_not_finite_is_located(
-    data: bytes, value: float, channel: int, node: tuple[int, int, int]
+    data: bytes, value: float, channel: int, color: str, node: tuple[int, int, int]
 ) -> None:
-    sentence = refusal(with_values(data, {(channel, node): value}))
-    assert sentence == (
-        f"1 value, in the {('red', 'green', 'blue')[channel]} channel at (theta_half, theta_diff, phi_diff) node "
+    assert refusal(with_values(data, {(channel, node): value})) == (
+        f"1 value, in the {color} channel at (theta_half, theta_diff, phi_diff) node "
         f"{node}, is NaN or infinite; every value must be finite."
     )
-
-
-def test_signalling_nan_is_refused(data: bytes) -> None:
-    changed = bytearray(data)
-    struct.pack_into("<Q", changed, position(1, ABOVE), 0x7FF0000000000001)
-    assert "is NaN or infinite" in refusal(bytes(changed))
 
 
 def test_values_that_are_not_finite_are_counted(data: bytes) -> None:
@@ -208,18 +151,14 @@ def test_values_that_are_not_finite_are_counted(data: bytes) -> None:
     assert "node (5, 6, 7), are NaN or infinite" in sentence
 
 
-@pytest.mark.parametrize("channel", [0, 1, 2])
-def test_largest_value_is_a_limit_of_the_scaled_brdf(data: bytes, channel: int) -> None:
+@pytest.mark.parametrize(("channel", "color"), [(0, "red"), (1, "green"), (2, "blue")])
+def test_largest_value_is_a_limit_of_the_scaled_brdf(data: bytes, channel: int, color: str) -> None:
     limit = 1e8 / SCALE[channel]
     sentence = refusal(with_values(data, {(channel, ABOVE): limit * 1.001, (channel, (11, 0, 0)): limit * 2}))
-    assert sentence.startswith(f"2 values, the first in the {('red', 'green', 'blue')[channel]} channel at")
+    assert sentence.startswith(f"2 values, the first in the {color} channel at")
     assert "node (10, 20, 30), exceed 1e8/sr" in sentence
-    parse_merl(with_values(data, {(channel, ABOVE): limit * 0.999}))
-
-
-def test_large_values_below_the_horizon_do_not_matter(data: bytes) -> None:
-    measurement = parse_merl(with_values(data, {(0, BELOW): 1e300}))
-    assert not measurement.valid[BELOW]
+    within = parse_merl(with_values(data, {(channel, ABOVE): limit * 0.999, (channel, BELOW): 1e300}))
+    assert not within.valid[BELOW]
 
 
 def table(value: float, valid: NDArray[np.bool_]) -> bytes:
@@ -255,9 +194,6 @@ def test_file_of_zeros_is_refused() -> None:
     assert parse_merl(HEADER + values.astype("<f8").tobytes()).valid[ABOVE]
 
 
-# Files
-
-
 def test_missing_file_directory_and_pipe_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_merl(tmp_path / "missing.binary")
@@ -283,10 +219,8 @@ def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
 
 
 def test_file_and_bytes_get_the_same_sentence(data: bytes, tmp_path: Path) -> None:
-    faulty = [b"", b"abc", data[:500], data + b"\0", struct.pack("<3i", 90, 180, 90) + data[12:]]
-    faulty.append(with_values(data, {(0, ABOVE): np.nan}))
-    for content in faulty:
-        path = tmp_path / "faulty.binary"
+    path = tmp_path / "faulty.binary"
+    for content in (b"abc", data[:500], data + b"\0", with_values(data, {(0, ABOVE): np.nan})):
         path.write_bytes(content)
         with pytest.raises(MeasurementFormatError) as from_file:
             read_merl(path)

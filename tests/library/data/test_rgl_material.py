@@ -1,9 +1,5 @@
-"""RGL files as Mitsuba evaluates them, on the grid, and files that are none."""
-
-import importlib
-import importlib.util
+import struct
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,24 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.rgl_file import Warp, bilinear, encode_tensors, parse_tensors
 from dsbrdf.data.rgl_material import parse_rgl, read_rgl
-from dsbrdf.data.tensor_file import encode_tensors, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.output.export.rgl import rgl_bsdf
+from tests.support.known_models import pairs_of_directions
+from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.mixtures import mixture
 
-Array = NDArray[np.float64]
-
 MODEL = mixture(2, 1)
-
-
-@pytest.fixture(scope="module")
-def mitsuba() -> ModuleType:
-    if importlib.util.find_spec("mitsuba") is None:
-        pytest.skip('"mitsuba" is not installed')
-    module = importlib.import_module("mitsuba")
-    module.set_variant("scalar_rgb")
-    return module
 
 
 def random_fields() -> dict[str, NDArray[Any]]:
@@ -48,21 +35,13 @@ def random_fields() -> dict[str, NDArray[Any]]:
     return fields | {"description": np.frombuffer(b"random", np.uint8), "jacobian": np.ones(1, np.uint8)}
 
 
-def pairs_of_directions(number: int) -> tuple[Array, Array]:
-    random = np.random.default_rng(1)
-    cosine, turn = random.uniform(0.03, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
-    sine = np.sqrt(1.0 - cosine**2)
-    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
-    return first, second
-
-
 @pytest.mark.parametrize("content", [encode_tensors(random_fields()), rgl_bsdf(MODEL)], ids=["random", "model"])
-def test_values_are_those_of_mitsuba(mitsuba: ModuleType, tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "material.bsdf"
+def test_values_are_those_of_mitsuba(tmp_path: Path, content: bytes) -> None:
+    path, mitsuba = tmp_path / "material.bsdf", mitsuba_variant("scalar_rgb")
     path.write_bytes(content)
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path)})
     surface, context = mitsuba.SurfaceInteraction3f(), mitsuba.BSDFContext()
-    first, second = pairs_of_directions(300)
+    first, second = pairs_of_directions(300, lowest=0.03, spread=None)
     expected = []
     for omega_in, omega_out in zip(first.tolist(), second.tolist(), strict=True):
         surface.wi = omega_in
@@ -120,6 +99,60 @@ def test_what_is_no_isotropic_material_is_refused(content: bytes, words: str) ->
         parse_rgl(content)
 
 
-def test_the_tables_are_those_of_the_file() -> None:
-    fields = parse_tensors(changed())
-    np.testing.assert_array_equal(parse_rgl(changed()).rgb, fields["rgb"][0])
+def test_share_of_samples_is_the_integral_of_the_density() -> None:
+    random = np.random.default_rng(0)
+    warp = Warp.of(random.uniform(0.0, 1.0, (4, 6)) ** 3)
+    x, y = warp.sample(*random.random((2, 200_000)))
+    middles = (np.arange(200) + 0.5) / 200
+    for left, low in ((0.1, 0.2), (0.5, 0.6), (0.8, 0.05)):
+        inside = np.mean((x > left) & (x < left + 0.15) & (y > low) & (y < low + 0.2))
+        # The density is continuous and piecewise bilinear: the error of so many midpoints is far below the deviation.
+        a, b = np.meshgrid(left + 0.15 * middles, low + 0.2 * middles)
+        expected = 0.15 * 0.2 * bilinear(warp.density, a.ravel(), b.ravel()).mean()
+        assert inside == pytest.approx(expected, abs=4.0 * np.sqrt(expected / 200_000))
+
+
+def test_uniform_density_leaves_samples_where_they_are() -> None:
+    given = np.random.default_rng(1).random((2, 100))
+    assert np.allclose(Warp.of(np.full((5, 7), 3.0)).sample(*given), given)
+
+
+def test_corners_stay() -> None:
+    x, y = Warp.of(np.random.default_rng(2).random((5, 7))).sample(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    assert np.allclose([x, y], [[0.0, 1.0], [0.0, 1.0]])
+
+
+FIELDS: dict[str, NDArray[Any]] = {
+    "description": np.frombuffer(b"nickel", np.uint8),
+    "theta_i": np.linspace(0.0, 1.5, 4, dtype=np.float32),
+    "rgb": np.arange(24.0).reshape(2, 3, 4),
+}
+
+
+CONTENT = encode_tensors(FIELDS)
+
+
+def test_round_trip() -> None:
+    found = parse_tensors(CONTENT)
+    assert list(found) == list(FIELDS)
+    for name, array in FIELDS.items():
+        assert found[name].dtype == array.dtype
+        assert np.array_equal(found[name], array)
+
+
+def test_layout() -> None:
+    expected = b"tensor_file\0\x01\x00" + struct.pack("<I", 1) + struct.pack("<H", 1) + b"a"
+    expected += struct.pack("<HBQQ", 1, 10, 40, 1) + struct.pack("<f", 2.5)
+    assert encode_tensors({"a": np.array([2.5], np.float32)}) == expected
+
+
+@pytest.mark.parametrize("length", range(14, len(CONTENT), 7))
+def test_cut_file_is_refused(length: int) -> None:
+    with pytest.raises(MeasurementFormatError, match="damaged or cut off"):
+        parse_tensors(CONTENT[:length])
+
+
+@pytest.mark.parametrize("content", [b"", b"PNG", b"tensor_file\0\x02\x00" + CONTENT[14:]])
+def test_another_kind_of_file_is_refused(content: bytes) -> None:
+    with pytest.raises(MeasurementFormatError, match=r"not a tensor file of version 1\.0"):
+        parse_tensors(content)

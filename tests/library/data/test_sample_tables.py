@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.data.sample_tables import parse_samples
-from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.errors import MeasurementFormatError
 
 Array = NDArray[np.float64]
@@ -149,10 +148,6 @@ def check_same(samples: ScatteredSamples, angles: Array, values: Array) -> None:
     np.testing.assert_allclose(samples.values, values, rtol=1e-8)
 
 
-def test_there_are_forty_spellings() -> None:
-    assert len({*SPELLINGS.values()}) == 40
-
-
 @pytest.mark.parametrize("spelling", SPELLINGS)
 def test_every_spelling_of_a_table_is_the_same_samples(spelling: str) -> None:
     samples = parse_samples(SPELLINGS[spelling])
@@ -170,13 +165,12 @@ def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
     assert [words in note for note in samples.notes] == ([True] if words else [])
 
 
-def test_the_suffix_tells_a_table(tmp_path: Path) -> None:
-    for suffix in (".csv", ".tsv", ".txt", ".TXT"):
-        path = tmp_path / f"felt{suffix}"
-        path.write_bytes(table())
-        samples = read_measurement(path)
-        assert isinstance(samples, ScatteredSamples)
-        assert samples.name == "felt"
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".TXT"])
+def test_the_suffix_tells_a_table(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"felt{suffix}"
+    path.write_bytes(table())
+    samples = read_measurement(path)
+    assert (type(samples), samples.name) == (ScatteredSamples, "felt")
 
 
 def test_weights_and_columns_that_are_not_read() -> None:
@@ -230,6 +224,12 @@ def changed(place: int, cell: str, *, content: bytes | None = None) -> bytes:
 
 LONG_VECTORS = np.hstack([spherical(ANGLES)[0] * 1.05, spherical(ANGLES)[1], RGB])
 WRONG = {
+    "no row": (table().splitlines()[0], "There are 0 samples; a fit needs at least "),
+    "no number": (table(columns=np.full((9, 7), np.nan)), "There are 0 samples; a fit needs at least "),
+    "a line without end": (
+        table() + b"1;" * 70_000,
+        "The table cannot be split into cells: one is longer than 131072 characters, or a quotation mark is not",
+    ),
     "nothing": (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     "no names": (
         "\n".join(WORDS[1:]).encode(),
@@ -323,3 +323,28 @@ def test_what_is_no_table_is_told_what_is_wrong_and_what_would_be_right(fault: s
         parse_samples(content)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_weights_are_positive_and_as_many_as_samples() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (300, 1))
+    with pytest.raises(MeasurementFormatError, match="weight is not positive; leave out"):
+        ScatteredSamples.from_arrays(up, up, up, np.zeros(300))
+    with pytest.raises(MeasurementFormatError, match=r"weight must have the shape \(300,\), not \(3,\)"):
+        ScatteredSamples.from_arrays(up, up, up, np.ones(3))
+    with pytest.raises(MeasurementFormatError, match="omega_in must be real numbers"):
+        ScatteredSamples.from_arrays([["a"]], up, up)
+
+
+def test_directions_are_made_unit_vectors() -> None:
+    nearly = np.tile([0.6004, 0.0, 0.8], (300, 1))
+    samples = ScatteredSamples.from_arrays(nearly, nearly, np.ones((300, 3)))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-15)
+    with pytest.raises(MeasurementFormatError, match=r"In 300 of 300 samples.* omega_in is not of unit length"):
+        ScatteredSamples.from_arrays(1.01 * nearly, nearly, np.ones((300, 3)))
+
+
+def test_values_are_divided_by_the_cosine_that_they_contain() -> None:
+    first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
+    samples = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 0.24))
+    np.testing.assert_allclose(samples.divided_by_cosine("in").values, 0.3, rtol=1e-14)
+    np.testing.assert_allclose(samples.divided_by_cosine("out").values, 0.4, rtol=1e-14)

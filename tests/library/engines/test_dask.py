@@ -1,18 +1,14 @@
-"""The engine that fits on a Dask cluster: workers and schedulers come, go, hang and are lost."""
-
 import asyncio
-from dataclasses import replace
+import pickle
 from pathlib import Path
 
 import pytest
 
-from dsbrdf import FitOptions
-from dsbrdf.engines import dask_cluster as cluster_room
+from dsbrdf import FitOptions, Profiles
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitTask
-from dsbrdf.engines.fit_steps import reduce_measurement
+from dsbrdf.engines.local import reduce_measurement
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.version import versions
 from tests.support.dask_cluster import DaskCluster
 from tests.support.engines import (
     ENDLESS,
@@ -34,14 +30,11 @@ from tests.support.engines import (
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
 
-# the cluster alone
-
-
 def test_task_for_a_worker_holds_only_profiles(plastic_file: Path) -> None:
-    plain = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
-    robust = reduce_measurement(FitTask("one", plastic_file, FitOptions(robust=True)), lambda _: None)
-    assert len(plain.profiles) < 2_000_000
-    assert len(robust.profiles) < 3_500_000
+    profiles, seconds = reduce_measurement(FitTask("one", plastic_file, FitOptions()), lambda _: None)
+    assert isinstance(profiles, Profiles)
+    assert len(pickle.dumps(profiles)) < 6_000_000
+    assert seconds > 0.0
 
 
 def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskCluster, plastic_file: Path) -> None:
@@ -100,7 +93,7 @@ def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file:
             victim = await until_busy(own_cluster)
             fits.append(asyncio.create_task(engine.run(FitTask("two", plastic_file, MIDDLE), lambda _: None)))
             own_cluster.kill_worker(victim)
-            assert [type(outcome) for outcome in await asyncio.gather(*fits)] == [FitResult, FitResult]
+            assert all(isinstance(outcome, FitResult) for outcome in await asyncio.gather(*fits))
         assert shares == sorted(set(shares))
 
     asyncio.run(body())
@@ -165,22 +158,6 @@ def test_worker_without_permission_for_child_processes_is_not_used(
         await engine.close()
 
     asyncio.run(body())
-
-
-def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = versions()
-    monkeypatch.setattr(cluster_room, "versions", lambda: replace(found, numpy="0.1"))
-
-    async def body() -> str:
-        engine = DaskEngine(cluster.address, 1)
-        await engine.start()
-        try:
-            fault: str = await until(lambda: fault_of(engine), lambda fault: fault is not None and "numpy" in fault)
-        finally:
-            await engine.close()
-        return fault
-
-    assert f"has numpy {found.numpy}, not 0.1" in asyncio.run(body())
 
 
 def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:

@@ -1,11 +1,11 @@
-"""A Dask cluster that hangs, is not there, or is given up at any moment."""
-
 import asyncio
 import os
 import random
 import shutil
 import signal
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,9 +13,9 @@ import pytest
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Fault, FitLimits, FitTask
-from dsbrdf.engines.fit_steps import complete_report, fit_profiles, reduce_measurement
-from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_profiles, reduce_measurement
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.version import versions
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
@@ -47,23 +47,33 @@ def test_unreachable_scheduler_is_reported_in_one_sentence(
     address: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_CONNECT_TIMEOUT", 1.0)
+    fault = fault_at(address, lambda fault: fault is not None and "has not been reached yet" not in fault)
+    start = f"The Dask scheduler at {address} cannot be reached: "
+    assert fault.startswith(start)
+    assert words in fault.removeprefix(start)
+    assert "\n" not in fault
+
+
+def fault_at(address: str, known: Callable[[str | None], bool]) -> str:
+    """Return the fault of an engine with a cluster, once it is known."""
 
     async def body() -> str:
         engine = DaskEngine(address, 1)
         await engine.start()
         try:
-            fault: str = await until(
-                lambda: fault_of(engine), lambda fault: fault is not None and "has not been reached yet" not in fault
-            )
+            fault: str = await until(lambda: fault_of(engine), known)
         finally:
             await engine.close()
         return fault
 
-    fault = asyncio.run(body())
-    start = f"The Dask scheduler at {address} cannot be reached: "
-    assert fault.startswith(start)
-    assert words in fault.removeprefix(start)
-    assert "\n" not in fault
+    return asyncio.run(body())
+
+
+def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = versions()
+    monkeypatch.setattr(cluster_room, "versions", lambda: replace(found, numpy="0.1"))
+    fault = fault_at(cluster.address, lambda fault: fault is not None and "numpy" in fault)
+    assert f"has numpy {found.numpy}, not 0.1" in fault
 
 
 def test_fit_of_a_hanging_worker_runs_on_another(
@@ -179,13 +189,13 @@ def test_file_changed_during_its_fit_is_a_system_fault(plastic_file: Path, tmp_p
     path = tmp_path / "changing.binary"
     shutil.copyfile(plastic_file, path)
     task = FitTask("one", path, QUICK)
-    reduced = reduce_measurement(task, lambda _: None)
-    fitted = fit_profiles(reduced.profiles, task.options, lambda _: None)
+    profiles, seconds = reduce_measurement(task, lambda _: None)
+    fitted = fit_profiles(profiles, task.options, lambda _: None)
     assert isinstance(fitted, FitResult)
     with path.open("r+b") as file:
         file.seek(-8, os.SEEK_END)
         file.write(bytes(8))
-    outcome = complete_report(fitted, task, reduced, lambda _: None)
+    outcome = complete_report(fitted, task, profiles.sha256, seconds, lambda _: None)
     message = "The measurement's file was changed while it was being fitted."
     assert outcome == Fault("system", "MeasurementChanged", message)
 

@@ -1,5 +1,4 @@
-"""The process of one fit, beside others of its kind."""
-
+import asyncio
 import os
 import platform
 import time
@@ -9,6 +8,7 @@ from threading import current_thread, main_thread
 
 import pytest
 
+from dsbrdf.engines.dask_cluster import Slots
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.worker_process import WorkerProcess
 from tests.support.crashing_tasks import die, do_nothing, fill_and_free, nice_value
@@ -45,3 +45,53 @@ def test_a_process_gives_way_as_its_limits_say() -> None:
 def test_freed_memory_is_reused() -> None:
     pages = WorkerProcess(fill_and_free, (), FitLimits()).run(ignore)
     assert 0 < pages < 10_000  # given back each time, it would be 51,200
+
+
+def test_slots_are_given_in_order_and_at_the_emptiest_place() -> None:
+    async def body() -> None:
+        places = Slots()
+        places.resize({"a": 2, "b": 1})
+        taken: list[str] = []
+        go = asyncio.Event()
+
+        async def take(number: int) -> None:
+            async with places.slot() as place:
+                taken.append(f"{number}{place}")
+                await go.wait()
+
+        tasks = [asyncio.create_task(take(number)) for number in range(6)]
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert taken == ["0a", "1a", "2b"]
+        tasks[3].cancel()
+        places.resize({"c": 1})
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert taken[3:] == ["4c"]
+        go.set()
+        await asyncio.wait(tasks)
+        assert taken[4:] == ["5c"]
+        places.resize({})
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(take(9), 0.01)
+
+    asyncio.run(body())
+
+
+def test_slot_of_a_cancelled_waiter_goes_to_the_next() -> None:
+    async def body() -> None:
+        places = Slots()
+        places.resize({"a": 1})
+
+        async def take() -> None:
+            async with places.slot():
+                await asyncio.sleep(0)
+
+        async with places.slot():
+            waiting = asyncio.create_task(take())
+            await asyncio.sleep(0)
+        waiting.cancel()  # it has been given the place, and has not run since
+        await asyncio.wait([waiting])
+        await asyncio.wait_for(take(), 1.0)
+
+    asyncio.run(body())

@@ -12,7 +12,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting import em
-from tests.support.algorithm_1 import algorithm_1, initial_parameters, plain_lobe, raw_slice
+from tests.support.algorithm_1 import algorithm_1, plain_lobe, raw_slice
 from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
@@ -61,15 +61,6 @@ def test_batch_gives_the_curves_of_plain_scipy_on_a_measured_material(reference_
     assert_equal_to_the_oracle(read_merl(reference_files[name]), [(0, 10), (2, 45)], 3)
 
 
-def test_start_is_that_of_the_plain_version(plastic: Measurement) -> None:
-    data = profiles(plastic, horizon_cutoff=CUTOFF)
-    for channel, row in ((0, 0), (2, 40)):
-        mean, weight = slice_of(data, channel, row)
-        found = em.initialize(ANGLES, mean[None], weight[None], 4)[0]
-        expected = initial_parameters(raw_slice(plastic, channel, row, horizon_cutoff=CUTOFF), 4)
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
 def test_start_takes_kappa_from_the_peak_gamma_from_the_half_width_and_halves_both() -> None:
     data = plain_lobe(ANGLES, 5.0, 300.0)
     start = np.exp(em.initialize(ANGLES, data[None], np.ones((1, ANGLES.size)), 3)[0])
@@ -87,28 +78,6 @@ def test_responsibilities_sum_to_one_also_where_every_lobe_has_vanished() -> Non
     np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=0, atol=1e-15)
     direct = curves[1] / (curves[1, 0] + curves[1, 1] + curves[1, 2])
     np.testing.assert_allclose(shares[1], direct, rtol=1e-14)
-
-
-def test_m_step_ends_where_the_gradient_is_zero() -> None:
-    generator = np.random.default_rng(3)
-    kappa, gamma = generator.uniform(0.3, 5.0, (6, 2)), np.exp(generator.uniform(0.0, 7.0, (6, 2)))
-    mean = mixture(kappa, gamma) * generator.uniform(0.8, 1.2, (6, ANGLES.size))
-    weight = generator.uniform(0.0, 3.0, mean.shape)
-    start = np.log(np.stack([kappa, gamma], axis=-1)) + generator.normal(0.0, 0.5, (6, 2, 2))
-    targets = em.e_step(em.lobe_curves(LOG_COS, start)) * mean[:, None, :]
-    found = em.m_step(LOG_COS, targets, weight, start)
-    for s in range(6):
-        for k in range(2):
-
-            def cost(point: Array, s: int = s, k: int = k) -> float:
-                return float(np.sum(weight[s] * (plain_lobe(ANGLES, *np.exp(point)) - targets[s, k]) ** 2))
-
-            best, size = cost(found[s, k]), float(np.sum(weight[s] * targets[s, k] ** 2))
-            for direction in np.eye(2):
-                # Central differences: the slope is zero and the curve bends upwards.
-                ahead, behind = cost(found[s, k] + 1e-4 * direction), cost(found[s, k] - 1e-4 * direction)
-                assert abs(ahead - behind) / 2e-4 < 1e-5 * size
-                assert min(ahead, behind) > best
 
 
 def test_m_step_at_a_bound_fits_the_other_parameter_alone() -> None:
@@ -137,17 +106,17 @@ def test_weights_of_zero_hide_their_samples() -> None:
     assert found.gamma.tolist() == expected.gamma.tolist()
 
 
-def test_batch_equals_one_by_one(plastic: Measurement) -> None:
-    data = profiles(plastic, horizon_cutoff=CUTOFF)
-    mean, weight = (
-        np.array(part)
-        for part in zip(*(slice_of(data, c, row) for c in (0, 2) for row in (0, 30, 60, 75)), strict=True)
-    )
-    batch = em.fit_slices(ANGLES, mean, weight, 3, iterations=10)
+def test_batch_equals_one_by_one(plastic_profiles: Profiles) -> None:
+    slices = [slice_of(plastic_profiles, channel, row) for channel in (0, 2) for row in (0, 30, 60, 75)]
+    mean, weight = (np.array(part) for part in zip(*slices, strict=True))
+    numbers: list[int] = []
+    batch = em.fit_slices(ANGLES, mean, weight, 3, iterations=10, on_iteration=numbers.append)
+    assert np.all(np.diff(batch.kappa, axis=1) <= 0.0)
+    assert numbers == list(range(1, batch.iterations.max() + 1))
+    assert np.all(batch.iterations[~batch.converged] == 10)
     for i in range(len(mean)):
         single = em.fit_slices(ANGLES, mean[i : i + 1], weight[i : i + 1], 3, iterations=10)
-        assert single.iterations[0] == batch.iterations[i]
-        assert single.converged[0] == batch.converged[i]
+        assert (single.iterations[0], single.converged[0]) == (batch.iterations[i], batch.converged[i])
         np.testing.assert_allclose(single.kappa[0], batch.kappa[i], rtol=1e-9)
         np.testing.assert_allclose(single.gamma[0], batch.gamma[i], rtol=1e-9)
 
@@ -161,14 +130,6 @@ def test_single_lobe_is_recovered_exactly(robust: bool) -> None:
     np.testing.assert_allclose(found.kappa, kappa, rtol=1e-8)
     np.testing.assert_allclose(found.gamma, gamma, rtol=1e-8)
     assert found.converged.all()
-
-
-def test_true_mixture_is_a_fixed_point() -> None:
-    parameters = np.log([[[5.0, 2e3], [1.0, 40.0], [0.2, 0.8]]])
-    mean = em.lobe_curves(LOG_COS, parameters).sum(axis=1)
-    targets = em.e_step(em.lobe_curves(LOG_COS, parameters)) * mean[:, None, :]
-    found = em.m_step(LOG_COS, targets, np.ones_like(mean), parameters)
-    np.testing.assert_allclose(found, parameters, atol=1e-12)
 
 
 def test_robust_option_resists_a_spike() -> None:
@@ -203,25 +164,12 @@ def test_zero_data_give_vanishing_lobes() -> None:
         np.testing.assert_allclose(mixture(found.kappa, found.gamma)[1], mean[1], atol=0.05)
 
 
-@pytest.mark.parametrize("level", [1e-6, 0.1, 1e3])
-@pytest.mark.parametrize("n_lobes", [1, 2, 5])
+@pytest.mark.parametrize(("level", "n_lobes"), [(1e-6, 1), (0.1, 5), (1e3, 2)])
 def test_constant_data_are_fitted_by_a_flat_curve(level: float, n_lobes: int) -> None:
     mean = np.full((1, ANGLES.size), level)
     found = em.fit_slices(ANGLES, mean, np.ones_like(mean), n_lobes)
     # gamma stops at its lower bound, where the curve still falls a little before the horizon.
     np.testing.assert_allclose(mixture(found.kappa, found.gamma)[0], level, rtol=0.01)
-
-
-def test_lobes_are_sorted_by_kappa_and_iterations_are_reported(plastic: Measurement) -> None:
-    data = profiles(plastic, horizon_cutoff=CUTOFF)
-    slices = [slice_of(data, channel, row) for channel in range(3) for row in (0, 20, 40, 60, 70)]
-    mean, weight = (np.array(part) for part in zip(*slices, strict=True))
-    numbers: list[int] = []
-    found = em.fit_slices(ANGLES, mean, weight, 4, iterations=25, on_iteration=numbers.append)
-    assert np.all(np.diff(found.kappa, axis=1) <= 0.0)
-    assert numbers == list(range(1, found.iterations.max() + 1))
-    assert np.all(found.iterations[~found.converged] == 25)
-    assert not em.fit_slices(ANGLES, mean, weight, 4, iterations=1).converged.any()
 
 
 def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
@@ -243,11 +191,8 @@ def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
 
 
 def test_more_lobes_than_data_have_stay_finite() -> None:
-    mean = np.zeros((1, ANGLES.size))
-    mean[0, 3:6] = [1e5, 2e5, 1e4]
-    weight = np.zeros_like(mean)
-    weight[0, 3:6] = 1.0
+    mean, weight = np.zeros((2, 1, ANGLES.size))
+    mean[0, 3:6], weight[0, 3:6] = [1e5, 2e5, 1e4], 1.0
     found = em.fit_slices(ANGLES, mean, weight, 8)
-    assert np.all(np.isfinite(found.kappa))
-    assert np.all(np.isfinite(found.gamma))
-    assert np.all(np.isfinite(mixture(found.kappa, found.gamma)))
+    assert np.isfinite([found.kappa, found.gamma]).all()
+    assert np.isfinite(mixture(found.kappa, found.gamma)).all()

@@ -1,22 +1,19 @@
-"""The default fit: it recovers what it is given, beats the paper's, and says what it did."""
-
-import dataclasses
 import itertools
 import json
 import warnings
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from dsbrdf.data.grid import CHANNELS, DEFAULT_HORIZON_CUTOFF
+from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting import global_method
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.metrics import METRICS, Metrics, RelativeErrors, relative_errors, sample_errors
+from dsbrdf.fitting.metrics import METRICS, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
@@ -24,37 +21,11 @@ from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
+from tests.support.models import curve_error
 from tests.support.soak import repeats
-
-Array = NDArray[np.float64]
 
 ONE = FitOptions(n_lobes=1, ring_lobes=0)
 TWO = FitOptions(n_lobes=2, ring_lobes=0)
-
-
-def errors(model: DSBRDF, measurement: Measurement) -> RelativeErrors:
-    """The metrics that need the samples, without those that need an albedo or a picture."""
-    found = relative_errors(sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF))
-    assert found is not None
-    return found
-
-
-# Recovery
-
-
-@pytest.mark.parametrize("seed", range(repeats(1, 3)))
-def test_a_known_lobe_comes_back_with_its_elongation_and_colour(seed: int) -> None:
-    """From data with 2 % noise, to 2 %."""
-    truth = mixture(1, seed)
-    model = fit(profiles(model_measurement(truth, noise=NOISE, seed=seed)), FitOptions(n_lobes=1, ring_lobes=0)).model
-    angles = np.radians([0.0, 20.0, 40.0, 60.0])
-    found, expected = model.parameters_at(angles), truth.parameters_at(angles)
-    np.testing.assert_allclose(found["amplitude"], expected["amplitude"], rtol=0.02)
-    np.testing.assert_allclose(found["elongation"][1:], expected["elongation"][1:], atol=0.02)
-    phi = np.radians([[0.0], [45.0], [90.0]])
-    for share in (0.3, 0.7, 1.2):  # kappa and gamma can make up for each other, the curve cannot
-        points = flat(share * half_height(truth), angles, phi)
-        np.testing.assert_allclose(model.evaluate_unmasked(*points), truth.evaluate_unmasked(*points), rtol=0.02)
 
 
 @pytest.mark.parametrize(("n_lobes", "seed"), [(1, 2), (3, 1), (2, 0), (2, 4), (3, 6)][: repeats(2, 5)])
@@ -84,10 +55,6 @@ def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> No
     np.testing.assert_allclose((problem.values(unknowns) + hidden)[seen], data.mean[seen], rtol=1e-6, atol=1e-12)
 
 
-def flat(theta_half: Array | float, theta_diff: Array, phi_diff: Array) -> list[Array]:
-    return [part.ravel() for part in np.broadcast_arrays(theta_half, theta_diff, phi_diff)]
-
-
 def half_height(model: DSBRDF) -> float:
     """Angle at which a lobe about the normal falls to a half at normal incidence [rad]."""
     angles = np.radians(np.linspace(0.0, 89.0, 2000))
@@ -107,52 +74,29 @@ def test_student_lobes_come_back_too() -> None:
     np.testing.assert_allclose(found["amplitude"], np.tile(height[:, 0], (3, 1, 1)), rtol=0.02)
 
 
-def test_parametric_variation_has_few_coefficients_a_lobe(
-    plastic_profiles: Profiles, plastic: Measurement, two_lobe_fit: FitResult
-) -> None:
+def test_parametric_variation_has_few_coefficients_a_lobe(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
     """Five a channel of the amplitude, and kappa, gamma and elongation once."""
-    parametric = fit(plastic_profiles, dataclasses.replace(TWO, variation="parametric")).model
+    parametric = fit(plastic_profiles, replace(TWO, variation="parametric")).model
     assert parametric.n_numbers == 2 * (3 * 5 + 3)
-    assert parametric.amplitude.shape == (3, 5, 2)
     np.testing.assert_allclose(parametric.theta_diff, np.radians([0.0, 70.0, 89.0]), atol=0.02)
-    angles = np.radians([0.0, 30.0, 60.0, 80.0])
+    found = parametric.parameters_at(np.radians([0.0, 30.0, 60.0, 80.0]))
     for name in ("kappa", "gamma", "elongation"):
-        found = parametric.parameters_at(angles)[name]
-        np.testing.assert_allclose(found, np.broadcast_to(found[:1], found.shape), rtol=1e-12)
-    full = two_lobe_fit.report  # whose variation is "full"
-    assert full.options.variation == "full"
-    assert errors(parametric, plastic).relative_rms < 3.0 * full.metrics.relative_rms  # type: ignore[operator]
+        np.testing.assert_allclose(found[name], np.broadcast_to(found[name][:1], found[name].shape), rtol=1e-12)
+    assert curve_error(parametric, two_lobe_fit.model, plastic_profiles) < 0.1
 
 
-def test_elongation_goes_below_the_bivariate_floor() -> None:
-    measurement = model_measurement(mixture(2, 1), noise=NOISE)
-    found = errors(fit(profiles(measurement), TWO).model, measurement)
-    assert found.excess is not None
-    assert found.excess < 0.9
-    assert found.symmetric_floor < found.relative_rms < 1.5 * found.symmetric_floor
-
-
-def test_default_beats_the_paper_and_looks_right(
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
+def test_default_beats_the_paper_looks_right_and_has_no_warnings(
     measurements: tuple[Measurement, ...], default_fits: tuple[FitResult, ...]
 ) -> None:
     for measurement, result in zip(measurements, default_fits, strict=True):
-        ours = result.report.metrics
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            papers = fit(measurement, FitOptions(method="paper", n_lobes=3)).report.metrics
+        ours, papers = (asdict(one.report.metrics) for one in (result, fit(measurement, method="paper", n_lobes=3)))
         for name in ("relative_rms", "male", "albedo_error"):
-            assert ours[name] < papers[name], name  # type: ignore[operator]
-        assert ours["psnr"] > papers["psnr"]  # type: ignore[operator]
-        assert ours["albedo_error"] < 0.05  # type: ignore[operator]
-        assert ours["excess"] < 1.1  # type: ignore[operator]
-
-
-def test_ordinary_materials_have_no_warnings(default_fits: tuple[FitResult, ...]) -> None:
-    for result in default_fits:
+            assert ours[name] < papers[name], name
+        assert ours["psnr"] > papers["psnr"]
+        assert ours["albedo_error"] < 0.05
+        assert ours["excess"] < 1.1
         assert result.report.warnings == ()
-
-
-# The model that it gives
 
 
 def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plastic_profiles: Profiles) -> None:
@@ -165,65 +109,25 @@ def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plasti
     assert model.interpolation == "spline"
 
 
-def test_knots_are_used(plastic_profiles: Profiles) -> None:
+def test_knots_and_weighting_are_used(plastic_profiles: Profiles) -> None:
     knots = tuple(np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 79.0, 89.0]).tolist())
-    result = fit(plastic_profiles, dataclasses.replace(ONE, knots=knots))
-    np.testing.assert_allclose(result.model.theta_diff, knots)
-    assert result.report.options.knots == knots
-
-
-def test_weighting_decides_what_is_met_best(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
-    assert two_lobe_fit.report.options == TWO  # whose weighting is "balanced"
-    other = fit(plastic_profiles, dataclasses.replace(TWO, weighting="cosine"))
-    assert other.model != two_lobe_fit.model
-    assert other.report.options.weighting == "cosine"
-
-
-def test_plain_is_best_where_plain_is_measured_and_log_where_log_is() -> None:
-    measurement = model_measurement(mixture(3, 2), noise=NOISE)
-    data = profiles(measurement)
-    plain, log = (  # one lobe is too few for all: something has to be given up
-        errors(fit(data, dataclasses.replace(ONE, weighting=name)).model, measurement) for name in ("plain", "log")
-    )
-    assert plain.relative_rms < log.relative_rms
-    assert log.male < plain.male
+    plain, log = (fit(plastic_profiles, replace(ONE, knots=knots, weighting=name)) for name in ("plain", "log"))
+    np.testing.assert_allclose(plain.model.theta_diff, knots)
+    assert plain.report.options.knots == knots
+    angles = np.radians([5.0, 60.0]), np.radians(30.0)  # one lobe is too few: something has to be given up
+    bright, dark = np.transpose(plain.model.evaluate(*angles) / log.model.evaluate(*angles))[0]
+    assert abs(bright - 1.0) + abs(dark - 1.0) > 0.1
 
 
 def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
-    result = fit(plastic_profiles, TWO)
-    assert result.model == two_lobe_fit.model
-    assert result.report.metrics == Metrics()
-    assert result.report.growth == two_lobe_fit.report.growth
-
-
-def test_fitted_model_is_positive_and_finite_everywhere(plastic_fit: FitResult) -> None:
-    half, diff = np.radians(np.linspace(0.0, 89.99, 181)), np.radians(np.linspace(0.0, 90.0, 181))[:, None]
-    for phi in np.radians([0.0, 45.0, 90.0]).tolist():
-        values = plastic_fit.model.evaluate_unmasked(*flat(half, diff, np.array(phi)))
-        assert np.isfinite(values).all()
-        assert values.min() > 0.0
-
-
-# Progress, flags and the report
-
-
-def test_progress_grows_from_0_to_1(plastic_profiles: Profiles) -> None:
     shares: list[float] = []
-    fit(plastic_profiles, ONE, progress=shares.append)
-    assert shares[0] == 0.0
-    assert shares[-1] == 1.0
+    result = fit(plastic_profiles, TWO, progress=shares.append)
+    assert result.model == two_lobe_fit.model
+    assert (result.report.metrics, result.report.selection) == (Metrics(), ())
+    assert result.report.growth == two_lobe_fit.report.growth
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
     assert len(shares) > 8
-
-
-@pytest.mark.parametrize("at", [0.15, 0.6])
-def test_what_progress_raises_ends_the_fit(plastic_profiles: Profiles, at: float) -> None:
-    def stop(share: float) -> None:
-        if share >= at:
-            raise InterruptedError(f"{share}")
-
-    with pytest.raises(InterruptedError):
-        fit(plastic_profiles, ONE, progress=stop)
 
 
 def test_warning_only_where_the_bound_on_iterations_was_met(

@@ -1,5 +1,3 @@
-"""The default fit where data are missing, wrong or few."""
-
 import json
 from dataclasses import replace
 from typing import Any
@@ -17,7 +15,6 @@ from dsbrdf.fitting.pipeline import fit, profiles_for
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.algorithm_1 import Array
-from tests.support.models import curve_error
 
 
 def calm_ratio(model: DSBRDF, data: Profiles) -> float:
@@ -44,22 +41,17 @@ def edited(measurement: Measurement, change: Any) -> Measurement:
     return Measurement.from_values(values, valid, "edited")
 
 
-# Beyond the data
-
-
-def test_calm_up_to_the_horizon(plastic_fit: FitResult, plastic_profiles: Profiles) -> None:
-    assert calm_ratio(plastic_fit.model, plastic_profiles) < 2.0
-
-
 @pytest.mark.parametrize("cutoff", [30.0, None])
-def test_calm_with_another_cutoff(plastic: Measurement, plastic_profiles: Profiles, cutoff: float | None) -> None:
+def test_calm_with_another_cutoff(
+    plastic: Measurement, plastic_profiles: Profiles, plastic_fit: FitResult, cutoff: float | None
+) -> None:
+    assert calm_ratio(plastic_fit.model, plastic_profiles) < 2.0
     options = FitOptions(horizon_cutoff=None if cutoff is None else float(np.radians(cutoff)))
     model = fit(profiles_for(plastic, options), options).model
     assert calm_ratio(model, plastic_profiles) < 3.0
     found = relative_errors(sample_errors(model, plastic, options.horizon_cutoff))
     assert found is not None
-    assert found.excess is not None
-    assert found.excess < 1.2
+    assert found.relative_rms < 1.2 * found.floor
 
 
 def test_calm_in_missing_regions(plastic: Measurement, plastic_profiles: Profiles, plastic_fit: FitResult) -> None:
@@ -71,9 +63,6 @@ def test_calm_in_missing_regions(plastic: Measurement, plastic_profiles: Profile
     assert calm_ratio(model, plastic_profiles) < 3.0
     # What was taken away is met nearly as well: knots on both sides hold the spline.
     assert relative_rms(model, plastic) < 1.3 * relative_rms(plastic_fit.model, plastic)
-
-
-# Outliers and weights
 
 
 def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, plastic_fit: FitResult) -> None:
@@ -89,21 +78,6 @@ def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, plastic_fit: Fit
     assert error[1] > 2.0 * reference
 
 
-def test_outliers_over_theta_half_are_weighted_down(plastic: Measurement, plastic_profiles: Profiles) -> None:
-    data = profiles(plastic, robust=True)
-    hit = np.random.default_rng(2).uniform(size=data.folded.mean.shape[:3]) < 0.01
-    mean = np.where(hit[..., None], 3.0 * data.folded.mean + 1.0, data.folded.mean)
-    spoiled = replace(data, folded=replace(data.folded, mean=mean))
-    options = FitOptions(n_lobes=1, ring_lobes=0, robust=True)
-    reference, robust = (fit(d, options).model for d in (data, spoiled))
-    fragile = fit(replace(spoiled, robust=False), replace(options, robust=False)).model
-    error = [curve_error(model, reference, plastic_profiles) for model in (robust, fragile)]
-    assert error[0] < 0.5 * error[1]
-
-
-# Options
-
-
 def test_mask_leaves_out_what_it_masks(plastic_profiles: Profiles) -> None:
     kept = THETA_HALF <= np.pi / 2 - 1.0 * THETA_DIFF[:, None] + 1e-9
     folded = plastic_profiles.folded
@@ -114,16 +88,6 @@ def test_mask_leaves_out_what_it_masks(plastic_profiles: Profiles) -> None:
     assert clean == masked
     unmasked = fit(spoiled, replace(options, mask=0.0)).model
     assert unmasked != masked
-
-
-def test_nothing_left_is_said(plastic_profiles: Profiles) -> None:
-    folded = plastic_profiles.folded
-    empty = replace(plastic_profiles, folded=replace(folded, weight=np.zeros_like(folded.weight)))
-    with pytest.raises(FitError, match=r"^the mask and the horizon cutoff leave no valid samples: raise the cutoff or"):
-        fit(empty)
-
-
-# Little or odd data
 
 
 def test_every_eighth_theta_half(plastic: Measurement, plastic_profiles: Profiles) -> None:
@@ -146,12 +110,16 @@ def test_red_only_material(plastic: Measurement) -> None:
     assert [row.channel for row in result.report.by_channel] == ["red"]
 
 
-def test_black_material_is_an_error_that_says_so(plastic: Measurement, plastic_profiles: Profiles) -> None:
+def test_nothing_left_is_said(plastic: Measurement, plastic_profiles: Profiles) -> None:
     with pytest.raises(MeasurementFormatError, match="zero in all channels; a measurement has positive values"):
         edited(plastic, lambda values, _: values.fill(0.0))
     folded = plastic_profiles.folded
-    with pytest.raises(FitError, match="leave no valid samples"):
-        fit(replace(plastic_profiles, folded=replace(folded, mean=np.zeros_like(folded.mean))))
+    for name in ("mean", "weight"):
+        empty = replace(plastic_profiles, folded=replace(folded, **{name: np.zeros_like(folded.mean)}))
+        with pytest.raises(
+            FitError, match=r"^the mask and the horizon cutoff leave no valid samples: raise the cutoff"
+        ):
+            fit(empty)
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")

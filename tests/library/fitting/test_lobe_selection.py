@@ -1,7 +1,4 @@
-"""Williams' test chooses the number of lobes of the paper's method, and the report says how."""
-
 import json
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +6,18 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting import em
-from dsbrdf.fitting.lobe_selection import BACKGROUND, SelectionStep, choose_n_lobes, expected_negative_log_probability
+from dsbrdf.fitting.lobe_selection import (
+    BACKGROUND,
+    SelectionStep,
+    choose_n_lobes,
+    expected_negative_log_probability,
+    williams_test,
+)
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.williams_test import williams_test
 
 Array = NDArray[np.float64]
 
@@ -88,54 +88,27 @@ def test_expected_negative_log_probability_is_that_of_a_loop() -> None:
         assert found[s] == pytest.approx(logs / light, rel=1e-12)
 
 
-def test_true_density_has_the_least() -> None:
-    mean = slices_of(2, noise=0.0)
-    best = expected_negative_log_probability(ANGLES, mean, np.ones_like(mean, bool), mean)
-    for share in (0.9, 1.1):
-        other = expected_negative_log_probability(ANGLES, mean, np.ones_like(mean, bool), mean**share)
-        assert np.all(other > best)
-    black = expected_negative_log_probability(ANGLES, 0.0 * mean, np.ones_like(mean, bool), mean)
-    assert black.tolist() == [0.0] * len(mean)
-
-
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
 def test_papers_method_chooses_and_says_so(plastic_profiles: Profiles) -> None:
-    options = FitOptions(method="paper", em_iterations=3)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        chosen = fit(plastic_profiles, options)
+    options, shares = FitOptions(method="paper", em_iterations=3), list[float]()
+    chosen = fit(plastic_profiles, options, progress=shares.append)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
     report = chosen.report
     assert [row.n_lobes for row in report.selection] == [1, 2, 3, 4, 5]
     assert report.options.n_lobes == "auto"
-    worse = [row.significant for row in report.selection]
-    n_lobes = worse.index(False) + 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        result = fit(plastic_profiles, replace(options, n_lobes=n_lobes))
+    n_lobes = [row.significant for row in report.selection].index(False) + 1
+    result = fit(plastic_profiles, replace(options, n_lobes=n_lobes))
     assert chosen.model == result.model
     assert report.n_numbers == result.model.n_numbers
     assert result.report.selection == ()
     json.dumps(report.to_dict(), allow_nan=False)
 
 
-def test_progress_of_the_choice_rises_from_0_to_1(matte: Measurement) -> None:
-    shares: list[float] = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        fit(profiles(matte), FitOptions(method="paper", em_iterations=5), progress=shares.append)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert shares == sorted(shares)
-
-
-def test_few_nodes_bound_the_number_of_lobes(plastic: Measurement) -> None:
-    data = profiles(plastic)
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
+def test_few_nodes_bound_the_number_of_lobes(plastic_profiles: Profiles) -> None:
     few = np.zeros((90, 90))
     few[::5, 15:21] = 1.0  # six angles can tell three lobes at most
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        thin = type(data)(**(vars(data) | {"weight": data.weight * few}))
-        result = fit(thin, FitOptions(method="paper", em_iterations=5))
+    thin = replace(plastic_profiles, weight=plastic_profiles.weight * few)
+    result = fit(thin, FitOptions(method="paper", em_iterations=5))
     assert [row.n_lobes for row in result.report.selection] == [1, 2, 3]
-
-
-def test_global_method_has_no_such_table(plastic: Measurement) -> None:
-    assert fit(profiles(plastic), FitOptions(n_lobes=1, ring_lobes=0)).report.selection == ()

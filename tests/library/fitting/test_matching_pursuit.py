@@ -1,18 +1,17 @@
-"""Lobes are found where they are, as many as there are, and the search stops."""
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.fitting.em import half_width
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.matching_pursuit import MAX_LOBES, grow
+from dsbrdf.fitting.matching_pursuit import MAX_GROWN_LOBES, GrowthStep, grow
 from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.hemi_epd import half_width
 from dsbrdf.model.lobe_families import FAMILIES
-
-Array = NDArray[np.float64]
 
 KNOTS = np.radians([0.0, 40.0, 70.0, 89.0])
 ROWS = np.array([0, 12, 24, 36, 48, 60, 70, 76, 82])
@@ -55,14 +54,18 @@ def data_of(model: DSBRDF, rows: NDArray[np.intp] = ROWS, *, noise: float = 0.0,
     return FitData(mean, weight, np.broadcast_to(COS2_PHI, shape), THETA_DIFF[rows], THETA_HALF[COLUMNS])
 
 
-def nothing() -> None:
-    """Nobody counts."""
-
-
-def grown(model: DSBRDF, n_lobes: int | str = "auto", ring_lobes: int | str = "auto", **noise: float) -> Mixture:
+def grown(
+    model: DSBRDF,
+    n_lobes: int | Literal["auto"] = "auto",
+    ring_lobes: int | Literal["auto"] = "auto",
+    *,
+    noise: float = 0.02,
+    on_lobe: Callable[[], None] = lambda: None,
+) -> tuple[Mixture, tuple[GrowthStep, ...]]:
     structure = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], model.lobe)
-    fitted, held_out = data_of(model, **noise), data_of(model, HELD_OUT_ROWS, **noise)  # type: ignore[arg-type]
-    return grow(fitted, held_out, structure, n_lobes, ring_lobes, nothing)[0]  # type: ignore[arg-type]
+    fitted, held_out = data_of(model, noise=noise), data_of(model, HELD_OUT_ROWS, noise=noise)
+    mixture, steps = grow(fitted, held_out, structure, n_lobes, ring_lobes, on_lobe)
+    return mixture, tuple(steps)
 
 
 def share_left(mixture: Mixture, model: DSBRDF) -> float:
@@ -72,82 +75,64 @@ def share_left(mixture: Mixture, model: DSBRDF) -> float:
     return float(np.sum(data.weight * residual**2)) / data.signal
 
 
+TWO = lobes_of((40.0, 1.5, 0.0), (0.3, 50.0, 0.0))
+
+
 @pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("width", [1.5, 8.0, 45.0])
+@pytest.mark.parametrize("width", [1.5, 45.0])
 def test_one_lobe_is_found_where_it_is(width: float, family: str) -> None:
     model = lobes_of((3.0, width, 0.0), family=family)
-    mixture = grown(model, 1, 0)
+    mixture, _ = grown(model, 1, 0, noise=0.0)
     assert mixture.structure.rings == (False,)
     assert share_left(mixture, model) < 1e-3
 
 
-@pytest.mark.parametrize(
-    "lobes",
-    [
-        [(3.0, 8.0, 0.0)],
-        [(40.0, 1.5, 0.0), (0.3, 50.0, 0.0)],
-        [(40.0, 1.5, 0.0), (4.0, 9.0, 0.0), (0.3, 50.0, 0.0)],
-    ],
-    ids=["1", "2", "3"],
-)
-def test_lobes_are_found_at_their_widths(lobes: list[tuple[float, float, float]]) -> None:
-    mixture = grown(lobes_of(*lobes), len(lobes), 0, noise=0.02)
-    k = len(lobes)
+def test_lobes_are_found_at_their_widths() -> None:
+    lobes = [(40.0, 1.5, 0.0), (4.0, 9.0, 0.0), (0.3, 50.0, 0.0)]
+    mixture, _ = grown(lobes_of(*lobes), 3, 0)
     shape = mixture.structure.lobe_shapes(mixture.unknowns)
-    widths = np.sort(np.degrees(half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]))).mean(axis=0))
+    widths = np.sort(np.degrees(half_width(np.exp(shape[:, :3]), np.exp(shape[:, 3:6]))).mean(axis=0))
     np.testing.assert_allclose(widths, [width for _, width, _ in lobes], rtol=0.2)
 
 
-def test_one_lobe_is_enough_for_one() -> None:
-    assert grown(lobes_of((3.0, 8.0, 0.0)), noise=0.02).structure.rings == (False,)
-
-
-@pytest.mark.parametrize("center", [8.0, 25.0, 60.0])
+@pytest.mark.parametrize("center", [8.0, 60.0])
 def test_ring_is_found(center: float) -> None:
     model = lobes_of((0.3, 50.0, 0.0), (2.0, 5.0, center), elongation=0.0)
-    mixture = grown(model, 2, 1)
+    mixture, _ = grown(model, 2, 1, noise=0.0)
     assert mixture.structure.rings == (False, True)
     assert share_left(mixture, model) < 3e-3
     found = mixture.structure.split(mixture.unknowns)[1][:, -1]
     np.testing.assert_allclose(np.degrees(found), center, atol=2.0)
 
 
-@pytest.mark.parametrize(("n_lobes", "ring_lobes"), [(1, 0), (4, 0), (4, 2), (4, 3)])
+@pytest.mark.parametrize(("n_lobes", "ring_lobes"), [(4, 0), (4, 3)])
 def test_asked_for_numbers_are_given_rings_last(n_lobes: int, ring_lobes: int) -> None:
-    mixture = grown(lobes_of((3.0, 8.0, 0.0), (0.3, 50.0, 0.0)), n_lobes, ring_lobes, noise=0.02)
+    mixture, _ = grown(TWO, n_lobes, ring_lobes)
     assert mixture.structure.rings == (False,) * (n_lobes - ring_lobes) + (True,) * ring_lobes
     low, high = mixture.structure.bounds
     assert np.all((low <= mixture.unknowns) & (mixture.unknowns <= high))
 
 
 def test_one_number_can_be_fixed_and_the_other_found() -> None:
-    model = lobes_of((40.0, 1.5, 0.0), (0.3, 50.0, 0.0))
-    assert not any(grown(model, "auto", 0, noise=0.02).structure.rings)
-    assert grown(model, 3, "auto", noise=0.02).structure.n_lobes == 3
-    assert grown(model, "auto", 1, noise=0.02).structure.n_rings == 1
+    assert grown(TWO, 3, "auto")[0].structure.n_lobes == 3
+    assert grown(TWO, "auto", 1)[0].structure.n_rings == 1
+    assert grown(lobes_of((3.0, 8.0, 0.0)))[0].structure.rings == (False,)
 
 
 def test_search_says_what_it_tried_and_stops() -> None:
-    model = lobes_of((40.0, 1.5, 0.0), (0.3, 50.0, 0.0))
-    structure, calls = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], "hemi_epd"), list[int]()
-    fitted, held_out = data_of(model, noise=0.02), data_of(model, HELD_OUT_ROWS, noise=0.02)
-    mixture, steps = grow(fitted, held_out, structure, "auto", "auto", lambda: calls.append(1))
-    assert len(calls) == len(steps) <= MAX_LOBES
+    calls: list[int] = []
+    mixture, steps = grown(TWO, on_lobe=lambda: calls.append(1))
+    assert len(calls) == len(steps) <= MAX_GROWN_LOBES
     assert [step.n_lobes for step in steps] == list(range(1, len(steps) + 1))
     assert [step.pays for step in steps] == [True, True], "the residual is noise then"
     assert steps[1].error < 0.1 * steps[0].error < steps[0].error < 1.0
-    last = max(n for n, step in enumerate(steps) if step.pays)
-    assert mixture.structure.n_lobes == last + 1
+    held_out = data_of(TWO, HELD_OUT_ROWS, noise=0.02)
     residual = MixtureProblem(held_out, mixture.structure).values(mixture.unknowns) - held_out.mean
-    error = float(np.sum(held_out.weight * residual**2)) / held_out.signal
-    assert error == pytest.approx(steps[last].error, rel=1e-9)
+    assert steps[-1].error == pytest.approx(np.sum(held_out.weight * residual**2) / held_out.signal, rel=1e-9)
 
 
 def test_lobes_that_do_not_pay_are_left_out() -> None:
-    model = lobes_of((40.0, 1.5, 0.0), (0.3, 50.0, 0.0))
-    structure = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], "hemi_epd")
-    fitted, held_out = data_of(model, noise=0.02), data_of(model, HELD_OUT_ROWS, noise=0.02)
-    mixture, steps = grow(fitted, held_out, structure, "auto", 0, lambda: None)
+    mixture, steps = grown(TWO, "auto", 0)
     assert [step.pays for step in steps] == [True, True, False, False, False]
     assert mixture.structure.rings == (False, False)
 
@@ -156,7 +141,5 @@ def test_search_can_be_stopped() -> None:
     def stop() -> None:
         raise KeyboardInterrupt
 
-    model = lobes_of((3.0, 8.0, 0.0))
-    structure = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], "hemi_epd")
     with pytest.raises(KeyboardInterrupt):
-        grow(data_of(model), data_of(model), structure, "auto", "auto", stop)
+        grown(TWO, on_lobe=stop)

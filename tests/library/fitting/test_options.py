@@ -1,5 +1,3 @@
-"""Every choice is checked, and refused in a sentence that says what would be right."""
-
 import dataclasses
 import re
 from typing import Any
@@ -71,23 +69,14 @@ def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sente
 @pytest.mark.parametrize(
     "chosen",
     [
-        {"n_lobes": 1},
-        {"n_lobes": 8},
-        {"ring_lobes": 0},
-        {"ring_lobes": MAX_RING_LOBES},
-        {"lobe": "student"},
-        {"weighting": "balanced"},
-        {"method": "paper", "ring_lobes": 0, "mask": 1.0},
-        {"knots": tuple(np.radians([0.0, 1.0]))},
-        {"knots": tuple(np.radians(np.arange(90.0)))},
-        {"variation": "parametric"},
-        {"horizon_cutoff": None},
-        {"horizon_cutoff": np.pi / 2},
-        {"mask": 0.0},
-        {"mask": 10},
-        {"weighting": "cosine"},
+        *({"n_lobes": n} for n in (1, 8)),
+        *({"ring_lobes": n} for n in (0, MAX_RING_LOBES)),
+        *({"mask": share} for share in (0.0, 10)),
+        *({"horizon_cutoff": angle} for angle in (None, np.pi / 2)),
+        *({"knots": tuple(np.radians(knots))} for knots in ([0.0, 1.0], np.arange(90.0))),
+        {"lobe": "student", "variation": "parametric", "em_iterations": 10_000},
         {"weighting": "log", "robust": True},
-        {"em_iterations": 10_000},
+        {"method": "paper", "ring_lobes": 0, "mask": 1.0},
     ],
     ids=str,
 )
@@ -101,11 +90,6 @@ def test_every_option_has_a_refusal() -> None:
     assert {name for chosen, _ in REFUSED for name in chosen} == {f.name for f in dataclasses.fields(FitOptions)}
 
 
-def test_options_cannot_be_changed() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        FitOptions().n_lobes = 2  # type: ignore[misc]
-
-
 def test_the_default_is_the_automatic_global_fit() -> None:
     options = FitOptions()
     assert (options.method, options.n_lobes, options.ring_lobes) == ("global", "auto", "auto")
@@ -115,25 +99,21 @@ def test_the_default_is_the_automatic_global_fit() -> None:
 
 
 def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
-    numpys = FitOptions(n_lobes=np.int64(2), ring_lobes=np.int8(1), robust=np.True_, em_iterations=np.uint16(5))  # type: ignore[arg-type]
-    assert numpys == FitOptions(n_lobes=2, ring_lobes=1, robust=True, em_iterations=5)
-    assert [type(value) for value in (numpys.n_lobes, numpys.ring_lobes, numpys.robust)] == [int, int, bool]
-    with pytest.raises(InvalidArgumentError, match="n_lobes"):
-        FitOptions(n_lobes=np.int64(9))  # type: ignore[arg-type]
-    with pytest.raises(InvalidArgumentError, match="n_lobes"):
-        FitOptions(n_lobes=np.True_)  # type: ignore[arg-type]
+    numpys = {"n_lobes": np.int64(2), "ring_lobes": np.int8(1), "robust": np.True_, "mask": np.float32(1)}
+    own = {"n_lobes": 2, "ring_lobes": 1, "robust": True, "mask": 1.0}
+    assert repr(FitOptions(**numpys)) == repr(FitOptions(**own))  # type: ignore[arg-type]
+    for bad in (np.int64(9), np.True_):
+        with pytest.raises(InvalidArgumentError, match="n_lobes"):
+            FitOptions(n_lobes=bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("n_lobe", "there is no option 'n_lobe'; did you mean n_lobes?"),
         ("weigthing", "there is no option 'weigthing'; did you mean weighting?"),
         ("zzz", "there is no option 'zzz'; the options are n_lobes, method, "),
     ],
 )
 def test_wrong_name_is_told_the_right_one(name: str, sentence: str) -> None:
-    choice: dict[str, Any] = {name: 3}
-    with pytest.raises(InvalidArgumentError) as error:
-        FitOptions(**choice)
-    assert str(error.value).startswith(sentence)
+    with pytest.raises(InvalidArgumentError, match=f"^{re.escape(sentence)}"):
+        FitOptions(**{name: 3})  # type: ignore[arg-type]

@@ -1,5 +1,3 @@
-"""The paper's fit: known lobes come back, options do what they say, and what goes wrong is said."""
-
 import dataclasses
 import json
 from typing import Any
@@ -49,11 +47,6 @@ def worst_by_slice(found: DSBRDF, truth: DSBRDF) -> Array:
 
 
 @pytest.fixture(scope="module")
-def glossy(plastic: Measurement) -> Profiles:
-    return profiles(plastic)
-
-
-@pytest.fixture(scope="module")
 def fitted(plastic: Measurement) -> FitResult:
     return fit(plastic, paper())
 
@@ -64,22 +57,11 @@ def one_lobe(plastic: Measurement) -> FitResult:
     return fit(plastic, paper(n_lobes=1))
 
 
-# Recovery of known lobes from noiseless data
-
-
 def test_one_known_lobe_is_recovered_to_the_last_digits() -> None:
     truth = known_model((3.0, 0.3, 50.0, -0.3))
     result = fit(model_measurement(truth), paper(n_lobes=1, horizon_cutoff=None))
     assert worst_by_slice(result.model, truth).max() < 1e-10
     assert result.report.metrics.relative_rms == pytest.approx(0.0, abs=1e-12)
-
-
-def test_two_known_lobes_are_recovered_to_one_per_cent() -> None:
-    truth = known_model((4.0, -0.2, 1000.0, -0.3), (0.5, 0.2, 1.0, 0.2))
-    data = profiles(model_measurement(truth), horizon_cutoff=None)
-    result = fit(data, paper(n_lobes=2, horizon_cutoff=None, mask=0.0))
-    assert worst_by_slice(result.model, truth).max() < 0.01
-    assert all(np.ravel(result.report.knots.converged))
 
 
 def test_three_known_lobes_are_recovered_to_one_per_cent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,25 +94,14 @@ def test_delta_term_is_what_the_lobes_leave_at_the_centre() -> None:
     np.testing.assert_allclose(model.delta, np.maximum(expected, 0.0), rtol=1e-9)
 
 
-def test_delta_term_is_never_negative(glossy: Profiles) -> None:
-    mean = glossy.mean.copy()
-    mean[:, :, THETA_HALF < np.radians(1.0)] = 0.0
-    model = fit(dataclasses.replace(glossy, mean=mean), paper()).model
-    assert np.all(model.delta == 0.0)
-    assert model.evaluate(THETA_HALF, THETA_DIFF[:, None]).min() >= 0.0
-
-
-def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted(glossy: Profiles) -> None:
+def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted(plastic_profiles: Profiles) -> None:
     # The spike is over at 1 degree: its flank just outside is all that the lobes are fitted to.
     truth = known_model((30.0, 0.0, 2e4, 0.0), (0.2, 0.0, 1.0, 0.0))
     values = np.moveaxis(truth.evaluate(THETA_HALF, THETA_DIFF[:, None]), -1, 0)
-    saturated = dataclasses.replace(glossy, mean=np.minimum(values, 20.0))
+    saturated = dataclasses.replace(plastic_profiles, mean=np.minimum(values, 20.0))
     result = fit(saturated, paper(n_lobes=2))
     assert result.model.evaluate(THETA_HALF, THETA_DIFF[:, None]).max() < 3.0 * 20.0
     assert np.any(result.report.knots.bounds_hit)
-
-
-# Which samples are used
 
 
 def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: FitResult) -> None:
@@ -145,40 +116,45 @@ def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: Fit
 
 @UNCONVERGED
 @pytest.mark.parametrize(("mask", "used"), [(None, 1.0), (2.5, 2.5)])
-def test_mask_hides_what_lies_outside(glossy: Profiles, mask: float | None, used: float) -> None:
+def test_mask_hides_what_lies_outside(plastic_profiles: Profiles, mask: float | None, used: float) -> None:
     outside = THETA_HALF > np.pi / 2 - used * THETA_DIFF[:, None] + 1e-6
     options = paper(n_lobes=2, mask=mask, em_iterations=3)
-    expected = fit(glossy, options).model
-    hidden = dataclasses.replace(glossy, mean=np.where(outside, 50.0, glossy.mean))
+    expected = fit(plastic_profiles, options).model
+    hidden = dataclasses.replace(plastic_profiles, mean=np.where(outside, 50.0, plastic_profiles.mean))
     found = fit(hidden, options).model
     assert found.kappa.tolist() == expected.kappa.tolist()
     assert found.gamma.tolist() == expected.gamma.tolist()
     # One row of samples further in, and the fit sees the difference.
-    seen = np.where(np.roll(outside, -1, axis=1) & (THETA_DIFF[:, None] > 0.1), 50.0, glossy.mean)
-    assert fit(dataclasses.replace(glossy, mean=seen), options).model.kappa.tolist() != expected.kappa.tolist()
+    seen = np.where(np.roll(outside, -1, axis=1) & (THETA_DIFF[:, None] > 0.1), 50.0, plastic_profiles.mean)
+    assert (
+        fit(dataclasses.replace(plastic_profiles, mean=seen), options).model.kappa.tolist() != expected.kappa.tolist()
+    )
 
 
-def test_centre_is_not_used_for_the_lobes(glossy: Profiles, one_lobe: FitResult) -> None:
-    mean = np.where(THETA_HALF < np.radians(1.0), 1e4, glossy.mean)
-    found = fit(dataclasses.replace(glossy, mean=mean), paper(n_lobes=1)).model
-    assert found.kappa.tolist() == one_lobe.model.kappa.tolist()
-    assert found.delta.min() > 5e3  # also at 85 degrees, where there are no data within the cutoff
+def test_centre_is_not_used_for_the_lobes_and_the_delta_term_is_never_negative(
+    plastic_profiles: Profiles, one_lobe: FitResult
+) -> None:
+    for value in (1e4, 0.0):
+        mean = np.where(THETA_HALF < np.radians(1.0), value, plastic_profiles.mean)
+        found = fit(dataclasses.replace(plastic_profiles, mean=mean), paper(n_lobes=1)).model
+        assert found.kappa.tolist() == one_lobe.model.kappa.tolist()
+        # also at 85 degrees, where there are no data within the cutoff
+        assert found.delta.min() > 5e3 if value else not found.delta.any()
 
 
-def test_profiles_give_the_same_model_as_the_measurement(glossy: Profiles, fitted: FitResult) -> None:
-    result = fit(glossy, paper())
-    for name in ("kappa", "gamma", "center", "delta"):
-        assert getattr(result.model, name).tolist() == getattr(fitted.model, name).tolist()
-    assert result.report.metrics == Metrics()  # they need the samples
-
-
-def test_profiles_must_have_been_made_with_the_same_options(glossy: Profiles) -> None:
-    with pytest.raises(InvalidArgumentError, match="made with weighting 'plain', the options ask for 'cosine'"):
-        fit(glossy, paper(weighting="cosine"))
-    with pytest.raises(InvalidArgumentError, match="horizon_cutoff"):
-        fit(glossy, paper(horizon_cutoff=None))
-    with pytest.raises(InvalidArgumentError, match="robust"):
-        fit(glossy, paper(robust=True))
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"weighting": "cosine"}, "made with weighting 'plain', the options ask for 'cosine'"),
+        ({"horizon_cutoff": None}, "horizon_cutoff"),
+        ({"robust": True}, "robust"),
+    ],
+)
+def test_profiles_must_have_been_made_with_the_same_options(
+    plastic_profiles: Profiles, changed: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InvalidArgumentError, match=words):
+        fit(plastic_profiles, paper(**changed))
 
 
 @pytest.mark.parametrize("changed", [{"weighting": "cosine"}, {"weighting": "log"}, {"robust": True}])
@@ -188,36 +164,26 @@ def test_weights_change_the_fit_but_not_the_metrics_it_is_judged_by(
     result = fit(plastic, paper(n_lobes=1, **changed))
     assert result.model.kappa.tolist() != one_lobe.model.kappa.tolist()
     assert result.report.metrics.floor == one_lobe.report.metrics.floor
-    weighted = profiles(plastic, **changed)
-    again = fit(weighted, paper(n_lobes=1, **changed))
-    assert again.model.kappa.tolist() == result.model.kappa.tolist()
 
 
-# The run itself
-
-
-def test_same_input_gives_the_same_bits(plastic: Measurement, one_lobe: FitResult) -> None:
-    again = fit(plastic, paper(n_lobes=1))
-    for name in ("theta_diff", "kappa", "gamma", "center", "delta"):
-        assert getattr(again.model, name).tobytes() == getattr(one_lobe.model, name).tobytes()
-    assert again.report.metrics == one_lobe.report.metrics
-
-
-def test_progress_rises_from_0_to_1(glossy: Profiles) -> None:
+def test_profiles_give_the_same_bits_without_metrics(plastic_profiles: Profiles, one_lobe: FitResult) -> None:
     shares: list[float] = []
-    fit(glossy, paper(), progress=shares.append)
-    assert shares[0] == 0.0
-    assert shares[-1] == 1.0
-    assert len(shares) > 10
-    assert np.all(np.diff(shares) >= 0.0)
+    again = fit(plastic_profiles, paper(n_lobes=1), progress=shares.append)
+    assert again.model == one_lobe.model
+    assert again.report.metrics == Metrics()  # they need the samples
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
 
 
 class StopError(Exception):
     pass
 
 
+@pytest.mark.parametrize("method", ["paper", "global"])
 @pytest.mark.parametrize("number", [1, 2, 6])
-def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(glossy: Profiles, number: int) -> None:
+def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(
+    plastic_profiles: Profiles, number: int, method: str
+) -> None:
     calls: list[float] = []
 
     def stop(share: float) -> None:
@@ -226,46 +192,34 @@ def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(glossy: Profil
             raise StopError
 
     with pytest.raises(StopError):
-        fit(glossy, paper(), progress=stop)
+        fit(plastic_profiles, n_lobes=3, method=method, progress=stop)
     assert len(calls) == number
 
 
-def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(glossy: Profiles) -> None:
+def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_profiles: Profiles) -> None:
     with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 2 iterations"):
-        report = fit(glossy, paper(em_iterations=2)).report
-    converged, iterations = np.array(report.knots.converged), np.array(report.knots.iterations)
-    assert not converged.all()
-    assert np.all(iterations[~converged] == 2)
+        knots = fit(plastic_profiles, paper(em_iterations=2)).report.knots
+    assert set(np.array(knots.iterations)[~np.array(knots.converged)].tolist()) == {2}
 
 
 def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
-    report = fitted.report
+    report, slices = fitted.report, fitted.report.knots
     assert json.loads(json.dumps(report.to_dict())) == report.to_dict()
     assert report.options == paper()
     assert report.versions.algorithm == ALGORITHM_VERSION
-    assert report.knots.theta_diff == tuple(PAPER_SLICES)
-    slices = report.knots
+    assert slices.theta_diff == tuple(PAPER_SLICES)
     for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
         assert np.shape(table) == (3, 18)
-    assert all(seconds >= 0.0 for seconds in report.timings.values())
     np.testing.assert_allclose(report.albedo.albedo, fitted.model.albedo(report.albedo.theta_out))
     assert report.n_numbers == fitted.model.n_numbers
-    metrics = report.metrics
-    assert metrics.relative_rms is not None
-    assert metrics.floor is not None
-    assert metrics.excess == pytest.approx(metrics.relative_rms / metrics.floor)
 
 
 @UNCONVERGED
-@pytest.mark.parametrize("n_lobes", [1, 2, 5, 8])
-def test_any_number_of_lobes_sorted_by_kappa(glossy: Profiles, n_lobes: int) -> None:
-    model = fit(glossy, paper(n_lobes=n_lobes, em_iterations=5)).model
-    assert model.kappa.shape == (3, 18, n_lobes)
+def test_eight_lobes_sorted_by_kappa(plastic_profiles: Profiles) -> None:
+    model = fit(plastic_profiles, paper(n_lobes=8, em_iterations=3)).model
+    assert model.kappa.shape == (3, 18, 8)
     assert np.all(np.diff(model.kappa, axis=2) <= 0.0)
     assert np.all(model.center == 0.0)
-
-
-# Poor data
 
 
 def test_material_that_reflects_red_only() -> None:
@@ -279,20 +233,18 @@ def test_material_that_reflects_red_only() -> None:
     assert np.all(np.isfinite(result.model.kappa))
 
 
-def test_few_rows_of_data_are_fitted_where_they_are(plastic: Measurement) -> None:
-    valid = np.zeros(plastic.valid.shape, bool)
-    valid[12:32, 30:36] = plastic.valid[12:32, 30:36]
-    result = fit(Measurement.from_values(plastic.values, valid), paper(n_lobes=2))
+def test_few_data_are_fitted_where_they_are_and_too_few_are_an_error_with_a_remedy(plastic: Measurement) -> None:
+    def within(rows: slice, columns: slice) -> Measurement:
+        valid = np.zeros(plastic.valid.shape, bool)
+        valid[rows, columns] = plastic.valid[rows, columns]
+        return Measurement.from_values(plastic.values, valid)
+
+    result = fit(within(slice(12, 32), slice(30, 36)), paper(n_lobes=2))
     present = np.isin(np.round(np.degrees(PAPER_SLICES)), [30, 35])
     assert np.array(result.report.knots.fitted).tolist() == [present.tolist()] * 3
     assert np.all(result.model.kappa[:, :6] == result.model.kappa[:, 6:7])
     assert np.all(result.model.kappa[:, 8:] == result.model.kappa[:, 7:8])
-
-
-def test_too_little_data_is_an_error_with_a_remedy(plastic: Measurement) -> None:
-    valid = np.zeros(plastic.valid.shape, bool)
-    valid[15:18] = plastic.valid[15:18]  # 3 angles cannot give the 6 parameters of 3 lobes
-    few = Measurement.from_values(plastic.values, valid)
+    few = within(slice(15, 18), slice(None))  # 3 angles cannot give the 6 parameters of 3 lobes
     with pytest.raises(FitError, match="raise the horizon cutoff or lower the mask or the number of lobes"):
         fit(few, paper())
     assert fit(few, paper(n_lobes=1)).model.n_lobes == 1

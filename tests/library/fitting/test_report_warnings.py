@@ -1,6 +1,6 @@
-"""Each warning of the report, from a measurement or a model made for it, and none for ordinary materials."""
-
-import warnings
+import copy
+import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +16,10 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
+from dsbrdf.fitting.report import DirectionalAlbedo, FitResult, KnotReport
 from dsbrdf.fitting.report_warnings import accuracy_warnings, convergence_sentence, fit_warnings
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.render import render_sphere
 from tests.support.soak import repeats
 
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
@@ -103,9 +104,9 @@ def test_noisy_measurement() -> None:
     assert accuracy_warnings(replace(report.metrics, relative_rms=0.1, symmetric_floor=0.1)) == ()
 
 
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
 def test_lobes_that_do_not_follow_the_measurement(plastic: Measurement) -> None:
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
-        report = fit(plastic, method="paper", n_lobes=1).report
+    report = fit(plastic, method="paper", n_lobes=1).report
     error, floor = report.metrics.relative_rms, report.metrics.symmetric_floor
     sentence = f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}:"
     assert any(found.startswith(sentence) for found in report.warnings)
@@ -122,3 +123,52 @@ def test_errors_near_the_floor_are_no_misfit() -> None:
     assert accuracy_warnings(Metrics()) == ()
     for error, floor, count in ((0.09, 0.0, 0), (0.11, 0.0, 1), (0.14, 0.1, 0), (0.2, 0.1, 1), (0.32, 0.2, 2)):
         assert len(accuracy_warnings(Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=0.1))) == count
+
+
+KNOTS = tuple(np.radians([0.0, 30.0, 60.0, 89.0]))
+
+
+@pytest.fixture(scope="module")
+def result(matte: Measurement) -> FitResult:
+    return fit(profiles(matte), n_lobes=1, ring_lobes=0, knots=list(KNOTS))
+
+
+def test_copies_are_equal_and_hash_alike(result: FitResult) -> None:
+    for other in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), copy.copy(result)):
+        assert other == result
+        assert hash(other) == hash(result)
+    assert replace(result.report, n_numbers=1) != result.report
+    assert replace(result.report, metrics=Metrics(male=0.1)) != result.report
+
+
+def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:
+    angles = np.radians([0.0, 30.0, 80.0]), np.radians(20.0), np.radians([[0.0], [90.0]])
+    np.testing.assert_array_equal(result.evaluate(*angles), result.model.evaluate(*angles))
+    assert result.evaluate(0.1, 0.2)[0] == result.model.evaluate(0.1, 0.2, np.pi / 2)[0]
+    np.testing.assert_array_equal(render_sphere(result, size=16), render_sphere(result.model, size=16))
+
+
+def test_plain_content_has_lists_and_the_names_of_the_attributes(result: FitResult) -> None:
+    content = result.report.to_dict()
+    assert json.loads(json.dumps(content)) == content
+    assert content["options"]["knots"] == list(KNOTS)
+    assert content["knots"]["converged"] == [list(row) for row in result.report.knots.converged]
+    assert content["growth"][0]["n_lobes"] == 1
+
+
+def test_repr_is_one_short_line(result: FitResult) -> None:
+    calm = replace(result.report, warnings=())
+    assert repr(calm) == f"<FitReport: no metrics, {result.model.n_numbers} numbers, 0 warnings>"
+    known = replace(result.report, metrics=Metrics(relative_rms=0.0123456))
+    assert repr(known).startswith("<FitReport: relative_rms 0.01235, ")
+
+
+def test_slices_broadcast_to_channels_and_knots() -> None:
+    slices = KnotReport.from_arrays(
+        np.array(KNOTS), [True, True, False, True], np.bool_(False), 7, [[True], [False], [True]]
+    )
+    assert slices.theta_diff == KNOTS
+    assert slices.fitted == ((True, True, False, True),) * 3
+    assert slices.converged == ((False,) * 4,) * 3
+    assert slices.iterations == ((7,) * 4,) * 3
+    assert slices.bounds_hit == ((True,) * 4, (False,) * 4, (True,) * 4)

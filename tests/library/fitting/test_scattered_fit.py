@@ -1,5 +1,4 @@
-"""A fit of scattered samples finds the model that they were drawn from."""
-
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +9,18 @@ from dsbrdf.data.geometry import directions, half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global
+from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows
-from tests.support.mixtures import deviations, mixture, scattered_samples
+from dsbrdf.fitting.report_warnings import coverage_warnings, error_warnings, unit_warnings
+from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
+from dsbrdf.fitting.usual_materials import N_PAIRS, usual_material, with_usual_values
+from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 TRUTH = mixture(2, 1)
+EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
 
 
 def test_parameters_of_a_known_model_are_found() -> None:
@@ -111,9 +115,26 @@ def test_weights_are_those_of_repeated_samples() -> None:
     np.testing.assert_array_equal(by_number.weight, by_weight.weight)
 
 
-def test_the_papers_method_needs_slices() -> None:
+@pytest.mark.parametrize("cutoff", [None, float(np.radians(60.0))])
+def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
+    samples, model = scattered_samples(TRUTH, 300), mixture(1, 0)
+    error = signal = logs = 0.0
+    for first, second, values in zip(samples.omega_in, samples.omega_out, samples.values, strict=True):
+        fitted = model.evaluate_directions(first, second)
+        logs += float(np.abs(np.log((1.0 + values * first[2]) / (1.0 + fitted * first[2]))).mean()) / 300
+        if cutoff is None or min(first[2], second[2]) >= np.cos(cutoff):
+            error, signal = error + np.sum((values - fitted) ** 2), signal + np.sum(values**2)
+    found = scattered_metrics(model, samples, cutoff)
+    assert (found.relative_rms, found.male) == pytest.approx((np.sqrt(error / signal), logs), rel=1e-9)
+
+
+def test_what_is_for_one_kind_of_data_is_refused_for_the_other(matte: dsbrdf.Measurement) -> None:
     with pytest.raises(InvalidArgumentError, match="cannot be fitted with method 'paper'"):
         dsbrdf.fit(scattered_samples(TRUTH, 300), method="paper")
+    with pytest.raises(InvalidArgumentError, match="cosine is for scattered samples"):
+        dsbrdf.fit(matte, cosine="in")
+    with pytest.raises(InvalidArgumentError, match="as FitOptions or by name, not both"):
+        dsbrdf.fit(matte, FitOptions(), n_lobes=1)
 
 
 def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings() -> None:
@@ -121,12 +142,108 @@ def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings() -> Non
     multiplied = ScatteredSamples.from_arrays(
         samples.omega_in, samples.omega_out, samples.values * samples.omega_out[:, 2:], notes=("Grey.",)
     )
-    found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out")
+    shares: list[float] = []
+    found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out", progress=shares.append)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
     expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
     np.testing.assert_allclose(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5), rtol=1e-6)
     assert found.report.warnings == ("Grey.", *expected.report.warnings)
 
 
-def test_a_measurement_on_the_grid_has_no_values_times_a_cosine(matte: dsbrdf.Measurement) -> None:
-    with pytest.raises(InvalidArgumentError, match="cosine is for scattered samples"):
-        dsbrdf.fit(matte, cosine="in")
+@pytest.fixture(scope="module")
+def truth() -> dsbrdf.DSBRDF:
+    """A rough plastic of GGX on a diffuse ground, as a model: none of the known materials."""
+    plastic = synthetic_measurement(roughness=0.2, diffuse=(0.50, 0.40, 0.20))
+    return dsbrdf.fit(dsbrdf.profiles(plastic), dsbrdf.FitOptions()).model
+
+
+def in_plane(model: dsbrdf.DSBRDF) -> ScatteredSamples:
+    """Five angles of incidence, 161 of reflection, 2 % noise."""
+    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 161)))
+    zero = np.zeros(theta_in.size)
+    omega_in = np.stack([-np.sin(theta_in.ravel()), zero, np.cos(theta_in.ravel())], axis=-1)
+    omega_out = np.stack([np.sin(theta_out.ravel()), zero, np.cos(theta_out.ravel())], axis=-1)
+    noise = 1.0 + 0.02 * np.random.default_rng(1).standard_normal((zero.size, 3))
+    return ScatteredSamples.from_arrays(omega_in, omega_out, model.evaluate_directions(omega_in, omega_out) * noise)
+
+
+def median_error(model: dsbrdf.DSBRDF, truth: dsbrdf.DSBRDF) -> float:
+    """Median relative error at pairs within 80 degrees of the normal that no fit has seen."""
+    omega_in, omega_out = scattered_directions(truth, 4000, 77)
+    within = np.minimum(omega_in[:, 2], omega_out[:, 2]) > np.cos(np.radians(80.0))
+    found, expected = (one.evaluate_directions(omega_in[within], omega_out[within]) for one in (model, truth))
+    return float(np.median(np.abs(found - expected) / expected))
+
+
+def test_samples_in_one_plane_tell_the_rest_as_materials_are_like(truth: dsbrdf.DSBRDF) -> None:
+    result = dsbrdf.fit(in_plane(truth))
+    assert median_error(result.model, truth) < 0.15
+    assert any("of the directions have no sample within 10 degrees" in text for text in result.report.warnings)
+
+
+def test_two_hundred_samples_are_a_material(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 200)
+    result = dsbrdf.fit(samples)
+    assert median_error(result.model, truth) < 0.1
+
+
+def test_values_of_the_usual_material_hardly_count(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 1000)
+    completed, far = with_usual_values(samples, truth)
+    assert completed.weight[:1000].sum() == 1000.0
+    assert completed.weight[1000:].sum() == pytest.approx(0.02 * N_PAIRS)
+    np.testing.assert_array_equal(completed.values[:1000], samples.values)
+    _, plane = with_usual_values(in_plane(truth), truth)
+    assert far < 0.1 < 0.4 < plane
+
+
+@pytest.mark.parametrize("level", [1e-3, 1.0, 1e3])
+def test_the_usual_material_follows_the_level_of_the_samples(level: float, truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 300)
+    scaled = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * level)
+    one, other = (usual_material(part).model.evaluate(0.1, 0.4) for part in (samples, scaled))
+    np.testing.assert_allclose(other, one * level, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "side", "words"),
+    [
+        (1500.0, None, "multiply them by 1/1500"),
+        (40.0, None, "multiply them by 1/100 (are they per cent?)"),
+        (np.pi, None, "multiply them by 1/pi (are they radiance factors?)"),
+        (1.0, "omega_in", 'if so, set cosine to "in"'),
+        (1.0, "omega_out", 'if so, set cosine to "out"'),
+    ],
+)
+def test_units_far_off_are_named(factor: float, side: str | None, words: str, truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 500)
+    values = samples.values * factor * (1.0 if side is None else getattr(samples, side)[:, 2:])
+    wrong = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
+    usual = usual_material(wrong)
+    albedo = usual.model.albedo(np.radians([0.0, 30.0, 60.0]))
+    (sentence,) = unit_warnings(wrong, usual, albedo)
+    assert sentence.count("\n") == 0
+    assert words in sentence
+    right = usual_material(samples)
+    assert unit_warnings(samples, right, right.model.albedo(np.radians([0.0, 30.0, 60.0]))) == ()
+
+
+def test_a_material_taken_instead_of_a_fit_is_told() -> None:
+    (sentence,) = coverage_warnings(0.0, is_usual=True)
+    assert "the model is that material" in sentence
+    assert coverage_warnings(0.0, is_usual=False) == ()
+
+
+def test_an_error_that_only_samples_left_out_tell_of_is_named() -> None:
+    first = dsbrdf.fit(scattered_samples(TRUTH, 1000), n_lobes=2, ring_lobes=0).report
+    assert not any("left out of a fit" in sentence for sentence in first.warnings)
+    (sentence,) = error_warnings(Metrics(relative_rms=0.1), Metrics(relative_rms=0.6))
+    assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in sentence
+    assert error_warnings(Metrics(relative_rms=0.1), Metrics(relative_rms=0.15)) == ()
+    assert error_warnings(Metrics(relative_rms=0.001), Metrics(relative_rms=0.01)) == ()
+
+
+def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
+    result = dsbrdf.fit(dsbrdf.read_measurement(EXAMPLE))
+    assert any("highlights have too few samples" in sentence for sentence in result.report.warnings)

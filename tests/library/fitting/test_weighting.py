@@ -1,27 +1,26 @@
 """What a bin of samples counts: against the formulas, and that nothing counts where nothing was measured."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import FoldedProfiles, profiles
-from dsbrdf.fitting.options import WEIGHTINGS
+from dsbrdf.data.reduction import FoldedProfiles, Profiles
+from dsbrdf.fitting.guide import guide_data
+from dsbrdf.fitting.options import Weighting
 from dsbrdf.fitting.weighting import bin_weights
-
-Array = NDArray[np.float64]
+from tests.support.known_models import single_lobe
 
 CUTOFF = float(np.radians(80.0))
 BINS: list[tuple[int, int, int]] = [(0, 40, 3), (30, 20, 0), (60, 30, 8), (70, 25, 4), (75, 12, 2)]
 """Indices (theta_diff, theta_half, bin) for formulas written out: within the cutoff, theta_half >= 1 degree."""
 
 
-@pytest.fixture(scope="module")
-def folded(plastic: Measurement) -> FoldedProfiles:
-    return profiles(plastic).folded
+@pytest.fixture
+def folded(plastic_profiles: Profiles) -> FoldedProfiles:
+    return plastic_profiles.folded
 
 
 def cosines(folded: FoldedProfiles, j: int, i: int, fold: int) -> tuple[float, float]:
@@ -31,24 +30,18 @@ def cosines(folded: FoldedProfiles, j: int, i: int, fold: int) -> tuple[float, f
     return float(level - swing), float(level + swing)
 
 
-def test_plain_counts_every_sample_within_the_cutoff_alike(folded: FoldedProfiles) -> None:
-    weight = bin_weights(folded, "plain", CUTOFF)
-    for cell in BINS:
-        assert min(cosines(folded, *cell)) > np.cos(CUTOFF)
-        np.testing.assert_allclose(weight[:, *cell], folded.weight[:, *cell], rtol=1e-12)
-
-
-def test_cosine_and_log_are_the_formulas(folded: FoldedProfiles) -> None:
+def test_plain_cosine_and_log_are_the_formulas_within_the_cutoff(folded: FoldedProfiles) -> None:
     plain, cosine, log = (bin_weights(folded, name, CUTOFF) for name in ("plain", "cosine", "log"))
     for j, i, fold in BINS:
-        product = np.prod(cosines(folded, j, i, fold))
-        np.testing.assert_allclose(cosine[:, j, i, fold], plain[:, j, i, fold] * product, rtol=1e-9)
+        cell, both = (slice(None), j, i, fold), cosines(folded, j, i, fold)
+        assert min(both) > np.cos(CUTOFF)
+        np.testing.assert_allclose(plain[cell], folded.weight[cell], rtol=1e-12)
+        np.testing.assert_allclose(cosine[cell], folded.weight[cell] * np.prod(both), rtol=1e-9)
         mean = np.average(folded.mean[:, j, i], weights=folded.weight[:, j, i], axis=-1)
-        expected = plain[:, j, i, fold] * product / (1.0 + mean) ** 2
-        np.testing.assert_allclose(log[:, j, i, fold], expected, rtol=1e-9)
+        np.testing.assert_allclose(log[cell], folded.weight[cell] * np.prod(both) / (1.0 + mean) ** 2, rtol=1e-9)
 
 
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("weighting", get_args(Weighting))
 def test_what_was_not_measured_counts_nothing_and_the_rest_something(folded: FoldedProfiles, weighting: str) -> None:
     holes = np.random.default_rng(1).uniform(size=folded.weight.shape) < 0.3
     speckled = replace(folded, weight=np.where(holes, 0.0, folded.weight))
@@ -60,7 +53,7 @@ def test_what_was_not_measured_counts_nothing_and_the_rest_something(folded: Fol
         np.testing.assert_array_equal(weight[:, *cell] > 0.0, speckled.weight[:, *cell] > 0.0)
 
 
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("weighting", get_args(Weighting))
 def test_center_counts_little_but_something(folded: FoldedProfiles, weighting: str) -> None:
     weight = bin_weights(folded, weighting, CUTOFF).sum(axis=(0, 3))
     for j in (0, 30, 60):
@@ -98,5 +91,15 @@ def test_material_without_phi_diff_has_finite_weights(folded: FoldedProfiles) ->
     flat = replace(folded, mean=np.broadcast_to(folded.mean[..., :1], folded.mean.shape))
     black = replace(folded, mean=np.zeros_like(folded.mean))
     for data in (flat, black):
-        for weighting in WEIGHTINGS:
+        for weighting in get_args(Weighting):
             assert np.isfinite(bin_weights(data, weighting, CUTOFF)).all()
+
+
+def test_trust_of_the_guide_falls_as_that_of_a_fit() -> None:
+    """With the eighth power beyond 80 degrees; in the dark, weights are that, cosines and solid angles."""
+    data = guide_data(single_lobe(1.0, 0.0, 0.0))
+    angles, weight = data.theta_diff, data.weight[0, :, 0, 0]  # at theta_half = 0, where both directions are theta_diff
+    ends = np.concatenate([[0.0], 0.5 * (angles[1:] + angles[:-1]), [np.pi / 2]])
+    trust = weight / (np.diff(ends) * np.cos(angles) ** 2 * (np.sin(2.0 * angles) + 0.1))
+    expected = np.minimum(np.cos(angles) / np.cos(CUTOFF), 1.0) ** 8
+    np.testing.assert_allclose(trust / trust[0], expected, rtol=1e-6)

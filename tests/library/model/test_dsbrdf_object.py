@@ -1,5 +1,3 @@
-"""The model as an object: equality, copies, what it refuses."""
-
 import copy
 import pickle
 from typing import Any
@@ -68,9 +66,6 @@ def test_model_keeps_its_own_read_only_arrays() -> None:
     for name in ("theta_diff", "amplitude", "kappa", "gamma", "center", "elongation", "delta"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(model, name)[...] = 2.0
-
-
-# What it refuses
 
 
 def parts(**changed: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
+from tests.support.known_models import single_lobe
 from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
@@ -154,35 +155,36 @@ def test_few_points_and_many_have_the_same_values(interpolation: str, family: st
         np.testing.assert_allclose(many[i : i + 1], single, rtol=1e-13)
 
 
-def test_parameters_are_the_curves_of_their_control_values() -> None:
-    for interpolation in ("linear", "spline"):
-        model = random_model(interpolation, shapes=3, rings=(0, 2))
-        angles = np.radians([[0.0, 3.0, 33.0], [60.0, 88.0, 90.0]])
-        found, flat = model.parameters_at(angles), angles.ravel()
-        assert found["amplitude"].shape == found["kappa"].shape == found["center"].shape == (2, 3, 3, 4)
-        assert found["elongation"].shape == (2, 3, 4)
-        assert found["delta"].shape == (2, 3, 3)
-        for k in range(4):
-            e = curve(model, model.elongation_theta_diff, model.elongation[:, k], flat)
-            np.testing.assert_allclose(found["elongation"][..., k].ravel(), e, rtol=1e-11, atol=1e-14)
-            for c in range(3):
-                height = positive(model, KNOTS, model.amplitude[c, :, k], flat, amplitude=True)
-                np.testing.assert_allclose(found["amplitude"][..., c, k].ravel(), height, rtol=1e-11)
-                for name in ("kappa", "gamma"):
-                    expected = positive(model, SHAPE_KNOTS, getattr(model, name)[c, :, k], flat)
-                    np.testing.assert_allclose(found[name][..., c, k].ravel(), expected, rtol=1e-11)
-                center = curve(model, SHAPE_KNOTS, model.center[c, :, k], flat)
-                np.testing.assert_allclose(found["center"][..., c, k].ravel(), center, rtol=1e-11, atol=1e-14)
+@pytest.mark.parametrize("interpolation", ["linear", "spline"])
+def test_parameters_are_the_curves_of_their_control_values(interpolation: str) -> None:
+    model = random_model(interpolation, shapes=3, rings=(0, 2))
+    angles = np.radians([[0.0, 3.0, 33.0], [60.0, 88.0, 90.0]])
+    found, flat = model.parameters_at(angles), angles.ravel()
+    shapes = {name: found[name].shape for name in ("amplitude", "kappa", "center", "elongation", "delta")}
+    assert shapes == dict.fromkeys(("amplitude", "kappa", "center"), (2, 3, 3, 4)) | {
+        "elongation": (2, 3, 4),
+        "delta": (2, 3, 3),
+    }
+    for k in range(4):
+        e = curve(model, model.elongation_theta_diff, model.elongation[:, k], flat)
+        np.testing.assert_allclose(found["elongation"][..., k].ravel(), e, rtol=1e-11, atol=1e-14)
+        for c in range(3):
+            expected = {
+                "amplitude": positive(model, KNOTS, model.amplitude[c, :, k], flat, amplitude=True),
+                "kappa": positive(model, SHAPE_KNOTS, model.kappa[c, :, k], flat),
+                "gamma": positive(model, SHAPE_KNOTS, model.gamma[c, :, k], flat),
+                "center": curve(model, SHAPE_KNOTS, model.center[c, :, k], flat),
+            }
+            for name, values in expected.items():
+                np.testing.assert_allclose(found[name][..., c, k].ravel(), values, rtol=1e-11, atol=1e-14)
 
 
+@pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("count", [3, 5000])
-def test_what_is_too_faint_for_a_number_is_zero_or_nearly(count: int) -> None:
-    for family in FAMILIES:
-        one = np.ones((1, 1, 1))
-        model = DSBRDF(np.zeros(1), np.full((3, 1, 1), 2.0), 200.0 * one, 1e7 * one, lobe=family)
-        values = model.evaluate(np.linspace(0.2, 1.0, count), 0.5)
-        assert np.all((values >= 0.0) & (values < 1e-80))
-        assert not np.any(np.signbit(values))
+def test_what_is_too_faint_for_a_number_is_zero_or_nearly(count: int, family: str) -> None:
+    values = single_lobe(200.0, 1e7, 2.0, family=family).evaluate(np.linspace(0.2, 1.0, count), 0.5)
+    assert np.all((values >= 0.0) & (values < 1e-80))
+    assert not np.any(np.signbit(values))
 
 
 def test_threads_may_share_a_model() -> None:
@@ -194,10 +196,3 @@ def test_threads_may_share_a_model() -> None:
             every = list(threads.map(lambda _, model=fresh: model.evaluate_unmasked(*angles), range(8)))
         for values in every:
             np.testing.assert_array_equal(values, expected)
-
-
-def test_no_lobes_give_zero() -> None:
-    for interpolation in ("linear", "spline"):
-        empty = random_model(interpolation, n_lobes=0, rings=(), delta=None)
-        for count in (10, 2000):
-            assert np.all(empty.evaluate_unmasked(*points(max(count, 30))) == 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.model.hemi_epd import half_width, lobe
+from dsbrdf.fitting.em import half_width, lobe
 
 Array = NDArray[np.float64]
 Number = Any  # mpmath has no types

@@ -6,11 +6,10 @@
 import io
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,37 +17,19 @@ from dsbrdf import DSBRDF, ModelFormatError
 from dsbrdf.output.serialize import from_json, from_npz, to_json, to_npz
 from tests.support.strategies import MODEL, arrays, examples
 
-# Models
 
-
-def check_text(text: str) -> None:
-    """Read a stored model, which either is refused or can be used."""
+def check(read: Callable[[Any], tuple[DSBRDF, Any]], data: str | bytes) -> None:
+    """Read a stored model, which either is refused in a sentence, or works and comes back the same."""
     try:
-        model, _ = from_json(text)
+        model, _ = read(data)
     except ModelFormatError as error:
-        check_sentence(error)
+        sentence = str(error)
+    else:
+        assert np.isfinite(model.evaluate([0.0, 0.5, 1.57], [0.0, 0.5, 1.57])).all()
+        assert to_json(from_json(to_json(model))[0]) == to_json(model)
         return
-    check_model(model)
-
-
-def check_archive(data: bytes) -> None:
-    try:
-        model, _ = from_npz(data)
-    except ModelFormatError as error:
-        check_sentence(error)
-        return
-    check_model(model)
-
-
-def check_sentence(error: ModelFormatError) -> None:
-    assert 10 < len(str(error)) < 1000
-    assert "\n" not in str(error)
-
-
-def check_model(model: DSBRDF) -> None:
-    """An accepted model is one that works, and comes back the same."""
-    assert np.isfinite(model.evaluate([0.0, 0.5, 1.57], [0.0, 0.5, 1.57])).all()
-    assert to_json(from_json(to_json(model))[0]) == to_json(model)
+    assert 10 < len(sentence) < 1000
+    assert "\n" not in sentence
 
 
 numbers = st.one_of(st.integers(), st.floats(), st.sampled_from([0, 1, 1e-320, 1e308, 10**400, 1.5707]))
@@ -77,7 +58,7 @@ PLACES = list(places(DOCUMENT))
 
 @examples(2)
 @given(
-    changes=st.lists(st.tuples(st.sampled_from(PLACES), st.one_of(numbers, json_values)), max_size=3),
+    changes=st.lists(st.tuples(st.sampled_from(PLACES), json_values), max_size=3),
     dropped=st.lists(st.sampled_from(PLACES), max_size=2),
 )
 def test_changed_json_document_is_refused_or_valid(
@@ -95,7 +76,7 @@ def test_changed_json_document_is_refused_or_valid(
                 node[path[-1]] = value
         except (KeyError, IndexError, TypeError):
             continue  # an earlier change has taken the place away
-    check_text(json.dumps(document))
+    check(from_json, json.dumps(document))
 
 
 @examples(2)
@@ -108,14 +89,7 @@ def test_changed_json_document_is_refused_or_valid(
 )
 def test_damaged_json_text_is_refused_or_valid(start: int, removed: int, inserted: str) -> None:
     text = to_json(MODEL)
-    check_text(text[:start] + inserted + text[start + removed :])
-
-
-@examples(1)
-@given(st.one_of(st.text(), json_values.map(json.dumps)))
-def test_arbitrary_text_is_refused(text: str) -> None:
-    with pytest.raises(ModelFormatError):
-        from_json(text)
+    check(from_json, text[:start] + inserted + text[start + removed :])
 
 
 ARCHIVE = to_npz(MODEL)
@@ -130,7 +104,7 @@ def test_damaged_npz_is_refused_or_valid(changes: list[tuple[int, bytes]], lengt
     data = bytearray(ARCHIVE)
     for place, content in changes:
         data[place : place + len(content)] = content
-    check_archive(bytes(data[:length]))
+    check(from_npz, bytes(data[:length]))
 
 
 @examples(3)
@@ -148,11 +122,4 @@ def test_npz_of_arbitrary_arrays_is_refused_or_valid(changed: dict[str, bytes | 
         for name, content in {**kept, **changed}.items():
             if content is not None:
                 target.writestr(f"{name}.npy", content)
-    check_archive(buffer.getvalue())
-
-
-@examples(1)
-@given(st.binary(max_size=300))
-def test_arbitrary_bytes_are_refused(data: bytes) -> None:
-    with pytest.raises(ModelFormatError):
-        from_npz(data)
+    check(from_npz, buffer.getvalue())

@@ -1,12 +1,14 @@
-"""Panels of lit spheres against the pictures that they consist of."""
+import io
 
 import numpy as np
+import pytest
+from PIL import Image
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import render_sphere, sphere_likeness
-from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, side_by_side
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
 from tests.support.mixtures import mixture
 
 MODEL = mixture(3, 0)
@@ -27,17 +29,24 @@ def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> No
     np.testing.assert_array_equal(picture[:, 24:48], compared)
 
 
-def test_panels_of_components_add_up_to_the_fit() -> None:
-    panels = compare_spheres(MODEL, MODEL, size=24, factor=0.002).panels
-    radiance = [np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in panels.values()]
-    _, whole, _, *parts = radiance
+def test_panels_of_components_add_up_to_the_fit_and_a_model_equals_itself() -> None:
+    found = compare_spheres(MODEL, MODEL, size=24, factor=0.002)
+    assert (found.psnr, found.exposure) == (float("inf"), 0.002)
+    radiance = [
+        np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in found.panels.values()
+    ]
+    _, whole, difference, *parts = radiance
+    assert not difference.any()
     assert len(parts) >= 2
     assert whole.max() < 1.0  # nothing is clipped
     np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
 
 
-def test_a_model_equals_itself() -> None:
-    found = compare_spheres(MODEL, MODEL, size=16, lighting="environment", factor=0.3)
-    assert found.psnr == float("inf")
-    assert not found.panels["difference x 4"].any()
-    assert found.exposure == 0.3
+@pytest.mark.parametrize(("channels", "mode"), [(3, "RGB"), (4, "RGBA")])
+def test_pillow_reads_the_pixels_of_a_png(channels: int, mode: str) -> None:
+    levels = np.random.default_rng(0).integers(0, 256, (5, 7, channels), dtype=np.uint8)
+    values = levels / 255.0
+    values[0, :3, 0], levels[0, :3, 0] = (-1.0, 0.5, 7.0), (0, 128, 255)  # values are clipped
+    with Image.open(io.BytesIO(encode_png(values))) as image:
+        assert image.mode == mode
+        assert np.array_equal(np.asarray(image), levels)

@@ -1,5 +1,3 @@
-"""The file for BRDF Explorer: its sections, and its shader compiled and run by WebGL 2."""
-
 import re
 from pathlib import Path
 

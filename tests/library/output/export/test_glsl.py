@@ -1,5 +1,6 @@
 """The GLSL function, compiled and run by WebGL 2, against the model in double precision."""
 
+import itertools
 import re
 
 import numpy as np
@@ -38,6 +39,9 @@ DECOMPOSED = {
     "highlight alone": one_lobe(2.0, 900.0, family="student"),
     "paper": MODELS["paper"],
 }
+PAINTS = {"mixture": "satin_paint", "elongated rings and cusps": "Wax2"}  # two materials in one program
+SAMPLED = ("mixture", "elongated rings and cusps", "paper")
+TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
 WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 
@@ -69,6 +73,14 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
             calls[f"{name}, {component.label}"] = ShaderCall(source, "dsbrdf(a, b)", *pairs)
         calls[f"{name}, all"] = ShaderCall(source, "dsbrdf_shown(a, b, vec3(1.0))", *pairs)
         calls[f"{name}, weights"] = ShaderCall(source, f"dsbrdf_shown(a, b, vec3({weights}))", *pairs)
+    both = "".join(glsl_function(MODELS[name], paint, sampling=True) for name, paint in PAINTS.items())
+    for paint in PAINTS.values():
+        calls[paint] = ShaderCall(both, f"{paint}(a, b)", *pairs, precision="")
+    for name in SAMPLED:
+        source = glsl_function(MODELS[name], sampling=True)
+        calls[f"{name}, pdf"] = ShaderCall(source, "vec3(dsbrdf_pdf(a, b))", *pairs)
+        towards = np.broadcast_to(TOWARDS, pairs[0].shape), np.random.default_rng(4).random(pairs[0].shape)
+        calls[f"{name}, sample"] = ShaderCall(source, "dsbrdf_sample(a, b)", *towards)
     calls["below the horizon"] = ShaderCall(glsl_function(MODELS["mixture"]), "dsbrdf(a, b)", *below)
     return evaluate_glsl(calls, tmp_path_factory.mktemp("glsl"))
 
@@ -103,18 +115,54 @@ def test_webgl_divides_the_model_as_the_library_does(name: str, values: dict[str
 
 
 @needs_chromium
+@pytest.mark.parametrize("name", PAINTS)
+def test_two_materials_share_a_program_that_states_no_precision(name: str, values: dict[str, Array]) -> None:
+    np.testing.assert_array_equal(values[PAINTS[name]], values[name])
+
+
+@needs_chromium
+@pytest.mark.parametrize("name", SAMPLED)
+def test_webgl_gives_the_density_of_the_model(name: str, values: dict[str, Array]) -> None:
+    expected = MODELS[name].pdf(*pairs_of_directions(10_000))
+    # The tabulated mixture of a direction halfway between two angles is another after rounding.
+    error = np.abs(values[f"{name}, pdf"][:, 0] - expected) / expected
+    assert np.quantile(error, 0.999) < 1e-4
+
+
+@needs_chromium
+@pytest.mark.parametrize("name", SAMPLED)
+def test_webgl_draws_directions_with_that_density(name: str, values: dict[str, Array]) -> None:
+    """The mean of 1 / density over the samples in a ring about the mirror direction is the ring's solid angle."""
+    drawn = values[f"{name}, sample"]
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-5)
+    height = drawn @ (TOWARDS * [-1.0, -1.0, 1.0])
+    edges = np.cos(np.radians([60.0, 40.0, 20.0, 8.0, 3.0, 0.0]))
+    inverse = 1.0 / np.maximum(MODELS[name].pdf(drawn / np.linalg.norm(drawn, axis=1)[:, None], TOWARDS), 1e-9)
+    for low, high in itertools.pairwise(edges):
+        area = np.where((height > low) & (np.minimum(height, 1.0) <= high), inverse, 0.0)
+        assert abs(area.mean() - 2.0 * np.pi * (high - low)) < 4.0 * area.std() / np.sqrt(area.size)
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "gl_paint", "a__b", "paint_", "flat", "mix", "a-b", "é", "p" * 65])
+def test_a_name_that_no_function_can_have_is_refused(name: str) -> None:
+    with pytest.raises(InvalidArgumentError, match="must begin with a letter, have at most 64 letters and digits"):
+        export_model(MODELS["one lobe"], "glsl", name=name)
+
+
+@needs_chromium
 def test_webgl_gives_zero_below_the_horizon(values: dict[str, Array]) -> None:
     assert values["below the horizon"].tolist() == [[0.0] * 3] * 2
 
 
-def test_every_name_begins_with_that_of_the_library() -> None:
+def test_every_name_begins_with_that_of_the_function() -> None:
     for source in (
-        export_model(MODELS["mixture"], "glsl").decode(),
-        glsl_function(decompose(MODELS["mixture"])["diffuse"]),
+        export_model(MODELS["mixture"], "glsl", name="paint", sampling=True).decode(),
+        glsl_function(decompose(MODELS["mixture"])["diffuse"], "paint", sampling=True),
     ):
-        declared = re.findall(r"^(?:const )?(?:int|float|vec[234]|struct|dsbrdf_Angles) (\w+)", source, re.MULTILINE)
-        assert len(declared) > 10
-        assert all(name.lower().startswith("dsbrdf") for name in declared)
+        declared = re.findall(r"^(?:const )?(?:void|int|float|vec[234]|struct|paint\w+) (\w+)", source, re.MULTILINE)
+        assert len(declared) > 20
+        assert all(re.match(r"paint(_|$)", name) for name in declared)
+        assert "dsbrdf" not in source.partition("\n")[2]
 
 
 def test_a_parameter_too_large_for_single_precision_is_refused() -> None:

@@ -17,18 +17,11 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import mitsuba_bsdf
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
+from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
-from tests.support.mixtures import mixture
-from tests.support.random_models import papers_model, random_model
 
 Array = NDArray[np.float64]
 
-MODELS = {
-    "mixture": mixture(3, 0),
-    "elongated rings and cusps": random_model(1),
-    "student": random_model(2, family="student"),
-    "paper": papers_model(),
-}
 UNIFORM = np.random.default_rng(0).random((3, 50_000)).astype(np.float32)
 
 
@@ -64,18 +57,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, path in paths.items():
         dsbrdf.save(MODELS[name], path)
     return paths
-
-
-def pairs_of_directions(number: int) -> tuple[Array, Array]:
-    """Pairs in single precision, half of them near the mirror direction."""
-    random = np.random.default_rng(0)
-    cosine, turn = random.uniform(0.05, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
-    sine = np.sqrt(1.0 - cosine**2)
-    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
-    mirrored = first * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.03, first.shape)
-    mirrored[:, 2] = np.maximum(mirrored[:, 2], 0.01)
-    second[::2] = (mirrored / np.linalg.norm(mirrored, axis=1)[:, None])[::2]
-    return first.astype(np.float32).astype(float), second.astype(np.float32).astype(float)
 
 
 def loaded(module: ModuleType, path: Path) -> Any:

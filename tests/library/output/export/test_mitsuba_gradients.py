@@ -14,19 +14,11 @@ import dsbrdf
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.mitsuba_model import PARAMETERS
-from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pieces
+from tests.support.known_models import MODELS
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
-from tests.support.mixtures import mixture
-from tests.support.random_models import papers_model, random_model
 
 Array = NDArray[np.float64]
 
-MODELS = {
-    "mixture": mixture(3, 0),
-    "elongated rings and cusps": random_model(1),
-    "student": random_model(2, family="student"),
-    "paper": papers_model(),
-}
 STEP = 1e-5
 
 
@@ -71,21 +63,6 @@ def places(model: dsbrdf.DSBRDF, name: str) -> list[tuple[int, ...]]:
     flat = np.random.default_rng(1).permutation(array.size)[:4]
     found = [tuple(int(i) for i in np.unravel_index(place, array.shape)) for place in flat.tolist()]
     return [place for place in found if name != "center" or model.is_ring[place[-1]]]
-
-
-@pytest.mark.parametrize("kind", MODELS)
-def test_bases_times_control_values_are_the_coefficients(kind: str) -> None:
-    model, spline = MODELS[kind], MODELS[kind].interpolation == "spline"
-    bases, rows = bernstein_bases(model), []
-    for name in PARAMETERS:
-        values = getattr(model, name)
-        if name in ("amplitude", "kappa", "gamma") and spline:
-            values = np.log(values)
-        elif name == "amplitude":
-            values = np.log1p(values)
-        values = values.reshape(-1, *values.shape[-2:])
-        rows.append(np.einsum("dpq,sdk->skpq", bases[name], values).reshape(-1, *bases[name].shape[1:]))
-    np.testing.assert_allclose(np.concatenate(rows), bernstein_pieces(model, "a test").coefficients[:-3], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -150,64 +127,20 @@ def test_changed_parameters_change_the_values(variant: str, tmp_path: Path) -> N
     np.testing.assert_allclose(value, now.evaluate_directions(wo, wi) * wo[2], rtol=1e-4)
 
 
-def test_a_lobe_is_optimised_against_a_picture(llvm: ModuleType, tmp_path: Path) -> None:
-    """The colour and the width of the narrow lobe are wrong at first; the picture is of the right ones."""
-    dr, truth = importlib.import_module("drjit"), mixture(2, 2)
-    wrong = np.ones(truth.n_lobes)
-    wrong[np.argmax(truth.amplitude.max(axis=(0, 1)))] = 1.6
-    start = replace(truth, amplitude=truth.amplitude / wrong, gamma=truth.gamma * wrong)
-    target = llvm.render(sphere(llvm, loaded(llvm, truth, tmp_path)), spp=64)
-    scene = sphere(llvm, loaded(llvm, start, tmp_path))
-    parameters = llvm.traverse(scene)
-    optimizer = llvm.ad.Adam(lr=0.05)
-    keys = [f"sphere.bsdf.{name}" for name in ("amplitude", "gamma")]
-    for key in keys:
-        optimizer[key] = dr.log(parameters[key])
-    errors = []
-    for step in range(40):
-        for key in keys:
-            parameters[key] = dr.exp(optimizer[key])
-        parameters.update()
-        picture = llvm.render(scene, parameters, spp=16, seed=step)
-        loss = dr.mean(dr.square(picture - target), axis=None)
-        dr.backward(loss)
-        optimizer.step()
-        errors.append(float(loss.array[0]))
-    assert np.mean(errors[-10:]) < 0.05 * errors[0]
-
-
-def sphere(module: ModuleType, bsdf: Any) -> Any:
-    return module.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": {
-                "type": "orthographic",
-                "to_world": module.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
-            },
-            "light": {"type": "directional", "direction": [-0.5, -0.5, -1.0], "irradiance": 3.0},
-            "sphere": {"type": "sphere", "bsdf": bsdf},
-        }
-    )
-
-
 @pytest.mark.parametrize(
     ("properties", "words"),
     [
         ({}, 'the BSDF "dsbrdf" needs the property "filename"'),
         ({"filename": 3.0}, 'the BSDF "dsbrdf" needs the property "filename"'),
         ({"filename": "lost.json"}, "there is no file lost.json"),
+        ({"filename": "a.json"}, "a.json: The data is not a stored model"),
     ],
 )
-def test_a_missing_file_or_property_is_one_sentence(properties: dict[str, Any], words: str, llvm: ModuleType) -> None:
+def test_a_wrong_file_or_property_is_one_sentence(
+    properties: dict[str, Any], words: str, llvm: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(RuntimeError) as caught:
         llvm.load_dict({"type": "dsbrdf", **properties})
     assert words in str(caught.value).strip().splitlines()[-1]
-
-
-def test_a_file_that_is_no_model_is_named(llvm: ModuleType, tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    path.write_text("{}")
-    with pytest.raises(RuntimeError, match=r"a\.json: The data is not a stored model"):
-        llvm.load_dict({"type": "dsbrdf", "filename": str(path)})

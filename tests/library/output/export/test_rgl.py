@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.tensor_file import parse_tensors
+from dsbrdf.data.rgl_file import parse_tensors
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
+from tests.support.known_models import pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.mixtures import mixture
 
@@ -28,13 +29,11 @@ def mitsuba() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def content() -> bytes:
-    """The file of the model."""
     return rgl_bsdf(MODEL)
 
 
 @pytest.fixture(scope="module")
-def spectral_content() -> bytes:
-    """The file of the model with spectra."""
+def spectral() -> bytes:
     return rgl_bsdf(MODEL, spectral=True)
 
 
@@ -44,26 +43,20 @@ def loaded(mitsuba: ModuleType, content: bytes, folder: Path) -> Any:
     return mitsuba.load_dict({"type": "measured", "filename": str(path)})
 
 
-def evaluated(mitsuba: ModuleType, bsdf: Any, omega_in: Array, omega_out: Array) -> Array:
-    """Values times the cosine of omega_out, shape (n, 3)."""
+def evaluated(mitsuba: ModuleType, bsdf: Any, omega_in: Array, omega_out: Array, **surface_is: Any) -> Array:
+    """Values times the cosine of omega_out, shape (n, channels)."""
     surface, context = mitsuba.SurfaceInteraction3f(), mitsuba.BSDFContext()
+    for name, value in surface_is.items():
+        setattr(surface, name, value)
     values = []
     for first, second in zip(omega_in.tolist(), omega_out.tolist(), strict=True):
         surface.wi = first
-        values.append(np.array(bsdf.eval(context, surface, second)))
+        values.append(np.ravel(bsdf.eval(context, surface, second)))
     return np.array(values, dtype=float)
 
 
-def pairs_of_directions(number: int) -> tuple[Array, Array]:
-    random = np.random.default_rng(0)
-    cosine, turn = random.uniform(0.1, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
-    sine = np.sqrt(1.0 - cosine**2)
-    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
-    return first, second
-
-
 def test_mitsuba_gives_the_values_of_the_model(mitsuba: ModuleType, content: bytes, tmp_path: Path) -> None:
-    first, second = pairs_of_directions(1000)
+    first, second = pairs_of_directions(1000, spread=None)
     values = evaluated(mitsuba, loaded(mitsuba, content, tmp_path), first, second)
     expected = MODEL.evaluate_directions(first, second) * second[:, 2:]
     error = np.abs(values - expected) / expected
@@ -72,7 +65,7 @@ def test_mitsuba_gives_the_values_of_the_model(mitsuba: ModuleType, content: byt
 
 
 def test_mitsuba_gives_the_values_of_the_measurement(mitsuba: ModuleType, tmp_path: Path, metal: Measurement) -> None:
-    first, second = pairs_of_directions(1000)
+    first, second = pairs_of_directions(1000, spread=None)
     values = evaluated(mitsuba, loaded(mitsuba, rgl_bsdf(metal, metal.name), tmp_path), first, second)
     expected = interpolate(metal).evaluate(*half_difference(first, second)) * second[:, 2:]
     # A metal without a diffuse part is nearly black away from its highlight, where nodes are few.
@@ -91,21 +84,17 @@ def test_samples_of_mitsuba_return_the_albedo(mitsuba: ModuleType, content: byte
         assert np.all(weight.std(axis=0) < 0.5 * albedo)
 
 
-def test_spectral_variants_get_the_same_colours(spectral_content: bytes, tmp_path: Path) -> None:
-    module, (first, second) = mitsuba_variant("scalar_spectral"), pairs_of_directions(100)
-    bsdf = loaded(module, spectral_content, tmp_path)
-    surface, context, values = module.SurfaceInteraction3f(), module.BSDFContext(), []
-    surface.wavelengths = [380.0, 470.0, 560.0, 720.0]
-    for wi, wo in zip(first.tolist(), second.tolist(), strict=True):
-        surface.wi = wi
-        values.append(np.ravel(bsdf.eval(context, surface, wo)))
+def test_spectral_variants_get_the_same_colours(spectral: bytes, tmp_path: Path) -> None:
+    module, (first, second) = mitsuba_variant("scalar_spectral"), pairs_of_directions(100, spread=None)
+    bsdf, wavelengths = loaded(module, spectral, tmp_path), [380.0, 470.0, 560.0, 720.0]
+    values = evaluated(module, bsdf, first, second, wavelengths=wavelengths)
     rgb = MODEL.evaluate_directions(first, second) * second[:, 2:]
-    expected = rgb @ np.stack([np.interp(surface.wavelengths, WAVELENGTHS, row) for row in SPECTRA])
-    assert np.median(np.abs(np.array(values) - expected) / expected) < 0.01
+    expected = rgb @ np.stack([np.interp(wavelengths, WAVELENGTHS, row) for row in SPECTRA])
+    assert np.median(np.abs(values - expected) / expected) < 0.01
 
 
-def test_fields_are_those_that_pbrt_asks_for(spectral_content: bytes) -> None:
-    fields = parse_tensors(spectral_content)
+def test_fields_are_those_that_pbrt_asks_for(spectral: bytes) -> None:
+    fields = parse_tensors(spectral)
     n_theta, n_wavelengths = fields["theta_i"].size, fields["wavelengths"].size
     assert fields["phi_i"].size <= 2  # isotropic
     assert fields["spectra"].shape == (1, n_theta, n_wavelengths, *fields["luminance"].shape[2:])

@@ -1,37 +1,35 @@
-"""The warps of the RGL material database: densities on the unit square that are linear between nodes.
+"""What files of the RGL material database are made of: tensor files, and warps (Dupuy and Jakob 2018, section 4).
 
-A slice is a table of a density, bilinear between its nodes, that maps uniform samples to points with that density: the
-row first, by its marginal, then the column within it.  Dupuy and Jakob, "An adaptive parameterization for efficient
-material acquisition and rendering", 2018, section 4.
+A tensor file has named arrays one after the other.  All numbers are little-endian:
+
+    "tensor_file" 0x00, version 1 0 (two bytes), number of fields (uint32), and for each field
+    length of the name (uint16), name, number of axes (uint16), type (uint8), offset of the data (uint64),
+    length of each axis (uint64); the data follow.
+
+A warp is a table of a density on the unit square, bilinear between its nodes, that maps uniform samples to points with
+that density: the row first, by its marginal, then the column within it.
 """
 
-from collections.abc import Sequence
+import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from dsbrdf.arrays import Array, Indices
+from dsbrdf.errors import MeasurementFormatError
 
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """One slice.
+    """One slice."""
 
-    Attributes
-    ----------
-    density : ndarray, shape (H, W)
-        Normalised; 1 for a uniform one.
-    conditional : ndarray, shape (H, W)
-        Integral of each row up to each column.
-    marginal : ndarray, shape (H,)
-        Integral up to each row, 0 to 1.
-    """
-
-    density: Array
-    conditional: Array
-    marginal: Array
+    density: Array  # normalised: 1 for a uniform one, (H, W)
+    conditional: Array  # integral of each row up to each column, (H, W)
+    marginal: Array  # integral up to each row, 0 to 1, (H,)
 
     @classmethod
     def of(cls, table: ArrayLike) -> "Warp":
@@ -62,25 +60,18 @@ class Warp:
 
 @dataclass(frozen=True, eq=False)
 class WarpStack:
-    """Warps with one parameter, linear between T of them.
+    """Warps with one parameter, linear between T of them."""
 
-    Attributes
-    ----------
-    density, conditional : ndarray, shape (T, H, W)
-    marginal : ndarray, shape (T, H)
-        Those of the warps.
-    """
-
-    density: Array
-    conditional: Array
-    marginal: Array
+    density: Array  # (T, H, W)
+    conditional: Array  # (T, H, W)
+    marginal: Array  # (T, H)
 
     @classmethod
     def of(cls, warps: Sequence[Warp]) -> "WarpStack":
         """Return the stack of warps of one shape."""
         return cls(*(np.stack([getattr(warp, field.name) for warp in warps]) for field in fields(cls)))
 
-    def invert(self, lower: NDArray[np.intp], share: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    def invert(self, lower: Indices, share: Array, x: Array, y: Array) -> tuple[Array, Array]:
         """Uniform samples (columns, rows) that are mapped to points (x, y); all of shape (n,).
 
         The point n belongs to the warp that lies a ``share`` of the way from the warp ``lower`` to the next.
@@ -90,7 +81,7 @@ class WarpStack:
         row, down = _cell(y, height)
         column, across = _cell(x, width)
 
-        def mixed(table: Array, *place: NDArray[np.intp] | int) -> Array:
+        def mixed(table: Array, *place: Indices | int) -> Array:
             return np.asarray((1.0 - share) * table[lower, *place] + share * table[upper, *place])
 
         def along(i: int, j: int) -> Array:
@@ -107,7 +98,7 @@ class WarpStack:
         return np.clip(columns, 0.0, 1.0), np.clip(rows, 0.0, 1.0)
 
 
-def bilinear(table: Array, x: Array, y: Array, of: NDArray[np.intp] | None = None) -> Array:
+def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Array:
     """Values of a table (..., H, W) between its nodes at points (n,) of the unit square, x along the columns.
 
     With ``of`` the first axis of the table is that of several tables, and point n is of the table ``of[n]``.
@@ -120,7 +111,7 @@ def bilinear(table: Array, x: Array, y: Array, of: NDArray[np.intp] | None = Non
     return (1.0 - down) * upper + down * lower
 
 
-def _cell(position: Array, count: int) -> tuple[NDArray[np.intp], Array]:
+def _cell(position: Array, count: int) -> tuple[Indices, Array]:
     """Lower node of the cell that holds each position, 0 to 1, and the share of the upper one."""
     lower = np.clip((position * (count - 1)).astype(np.intp), 0, count - 2)
     return lower, position * (count - 1) - lower
@@ -138,3 +129,66 @@ def _invert_linear(start: Array, end: Array, area: Array) -> Array:
     root = np.sqrt(np.maximum(start * start + 2.0 * area * slope, 0.0))
     below = start + root  # the stable form of (root - start) / slope
     return np.clip(np.where(below > 0.0, 2.0 * area / np.where(below > 0.0, below, 1.0), 0.0), 0.0, 1.0)
+
+
+_MAGIC = b"tensor_file\0\x01\x00"
+_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")  # type 1 is the first
+_ALIGNMENT = 8
+_MOST_FIELDS, _MOST_AXES = 64, 8
+
+
+def encode_tensors(fields: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return the bytes of a tensor file with arrays by their names."""
+    names = {name: name.encode() for name in fields}
+    arrays = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in fields.items()}
+    offset = len(_MAGIC) + 4 + sum(2 + len(names[name]) + 2 + 1 + 8 + 8 * arrays[name].ndim for name in fields)
+    heads, bodies = [_MAGIC, struct.pack("<I", len(fields))], []
+    for name, array in arrays.items():
+        gap = -offset % _ALIGNMENT
+        offset += gap
+        code = _TYPES.index(array.dtype.str[1:]) + 1
+        heads += [struct.pack("<H", len(names[name])), names[name], struct.pack("<HBQ", array.ndim, code, offset)]
+        heads.append(struct.pack(f"<{array.ndim}Q", *array.shape))
+        bodies += [bytes(gap), array.tobytes()]
+        offset += array.nbytes
+    return b"".join(heads + bodies)
+
+
+def parse_tensors(data: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a tensor file, read-only.
+
+    Raises MeasurementFormatError if the bytes are of another kind, damaged or cut off.
+    """
+    if data[: len(_MAGIC)] != _MAGIC:
+        raise MeasurementFormatError("The file is not a tensor file of version 1.0, as an RGL .bsdf file must be.")
+    try:
+        return _fields(data)
+    except (struct.error, IndexError, UnicodeDecodeError, ValueError):
+        raise MeasurementFormatError("The tensor file is damaged or cut off: a field lies outside of it.") from None
+
+
+def _fields(data: bytes) -> dict[str, NDArray[Any]]:
+    place = len(_MAGIC)
+
+    def take(code: str) -> tuple[Any, ...]:
+        nonlocal place
+        values = struct.unpack_from(f"<{code}", data, place)
+        place += struct.calcsize(f"<{code}")
+        return values
+
+    (count,) = take("I")
+    if count > _MOST_FIELDS:
+        raise ValueError
+    fields = {}
+    for _ in range(count):
+        (length,) = take("H")
+        (raw,) = take(f"{length}s")
+        axes, code, offset = take("HBQ")
+        shape = take(f"{axes}Q")
+        if axes > _MOST_AXES or not 1 <= code <= len(_TYPES):
+            raise ValueError
+        kind = np.dtype("<" + _TYPES[code - 1])
+        if offset + prod(shape) * kind.itemsize > len(data):
+            raise ValueError
+        fields[raw.decode()] = np.frombuffer(data, kind, prod(shape), offset).reshape(shape)
+    return fields

@@ -1,0 +1,60 @@
+"""Files: written completely or not at all, and told by their first bytes what they are."""
+
+import os
+import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+
+def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
+    """Write parts to a file; one that exists is replaced in one step, so that no process ever sees half of it.
+
+    They are written to a temporary file in the same folder first.  After an error, `path` is unchanged and the
+    temporary file is removed; an OSError names `path`.
+    """
+    target = Path(path)
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
+    except OSError as error:
+        error.filename = str(target)  # the name that the caller knows
+        raise
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            for part in parts:
+                file.write(part)
+        Path(temporary).chmod(_default_mode())
+        Path(temporary).replace(target)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            Path(temporary).unlink()
+        raise
+
+
+def _default_mode() -> int:
+    """Return the permissions of an ordinary new file; those of the temporary file are stricter."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask
+
+
+# None of these begins a MERL file, an RGL .bsdf file or a table of samples.
+_KINDS = {
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"v/1\x01": "an OpenEXR image",
+    b"#?": "a Radiance image",
+    b"PK\x03\x04": "a ZIP archive or an .npz file",
+    b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
+    b"\x28\xb5\x2f\xfd": "zstd, without the header Content-Encoding: zstd if it was sent over HTTP",
+    b"\x93NUMPY": "a .npy array",
+    b"\x89HDF": "an HDF5 file",
+    b"tensor_file\0": "an RGL .bsdf file, which dsbrdf convert turns into a MERL file",
+    b"{": "JSON, or another text",
+    b"<": "HTML or XML",
+}
+
+
+def known_kind(start: bytes) -> str | None:
+    """Return the kind of file that begins with these bytes, such as "a PNG image"; None for any other."""
+    return next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)

@@ -1,0 +1,55 @@
+"""One model of each kind, and pairs of directions at which to compare what becomes of them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.model.dsbrdf import DSBRDF
+from tests.support.mixtures import mixture
+from tests.support.random_models import papers_model, random_model
+
+Array = NDArray[np.float64]
+
+MODELS = {
+    "mixture": mixture(3, 0),
+    "elongated rings and cusps": random_model(1),
+    "student": random_model(2, family="student"),
+    "paper": papers_model(),
+}
+
+
+def single_lobe(
+    kappa: float,
+    gamma: float,
+    amplitude: float | None = None,
+    *,
+    center: float = 0.0,
+    elongation: float = 0.0,
+    delta: float = 0.0,
+    family: str = "hemi_epd",
+) -> DSBRDF:
+    """Return a lobe that does not change with theta_diff; as high as the paper's if not told otherwise."""
+    one = np.ones((1, 1, 1))
+    return DSBRDF(
+        np.zeros(1),
+        np.full((3, 1, 1), np.expm1(kappa) if amplitude is None else amplitude),
+        kappa * one,
+        gamma * one,
+        center * one,
+        np.full((1, 1), elongation),
+        delta=np.full((3, 1), delta),
+        interpolation="linear",
+        lobe=family,
+    )
+
+
+def pairs_of_directions(number: int, *, lowest: float = 0.1, spread: float | None = 0.04) -> tuple[Array, Array]:
+    """Return pairs in single precision above a smallest cosine; every second one near the mirror direction."""
+    random = np.random.default_rng(0)
+    cosine, turn = random.uniform(lowest, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
+    sine = np.sqrt(1.0 - cosine**2)
+    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    if spread is not None:
+        mirrored = first * [-1.0, -1.0, 1.0] + random.normal(0.0, spread, first.shape)
+        mirrored[:, 2] = np.maximum(mirrored[:, 2], lowest)
+        second[::2] = (mirrored / np.linalg.norm(mirrored, axis=1)[:, None])[::2]
+    return first.astype(np.float32).astype(float), second.astype(np.float32).astype(float)
