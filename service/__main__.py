@@ -5,7 +5,6 @@ import signal
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # what follows takes a second, and Ctrl-C may end it at once
 
-import argparse
 import logging
 import os
 import resource
@@ -25,17 +24,17 @@ import uvicorn
 from fastapi import FastAPI
 from pydantic import ValidationError
 
+from dsbrdf.cli.arguments import BAD_INPUT, print_error
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory
 
 from .access.keys import has_active_key
 from .app import create_app, make_engine
-from .commands import refuse
 from .errors import DataFolderError, validation_sentence
 from .http.limits import connection_class
 from .operations import logging as logs
 from .routes.dependencies import Context
-from .settings import FLAGS, Settings, unknown_settings
+from .settings import Settings, unknown_settings
 from .storage.database import own_folder
 from .storage.store import Store
 
@@ -44,16 +43,24 @@ _CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have
 logger = logging.getLogger(__name__)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run the service until it is stopped; return the exit code."""
-    given = _flags(arguments)
+    words = sys.argv[1:] if words is None else words
+    if not words:
+        return _serve({})
+    from .commands.serve import run_with_flags
+
+    return run_with_flags(words, _serve)
+
+
+def _serve(given: Mapping[str, Any]) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        return refuse(_settings_message(error, given))
+        return _refuse(_settings_message(error, given))
     try:
         if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
-            return refuse(
+            return _refuse(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
@@ -65,16 +72,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             store.close()
             raise
     except (DataFolderError, MissingExtraError) as error:
-        return refuse(str(error))
+        return _refuse(str(error))
     except OSError as error:
-        return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+        return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
     except sqlite3.Error as error:
-        return refuse(f"the database in {settings.data_dir} cannot be used: {error}.")
+        return _refuse(f"the database in {settings.data_dir} cannot be used: {error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:
         store.close()
-        refuse(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
+        print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
         return 1
     logs.configure(settings)
     for unknown in unknown_settings():
@@ -106,8 +113,7 @@ def _run(settings: Settings, store: Store) -> int:
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
         signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     server = _Server(config, app)
-    place = settings.data_dir.resolve()
-    logger.info("serving dsbrdf %s from the data folder %s; Ctrl-C or SIGTERM stops it", app.version, place)
+    logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
     try:
         server.run()
     except SystemExit as stop:
@@ -127,6 +133,15 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 (uvicorn's signature)
         """Begin to end; a second Ctrl-C does not break that off, which takes some seconds at most."""
         super().handle_exit(signal.SIGTERM, frame)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve, and tell a person at a terminal where."""
+        await super().startup(sockets)
+        if self.started and sys.stdout.isatty():
+            host, port = self.servers[0].sockets[0].getsockname()[:2]
+            print(
+                f"dsbrdf serves at http://{f'[{host}]' if ':' in host else host}:{port}; Ctrl-C stops it.", flush=True
+            )
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests and let those in progress end soon."""
@@ -156,21 +171,9 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _flags(arguments: Sequence[str] | None) -> dict[str, Any]:
-    """Return the settings that the command line gives, as text: `Settings` checks them."""
-    parser = argparse.ArgumentParser(
-        prog="dsbrdf serve",
-        description="Run the HTTP service. Further settings are environment variables that begin with DSBRDF_.",
-    )
-    for name in FLAGS:
-        setting = Settings.model_fields[name]
-        flag = f"--{name.replace('_', '-')}"
-        if setting.annotation is bool:
-            parser.add_argument(flag, action="store_true", default=None, help=setting.description)
-        else:
-            default = "one for each core" if name == "workers" else setting.default
-            parser.add_argument(flag, help=f"{setting.description} Default: {default}.")
-    return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
+def _refuse(reason: str) -> int:
+    print_error(reason)
+    return BAD_INPUT
 
 
 def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ import os
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
@@ -25,6 +25,8 @@ from anyio import CapacityLimiter, to_thread
 
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
 from dsbrdf.output.serialize import result_from_json
 
 from .wire.fit_options import from_wire, to_wire
@@ -155,7 +157,8 @@ class Client:
         Parameters
         ----------
         measurement : path-like, bytes or Measurement
-            A MERL file, its bytes, or a measurement. It is sent only if the service does not have it.
+            A file as `dsbrdf.fit` takes it, the bytes of a MERL file, or a measurement. It is sent only if the service
+            does not have it.
         options : FitOptions, optional
             Defaults to ``FitOptions()``.
         name : str, optional
@@ -216,6 +219,9 @@ class Client:
 
         One that is sent gets the `name`, by default its own.
         """
+        suffix = "" if isinstance(measurement, bytes | Measurement) else Path(measurement).suffix.lower()
+        if suffix == ".bsdf" and not isinstance(measurement, bytes | Measurement):
+            measurement = read_rgl(measurement).measurement()
         source = encode_merl(measurement) if isinstance(measurement, Measurement) else measurement
         digest, size = hashlib.sha256(), 0
         for piece in _pieces(source):
@@ -223,7 +229,8 @@ class Client:
             size += len(piece)
         sha256 = digest.hexdigest()
         if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
-            headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
+            media_type = "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"
+            headers = {"Content-Type": media_type, "Content-Length": str(size)}
             params = _query(name or _own_name(measurement))
             self._call("POST", "/v1/measurements", body=source, headers=headers, params=params)
         return sha256
@@ -316,8 +323,8 @@ def _error_of(fit: Fit) -> Exception:
 
 
 def _fit(document: Mapping[str, Any]) -> Fit:
-    names = ("id", "status", "progress", "measurement", "name", "metrics", "error")
-    return Fit(**{name: document[name] for name in names}, options=from_wire(document["options"]))
+    given = {field.name: document[field.name] for field in fields(Fit)}
+    return Fit(**{**given, "options": from_wire(document["options"])})
 
 
 def _pieces(source: bytes | str | os.PathLike[str]) -> Iterator[bytes]:

@@ -14,8 +14,6 @@ from dsbrdf.process_settings import core_count
 from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
-FLAGS = ("host", "port", "data_dir", "workers", "insecure")
-"""Settings that the command line takes too."""
 # Of the client and the tests.
 _OTHER_VARIABLES = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_SEED", "DSBRDF_SOAK"))
 

@@ -1,15 +1,16 @@
 """Commands on the data folder of a service, beside a running server too; each module has a `main`.
 
 `keys` adds, lists and revokes API keys; `purge` removes what is old; `doctor` checks what is stored.
-Here is what they share: which folder is meant, and errors in one sentence. They import neither NumPy nor pydantic nor
-FastAPI, so that they answer at once.
+They import neither NumPy nor pydantic nor FastAPI, so that they answer at once. `serve` has the flags of the server.
 """
 
-import argparse
 import os
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import BAD_INPUT, print_error
 
@@ -17,19 +18,16 @@ from .. import DEFAULT_DATA_DIR
 from ..errors import DataFolderError
 from ..storage.database import FILE_NAME
 
-
-def add_data_dir(parser: argparse.ArgumentParser) -> None:
-    """Add the flag that names the data folder."""
-    parser.add_argument("--data-dir", type=Path, metavar="DIR", help="the service's folder")
+DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's folder.")]
+Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
 
-def run_in_folder(arguments: argparse.Namespace, work: Callable[[Path], int], *, existing: bool = True) -> int:
-    """Call `work` with the data folder: that of the command line, of the environment, or the default one.
+def run_in_folder(given: Path | None, work: Callable[[Path], int], *, existing: bool = True) -> int:
+    """Call `work` with the data folder: the one given, that of the environment, or the default one.
 
     Return the exit code; with `existing`, a folder that no service has made is refused.
     """
-    given = [value for name, value in os.environ.items() if name.upper() == "DSBRDF_DATA_DIR" and value]
-    folder: Path = arguments.data_dir or Path(given[0] if given else DEFAULT_DATA_DIR)
+    folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
     try:
         if existing and not (folder / FILE_NAME).exists():
             return refuse(f"{folder} is no data folder of a service; --data-dir names one")

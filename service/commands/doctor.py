@@ -10,40 +10,39 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.cli.arguments import Parser, add_json_option, print_json
+from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.commands import new_application, run_words
 
 from ..errors import CheckFailedError
 from ..storage.blobs import Blobs
 from ..storage.database import FILE_NAME
 from ..storage.schema import VERSION
-from . import add_data_dir, run_in_folder
+from . import DataDir, Json, run_in_folder
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return the exit code."""
-    parser = Parser(
-        prog="dsbrdf doctor",
-        description="Check the service's database and the bytes of every measurement; a server may run meanwhile.",
-    )
-    add_data_dir(parser)
-    add_json_option(parser)
-    arguments = parser.parse_args(argv)
-    return run_in_folder(arguments, lambda folder: _examine(folder, json=arguments.json))
+def main(words: Sequence[str]) -> int:
+    """Run the command with the words that follow it; return the exit code."""
+    app = new_application("dsbrdf doctor", "Check the service's database and every measurement; a server may run.")
+    app.default(_examine)
+    return run_words(app, words)
 
 
-def _examine(folder: Path, *, json: bool) -> int:
-    found = []
-    for name, check in CHECKS.items():
-        try:
-            fine, detail = True, check(folder)
-        except (CheckFailedError, OSError, sqlite3.Error) as error:
-            fine, detail = False, str(error)
-        found.append({"check": name, "fine": fine, "detail": detail})
-        if not json:
-            print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
-    if json:
-        print_json({"items": found})
-    return 0 if all(item["fine"] for item in found) else 1
+def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
+    def work(folder: Path) -> int:
+        found = []
+        for name, check in CHECKS.items():
+            try:
+                fine, detail = True, check(folder)
+            except (CheckFailedError, OSError, sqlite3.Error) as error:
+                fine, detail = False, str(error)
+            found.append({"check": name, "fine": fine, "detail": detail})
+            if not json:
+                print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
+        if json:
+            print_json({"items": found})
+        return 0 if all(item["fine"] for item in found) else 1
+
+    return run_in_folder(data_dir, work)
 
 
 def _database(folder: Path) -> str:

@@ -4,7 +4,6 @@ Fits are removed when they ended longer ago than that, measurements when they we
 fit of their owner uses them, files with the last row of any owner. A running server notices and empties its cache.
 """
 
-import argparse
 import re
 import sqlite3
 import time
@@ -12,16 +11,21 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
-from dsbrdf.cli.arguments import Parser, add_json_option, print_json
+from cyclopts import CoercionError, Parameter, Token
+
+from dsbrdf.cli.arguments import print_json
+from dsbrdf.cli.commands import new_application, run_words
 
 from ..storage.blobs import Blobs
 from ..storage.database import Database, check_integrity
 from ..storage.schema import IS_UNFINISHED
-from . import add_data_dir, run_in_folder
+from . import DataDir, Json, run_in_folder
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_PURPOSE = "Remove fits that ended long ago, and measurements as old that no other fit uses; a server may run."
 _ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
@@ -94,36 +98,37 @@ def _rows_of(db: sqlite3.Connection, sha256: str) -> int:
     return int(number)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return the exit code."""
-    parser = Parser(
-        prog="dsbrdf purge",
-        description="Remove fits that ended long ago, and measurements as old that no other fit uses, of every key; "
-        "a server may run meanwhile.",
-    )
-    parser.add_argument("--older-than", type=_age, required=True, metavar="AGE", help="such as 30d, 12h or 45m")
-    parser.add_argument("--dry-run", action="store_true", help="only report what would be removed")
-    add_data_dir(parser)
-    add_json_option(parser)
-    arguments = parser.parse_args(argv)
-
-    def work(folder: Path) -> int:
-        purged = purge(folder, time.time() - arguments.older_than, dry_run=arguments.dry_run)
-        removed = f"{purged.fits} fits and {purged.measurements} measurements"
-        if arguments.json:
-            print_json({**asdict(purged), "dry_run": arguments.dry_run})
-        else:
-            verb = "would be removed" if arguments.dry_run else "removed"
-            print(f"{removed} {verb}, {purged.bytes / 1e6:.1f} MB of files")
-        return 0
-
-    return run_in_folder(arguments, work)
+def main(words: Sequence[str]) -> int:
+    """Run the command with the words that follow it; return the exit code."""
+    app = new_application("dsbrdf purge", _PURPOSE)
+    app.default(_purge)
+    return run_words(app, words)
 
 
-def _age(text: str) -> int:
-    parts = _AGE.fullmatch(text)
+def _age(_: Any, tokens: Sequence[Token]) -> int:
+    (token,) = tokens
+    parts = _AGE.fullmatch(token.value)
     if parts is None:
-        raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is not an age; write a number and a unit (s, m, h, d or w), such as 30d"
+        raise CoercionError(
+            f"--older-than: {token.value[:40]!r} is no number with a unit (s, m, h, d or w), such as 30d"
         )
     return int(parts[1]) * _SECONDS[parts[2]]
+
+
+def _purge(
+    *,
+    older_than: Annotated[int, Parameter(converter=_age, metavar="AGE", help="Such as 30d, 12h or 45m.")],
+    dry_run: Annotated[bool, Parameter(help="Only report what would be removed.")] = False,
+    data_dir: DataDir = None,
+    json: Json = False,
+) -> int:
+    def work(folder: Path) -> int:
+        purged = purge(folder, time.time() - older_than, dry_run=dry_run)
+        if json:
+            print_json({**asdict(purged), "dry_run": dry_run})
+        else:
+            removed = f"{purged.fits} fits and {purged.measurements} measurements"
+            print(f"{removed} {'would be ' * dry_run}removed, {purged.bytes / 1e6:.1f} MB of files")
+        return 0
+
+    return run_in_folder(data_dir, work)

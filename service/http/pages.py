@@ -18,7 +18,7 @@ _PACKAGE = __name__.partition(".")[0]  # service in a clone, dsbrdf_service wher
 _OURS = files(_PACKAGE) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
-_SCRIPTS = ("index", "progress", "fit", "sphere", "plots", "address")
+_SCRIPTS = ("index", "progress", "fit", "sphere", "panorama", "plots", "address")
 STATIC_FILES = {
     "/docs": (_OURS / "docs.html", "text/html; charset=utf-8"),
     "/docs/page.js": (_OURS / "docs.js", _SCRIPT),

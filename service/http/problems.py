@@ -113,7 +113,7 @@ async def _answer_exception(request: Request, error: Exception) -> Response:
 
 
 def problem_of(request: Request, error: Exception) -> ProblemError:
-    """Return the problem that any exception is; what is the service's own fault is logged."""
+    """Return an exception as a problem; log it if the service itself is at fault."""
     path = request.url.path
     if isinstance(error, ProblemError):
         return error

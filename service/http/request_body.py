@@ -50,9 +50,8 @@ def upload_body(request: Request) -> UploadBody:
     Raises ProblemError if its encoding is unknown.
     """
     encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    if encoding:
-        return UploadBody(request.stream(), None, partial(decoder, encoding))
-    return UploadBody(request.stream(), int(declared) if declared.isdecimal() else None, None)
+    length = int(declared) if declared.isdecimal() and not encoding else None
+    return UploadBody(request.stream(), length, partial(decoder, encoding))
 
 
 async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mmap.mmap:

@@ -54,7 +54,7 @@ def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[
 def prefix_of(request: Request) -> str:
     """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
 
-    Anyone may send it: it changes only the addresses in this answer.
+    Any client may send this header; it changes only the addresses in this answer.
     """
     given = request.headers.get("x-forwarded-prefix", "").rstrip("/")
     return given if _PREFIX.fullmatch(given) else ""
@@ -141,7 +141,7 @@ class OpenFileResponse(FileResponse):
 def check_range(request: Request, size: int) -> None:
     """Check that a file of `size` bytes has the range of bytes that the request asks for (RFC 9110, section 14.2).
 
-    A ``Range`` that is not one range of bytes is removed from the request, which means that it is ignored.
+    A ``Range`` that is not one range of bytes is ignored: it is removed from the request.
 
     Raises ProblemError if the range begins beyond the end.
     """

@@ -6,10 +6,11 @@ nobody waits for it any more.
 """
 
 import asyncio
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Hashable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -20,7 +21,6 @@ from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER_NAME
 from ..errors import HeadOnlyError, ProblemError
-from .fair_turns import FairTurns
 
 T = TypeVar("T")
 
@@ -28,11 +28,40 @@ Place = Literal["short", "medium", "long"]
 """Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
 
 
-class Run(Protocol):
-    """`Computations.run_in_process` for one request and one head."""
+class FairTurns:
+    """Owners take turns; the requests of one owner are served in the order in which they came.
 
-    async def __call__(self, key: Hashable, step: Callable[..., Any], /, *arguments: Any) -> Any:
-        """Return what the step returns, computed once for all who ask with one key."""
+    All calls must be made in one event loop.
+    """
+
+    def __init__(self) -> None:
+        self._taken = False
+        self._waiting: dict[str, deque[asyncio.Future[None]]] = {}  # by owner; the next to be served comes first
+
+    @asynccontextmanager
+    async def turn(self, owner: str) -> AsyncIterator[None]:
+        """Wait for the turn of an owner, and hold it during the block."""
+        granted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(owner, deque()).append(granted)
+        self._serve()
+        try:
+            await granted
+            yield
+        finally:
+            if granted.done() and not granted.cancelled():  # also where it was cancelled just after it was granted
+                self._taken = False
+                if more := self._waiting.pop(owner, None):
+                    self._waiting[owner] = more  # behind all other owners who wait now
+                self._serve()
+
+    def _serve(self) -> None:
+        while self._waiting and not self._taken:
+            owner, waiting = next(iter(self._waiting.items()))
+            if not waiting:
+                del self._waiting[owner]
+            elif not (granted := waiting.popleft()).done():  # else cancelled while it waited
+                self._taken = True
+                granted.set_result(None)
 
 
 @dataclass
@@ -48,12 +77,7 @@ class Computations:
     """Computes one thing at a time in each place; callers take turns there.
 
     What waits for its turn is forgotten when the last request that waits for it has been given up by its client. What
-    runs in a thread is computed to its end then, what runs in a process is ended with it.
-
-    Parameters
-    ----------
-    limits : FitLimits
-        Of each computation in a process.
+    runs in a thread is computed to its end then, what runs in a process is ended with it; `limits` are its own.
     """
 
     def __init__(self, limits: FitLimits) -> None:
@@ -66,24 +90,11 @@ class Computations:
     ) -> T:
         """Return what `compute` returns, which is called in a thread.
 
-        Parameters
-        ----------
-        request : Request
-            Who asks; its body must have been read.
-        key : hashable
-            What is computed, with its owner: requests with one key that come together get one result.
-        compute : callable
-        head : mapping of str to str
-            Headers of the answer, for a HEAD request, which gets nothing else.
-        place : {"short", "medium", "long"}
-            How long it takes.
+        Requests with one `key` that come together get one result; it names the owner too. The body of the `request`
+        must have been read; `head` has the headers of the answer, for a HEAD request.
 
-        Raises
-        ------
-        HeadOnlyError
-            If nothing has to be computed, the request being HEAD.
-        ClientDisconnect
-            If the client has closed the connection.
+        Raises HeadOnlyError if the request is HEAD: nothing has to be computed. Raises ClientDisconnect if the client
+        has closed the connection.
         """
 
         async def in_thread() -> T:
@@ -92,14 +103,6 @@ class Computations:
                 return await run_in_threadpool(compute)
 
         return await self._wait(request, key, in_thread, head)
-
-    def for_request(self, request: Request, head: Mapping[str, str]) -> Run:
-        """Return `run_in_process` for a request, to be called by what knows nothing of requests."""
-
-        async def run(key: Hashable, step: Callable[..., Any], *arguments: Any) -> Any:
-            return await self.run_in_process(request, key, step, *arguments, head=head)
-
-        return run
 
     async def run_in_process(
         self,
@@ -112,14 +115,8 @@ class Computations:
     ) -> Any:
         """Return what ``step(*arguments, on_progress)`` returns, which is called in a process of its own.
 
-        `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If the arguments do not allow it.
-        ProblemError
-            If it could not be computed; the request's own errors are those of `run`.
+        `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
+        InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
 
         async def in_process() -> Any:

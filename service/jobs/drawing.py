@@ -21,6 +21,7 @@ from dsbrdf.data.merl import map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
@@ -72,7 +73,13 @@ class StoredMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A fit beside its measurement, see `service.jobs.results.FitView`."""
+    """What is drawn of a fit beside its measurement.
+
+    The pictures are PNG files: the fit and, if the measurement is still stored, it and the difference. `exposure` is
+    what their radiance was multiplied by. `measured` has the means over phi_diff for each (channel, theta_diff,
+    theta_half), NaN where there are no data; `polar` the values in the plane of incidence (light, viewer, channel); in
+    1/sr.
+    """
 
     exposure: float
     pictures: dict[str, bytes]
@@ -115,10 +122,13 @@ def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
     return np.stack(tables, axis=-1).astype("<f2").tobytes()
 
 
-def environment_step(source: ReflectanceModel | StoredMeasurement, _: OnProgress) -> bytes:
+def environment_step(
+    source: ReflectanceModel | StoredMeasurement, panorama: NDArray[np.float32] | None, _: OnProgress
+) -> bytes:
     """Return the linear RGB radiance of a sphere under environment light, as float32 rows from the top."""
     shown = source.mapped() if isinstance(source, StoredMeasurement) else source
-    return render_sphere(shown, lighting="environment", size=_SIZE).astype("<f4").tobytes()
+    lighting = "environment" if panorama is None else EnvironmentMap.from_pixels(panorama)
+    return render_sphere(shown, lighting=lighting, size=_SIZE).astype("<f4").tobytes()
 
 
 def figure_step(

@@ -10,23 +10,23 @@ import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 from structlog.contextvars import bind_contextvars
 
-from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask
+from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask, Outcome
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 
 from ..errors import MeasurementDamagedError
 from ..operations.metrics import Metrics
 from ..settings import Settings
+from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
-from ..storage.uploads import in_write_thread
 from ..wire.fit_options import from_wire
-from .fair_turns import FairTurns
+from .computations import FairTurns
 
 logger = logging.getLogger(__name__)
 
@@ -60,13 +60,6 @@ class _RunningFit:
         """Wake everyone who waits for a change."""
         self.changed.set()
         self.changed = asyncio.Event()
-
-
-class _Document(NamedTuple):
-    """What is stored of a fit that has succeeded: model and report as JSON, and its metrics."""
-
-    text: str
-    metrics: dict[str, float | None]
 
 
 class Jobs:
@@ -224,7 +217,7 @@ class Jobs:
                     return True
             return await _write(self._record, row, outcome)
 
-    async def _compute(self, row: FitRow) -> _Document | Fault:
+    async def _compute(self, row: FitRow) -> Outcome:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
             try:
@@ -232,12 +225,10 @@ class Jobs:
                 if damage is not None:
                     return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
-                task = FitTask(str(row.key), path, options, row.measurement, components=True)
+                task = FitTask(str(row.key), path, options, row.measurement)
                 outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
                 if isinstance(outcome, FitResult):
-                    parts = outcome.decomposition if isinstance(outcome, DecomposedFit) else None
-                    text = await run_in_threadpool(to_json, outcome.model, outcome.report, parts)
-                    return _Document(text, asdict(outcome.report.metrics))
+                    return outcome
             except OSError as error:
                 outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
             except Exception as error:
@@ -249,10 +240,12 @@ class Jobs:
             logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)
 
-    def _record(self, row: FitRow, outcome: _Document | Fault) -> bool:
+    def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
-        if isinstance(outcome, _Document):
-            self._store.complete_fit(row.key, outcome.text, outcome.metrics)
+        if isinstance(outcome, FitResult):
+            parts = outcome.decomposition if isinstance(outcome, DecomposedFit) else None
+            document = to_json(outcome.model, outcome.report, parts)
+            self._store.complete_fit(row.key, document, asdict(outcome.report.metrics))
             logger.info("the fit has succeeded")
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:

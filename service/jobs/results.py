@@ -6,7 +6,7 @@ stay too, some 300 kB each.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,6 @@ from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from ..storage.schema import FitKey, FitRow
 from ..storage.store import Store
 from ..wire.fit_options import from_wire
-from .computations import Run
 from .drawing import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
 
 Array = NDArray[np.float64]
@@ -108,20 +107,7 @@ class ModelCache:
 
 @dataclass(frozen=True, eq=False)
 class FitView:
-    """A fit beside its measurement.
-
-    Attributes
-    ----------
-    drawn : Drawn
-        ``exposure``, what the radiance of the pictures was multiplied by: that of the measurement, if there is one;
-        ``pictures``, PNG files: ``fit`` and, if the measurement is still stored, ``measured`` and ``difference``;
-        ``measured``, its mean over phi_diff for each (channel, theta_diff, theta_half) [1/sr], NaN where there are no
-        data; ``polar``, its values in the plane of incidence, shape (lights, viewers, 3) [1/sr].
-    horizon_cutoff : float or None
-        Largest angle to the normal of the samples in those means [rad].
-    decomposition : Decomposition
-        The model and its components, whose values add up to the model's.
-    """
+    """A fit beside its measurement; `horizon_cutoff` bounds the angles of the samples in the means of `drawn` [rad]."""
 
     drawn: Drawn
     horizon_cutoff: float | None
@@ -167,8 +153,8 @@ class FitViews:
         self._models = models
         self._views: OrderedDict[FitKey, FitView] = OrderedDict()
 
-    async def get(self, row: FitRow, run: Run) -> FitView:
-        """Return the view of a fit, which `run` makes once for all who ask; raises as `ModelCache.get`."""
+    async def get(self, row: FitRow, run: Callable[..., Awaitable[Any]]) -> FitView:
+        """Return the view of a fit, made by `run(key, step, *arguments)`; raises as `ModelCache.get`."""
         decomposition = (await self._models.get(row.key)).decomposition
         view = self._views.get(row.key)
         if view is None or view.decomposition is not decomposition:
@@ -182,7 +168,10 @@ class FitViews:
         return view
 
     def _measurement(self, row: FitRow) -> StoredMeasurement | None:
-        """Return the fit's measurement, unless it has been deleted."""
+        """Return the fit's measurement, unless it has been deleted or is none on a grid."""
+        found = self._store.measurement(row.owner, row.measurement)
+        if found is None or not found.on_grid:
+            return None
         try:
             return StoredMeasurement(self._store.measurement_file(row.owner, row.measurement), row.measurement)
         except MeasurementNotFoundError:

@@ -7,7 +7,6 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import TypeVar
 
 import anyio.to_thread
 
@@ -19,8 +18,6 @@ from ..storage.store import Store
 LIMIT = 3.0  # seconds that a part may take to answer
 _FRESH = 1.0  # seconds for which the answer of a part is used again
 
-T = TypeVar("T")
-
 logger = logging.getLogger(__name__)
 
 
@@ -29,12 +26,13 @@ class Readiness:
 
     def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
         self._stopping = False
-        self._parts = (
-            _Part("The database", partial(_in_thread, store.check)),
-            _Part("The folder of measurements", partial(_in_thread, store.blobs.check)),
-            _Part("The disk", partial(_in_thread, partial(_check_space, store, settings.min_free_mb))),
-            _Part("The engine", engine.check),
-        )
+        self._checks: dict[str, Callable[[], Awaitable[None]]] = {
+            "The database": partial(_in_thread, store.check),
+            "The folder of measurements": partial(_in_thread, store.blobs.check),
+            "The disk": partial(_in_thread, partial(_check_space, store, settings.min_free_mb)),
+            "The engine": engine.check,
+        }
+        self._asked: dict[str, tuple[float, asyncio.Task[str | None]]] = {}  # when, and what the check returns
 
     def stop(self) -> None:
         """Report from now on that the service is not ready."""
@@ -44,36 +42,27 @@ class Readiness:
         """Return one or more sentences about what is wrong; None if the service is ready."""
         if self._stopping:
             return "The service is shutting down."
-        faults = await asyncio.gather(*(part.fault() for part in self._parts))
+        faults = await asyncio.gather(*(self._fault_of(name) for name in self._checks))
         return " ".join(fault for fault in faults if fault is not None) or None
 
-
-class _Part:
-    """One part and its check; a check that hangs is not started a second time."""
-
-    def __init__(self, name: str, check: Callable[[], Awaitable[None]]) -> None:
-        self._name = name
-        self._check = check
-        self._answer: asyncio.Task[str | None] | None = None
-        self._asked = 0.0
-
-    async def fault(self) -> str | None:
+    async def _fault_of(self, name: str) -> str | None:
+        """Return what is wrong with one part; a check that hangs is not started a second time."""
+        asked, answer = self._asked.get(name, (0.0, None))
         now = time.monotonic()
-        if self._answer is None or (self._answer.done() and now - self._asked > _FRESH):
-            self._asked = now
-            self._answer = asyncio.create_task(self._ask())
-        answer = self._answer
+        if answer is None or (answer.done() and now - asked > _FRESH):
+            answer = asyncio.create_task(self._ask(name))
+            self._asked[name] = now, answer
         await asyncio.wait([answer], timeout=LIMIT)
-        return answer.result() if answer.done() else f"{self._name} has not answered within {LIMIT:g} s."
+        return answer.result() if answer.done() else f"{name} has not answered within {LIMIT:g} s."
 
-    async def _ask(self) -> str | None:
+    async def _ask(self, name: str) -> str | None:
         try:
-            await self._check()
+            await self._checks[name]()
         except (OSError, sqlite3.Error, RuntimeError) as error:
             # The client gets the reason; the log also names the part.
-            logger.warning("%s is not ready: %s", self._name, error)
+            logger.warning("%s is not ready: %s", name, error)
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            return f"{self._name} is not ready: {reason.rstrip('.')}."
+            return f"{name} is not ready: {reason.rstrip('.')}."
         return None
 
 

@@ -20,7 +20,7 @@ function showPictures(id, names) {
   }
   document.getElementById("pictures-note").textContent = names.includes("measured")
     ? "Three lights, one exposure. A black difference is a perfect fit."
-    : "The measurement is not stored any more, so the fit is shown alone.";
+    : "The measurement is a table of samples, or is not stored any more: the fit is shown alone.";
 }
 
 // Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels.
@@ -50,7 +50,23 @@ function compare([first, second]) {
   draw();
 }
 
+// The same fit asked for with another name is the same fit, renamed.
+async function rename(id, name) {
+  const known = await (await fetch(`${root}v1/fits/${id}`)).json();
+  const answer = await fetch(`${root}v1/fits?${new URLSearchParams({ name })}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json" },
+    body: JSON.stringify({ measurement: known.measurement, options: known.options }),
+  });
+  if (answer.ok) location.reload();
+  else alert((await answer.json()).detail);
+}
+
 keepInAddress();
+document.getElementById("rename")?.addEventListener("click", ({ target }) => {
+  const name = prompt("The fit's new name", document.querySelector("h1").textContent)?.trim();
+  if (name) rename(target.dataset.fit, name);
+});
 const spheres = startSpheres();
 if (beside) {
   const id = beside.dataset.fit;

@@ -57,8 +57,7 @@ function send(url, headers, body, onprogress) {
 
 // Sends a file; returns the id of its fit.
 async function submit(chosen) {
-  const name = chosen.name.replace(/\.binary$/, "");
-  const named = name ? `name=${encodeURIComponent(name)}` : "";
+  const named = (suffixes) => `name=${encodeURIComponent(chosen.name.replace(suffixes, "") || chosen.name)}`;
   show(`Reading ${chosen.name}`);
   const hash = await sha256(chosen);
   const known = hash && (await fetch(`${root}v1/measurements/${hash}`, { method: "HEAD" })).ok;
@@ -66,12 +65,12 @@ async function submit(chosen) {
   if (known) {
     show("The service has this file");
     const body = JSON.stringify({ measurement: hash, options: options() });
-    answer = await send(`${root}v1/fits?${named}`, { "Content-Type": "application/json", Prefer: "respond-async" }, body);
+    answer = await send(`${root}v1/fits?${named(/\.(binary|bsdf|csv|tsv|txt)$/i)}`, { "Content-Type": "application/json", Prefer: "respond-async" }, body);
   } else {
     show(`Sending ${chosen.name}`, 0);
     const query = new URLSearchParams(options());
     const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
-    answer = await send(`${root}v1/fits?${named}&${query}`, headers, chosen, (event) => {
+    answer = await send(`${root}v1/fits?${named(/\.binary$/)}&${query}`, headers, chosen, (event) => {
       if (event.loaded < event.total) show(`Sending ${chosen.name}`, event.loaded / event.total);
       else show("Checking the file");
     });

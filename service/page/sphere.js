@@ -1,6 +1,8 @@
 // A lit sphere of a fit by WebGL 2, of its measurement, or of both. The fit is a GLSL function that the service exports,
 // as it is, or, once a component is hidden, that of a component, which has the weights of all. The measurement is a
 // texture of its logarithms. All spheres of a page show what the form of controls says.
+import { readPanorama, turned } from "./panorama.js";
+
 const root = document.documentElement.dataset.root;
 const form = document.getElementById("controls");
 const SHOWN = ["fit", "measured", "half", "difference"];
@@ -53,8 +55,8 @@ void main() {
   else colour = vec4(seen(at, show == 1 || (show == 2 && left)), 1.0);
 }`;
 
-async function load(path, kind) {
-  const answer = await fetch(root + path);
+async function load(path, kind, body) {
+  const answer = await fetch(root + path, body && { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body });
   if (!answer.ok) throw new Error((await answer.json()).detail);
   return answer[kind]();
 }
@@ -68,9 +70,9 @@ function compile(gl, kind, source) {
 
 // What the form says; the highlight is the point of the sphere where the light's reflection is seen.
 function look() {
-  const { show, lighting, exposure, zoom, wipe, highlight } = Object.fromEntries(new FormData(form));
+  const { show, lighting, exposure, zoom, wipe, turn, highlight } = Object.fromEntries(new FormData(form));
   const [x, y] = highlight.split(",").map(Number);
-  return { show, lighting, stops: Number(exposure), zoom: 2 ** Number(zoom), wipe: Number(wipe), highlight: Math.hypot(x, y) <= 1 ? [x, y] : [0, 0] };
+  return { show, lighting, stops: Number(exposure), zoom: 2 ** Number(zoom), wipe: Number(wipe), turn: Number(turn), highlight: Math.hypot(x, y) <= 1 ? [x, y] : [0, 0] };
 }
 
 function lightAt([a, b]) {
@@ -85,6 +87,7 @@ function aim(x, y) {
 }
 
 const running = []; // all spheres of the page
+const panorama = { number: 0, pixels: null }; // of one's own: which one of those that were chosen, and its pixels
 
 export class Sphere {
   constructor(figure) {
@@ -119,9 +122,15 @@ export class Sphere {
   }
 
   // A GLSL function of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
-  // "measured"; or what is seen under environment light of "environment/fit", of the measurement or of a component.
+  // "measured"; or what is seen under environment light, "environment/fit", of the measurement or of a component; under
+  // a panorama the name begins with its number and its turn.
   async fetch(name) {
     this.loaded.set(name, null);
+    if (name.startsWith("panorama")) {
+      const [, turn, source] = name.split("/");
+      this.loaded.set(name, await load(`${this.path}/environment/${source}.bin`, "arrayBuffer", turned(panorama.pixels, turn)));
+      return;
+    }
     const part = name === "parts" ? `&component=${this.boxes[0].dataset.component}` : "";
     const [path, kind] = ["glsl", "parts"].includes(name)
       ? [`v1/${this.path}/export?format=glsl${part}`, "text"]
@@ -132,6 +141,8 @@ export class Sphere {
   // Fetches what is missing for a picture, which is drawn when all is there; returns whether all is.
   has(names) {
     const missing = names.filter((name) => !this.loaded.has(name));
+    if (missing.length && this.moving && missing[0].startsWith("panorama")) return false; // not before it rests
+    for (const name of this.loaded.keys()) if (name.startsWith("panorama") && missing.length) this.loaded.delete(name);
     for (const name of missing) {
       this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
       this.fetch(name).then(() => {
@@ -199,10 +210,12 @@ export class Sphere {
     const now = look();
     const hidden = this.boxes.filter((box) => !box.checked).map((box) => box.dataset.component);
     const kind = hidden.length ? "parts" : "glsl";
-    const surrounded = now.lighting === "environment";
+    const around = { environment: "environment", panorama: `panorama${panorama.number}/${now.turn}` }[now.lighting];
+    const surrounded = around !== undefined;
     const show = view.pictures.includes("measured") ? now.show : "fit";
-    if (!this.has(this.needed(kind, show, surrounded))) return false;
-    if (surrounded) this.surround(hidden, show);
+    if (now.lighting === "panorama" && !panorama.pixels) { this.hint.textContent = "Choose a panorama below: a .hdr file or a picture, 360 by 180 degrees."; return false; }
+    if (!this.has(this.needed(kind, show, around))) return false;
+    if (surrounded) this.surround(around, hidden, show);
     else if (show !== "fit" && !this.tabled) this.tabled = !this.texture(0, [180, 90, 90], new Uint16Array(this.loaded.get("measured")));
     const lights = (now.lighting === "one" ? view.lights.slice(0, 1) : view.lights).map((light, i) => (i ? light.direction : lightAt(now.highlight)));
     const padded = (vectors) => new Float32Array(9).map((_, index) => vectors.flat()[index] ?? 0);
@@ -246,17 +259,17 @@ export class Sphere {
     setTimeout(check, 0);
   }
 
-  needed(kind, show, surrounded) {
-    if (!surrounded) return show === "fit" ? [kind] : [kind, "measured"];
-    const parts = kind === "parts" ? this.boxes.map((box) => `environment/${box.dataset.component}`) : [];
-    return [kind, "environment/fit", ...parts, ...(show === "fit" ? [] : ["environment/measured"])];
+  needed(kind, show, around) {
+    if (around === undefined) return show === "fit" ? [kind] : [kind, "measured"];
+    const parts = kind === "parts" ? this.boxes.map((box) => `${around}/${box.dataset.component}`) : [];
+    return [kind, `${around}/fit`, ...parts, ...(show === "fit" ? [] : [`${around}/measured`])];
   }
 
   // Puts what is seen under environment light into textures; the exposure is that of the whole fit.
-  surround(hidden, show) {
-    const key = `${hidden} ${show === "fit"}`;
+  surround(around, hidden, show) {
+    const key = `${around} ${hidden} ${show === "fit"}`;
     if (this.surroundings?.key === key) return;
-    const picture = (name) => new Float32Array(this.loaded.get(`environment/${name}`));
+    const picture = (name) => new Float32Array(this.loaded.get(`${around}/${name}`));
     const whole = picture("fit");
     const shown = hidden.length ? new Float32Array(whole.length) : whole;
     if (hidden.length) {
@@ -345,11 +358,14 @@ export async function startSpheres() {
 }
 
 function control(spheres) {
-  const { exposure, zoom, wipe } = form.elements;
+  const { exposure, zoom, wipe, turn } = form.elements;
+  const chosen = document.getElementById("panorama");
   const change = (moving) => {
     exposure.closest("label").querySelector("output").textContent = `${exposure.value > 0 ? "+" : ""}${exposure.value} EV`;
     zoom.closest("label").querySelector("output").textContent = `${(2 ** zoom.value).toPrecision(2)}×`;
     wipe.closest("label").hidden = look().show !== "half";
+    turn.closest("label").querySelector("output").textContent = `${turn.value}°`;
+    turn.closest("label").hidden = chosen.closest("label").hidden = look().lighting !== "panorama";
     for (const sphere of spheres) sphere.draw(moving);
   };
   const reset = () => {
@@ -359,6 +375,15 @@ function control(spheres) {
   form.addEventListener("input", () => change(true));
   form.addEventListener("change", () => change(false));
   form.addEventListener("submit", (event) => event.preventDefault());
+  chosen.addEventListener("change", async () => {
+    try {
+      panorama.pixels = await readPanorama(chosen.files[0]);
+      panorama.number += 1;
+      change(false);
+    } catch (error) {
+      for (const sphere of spheres) sphere.hint.textContent = error.message;
+    }
+  });
   document.getElementById("reset-view").addEventListener("click", reset);
   document.getElementById("show").hidden = !spheres.some(({ view }) => view.pictures.includes("measured"));
   for (const sphere of spheres) {

@@ -21,9 +21,9 @@ from ..http.responses import tagged_reply
 from ..jobs.computations import Place
 from ..jobs.results import LoadedFit
 from ..storage.schema import FitKey
-from ..wire import examples, values
+from ..wire import values
 from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
-from ..wire.values import ANGLES, DIRECTIONS, JSON, NPY, PHI_DIFF, Points, StoredPoints
+from ..wire.values import ANGLES, BLOCK, DIRECTIONS, JSON, NPY, PHI_DIFF, Points
 from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 
 
@@ -84,7 +84,7 @@ _BATCH = openapi.body(
     {
         JSON: {
             "schema": {"oneOf": [openapi.reference(AnglesRequest), openapi.reference(DirectionsRequest)]},
-            "examples": {"angles": {"value": examples.ANGLES}, "directions": {"value": examples.DIRECTIONS}},
+            "examples": openapi.EXAMPLE_POINTS,
         },
         NPY: openapi.file(NPY),
     },
@@ -168,20 +168,20 @@ async def _loaded(context: Context, fit: FitKey, label: str | None) -> LoadedFit
 
 
 async def _reply(
-    request: Request, context: Context, model: ReflectanceModel, points: Points | StoredPoints, media_type: str
+    request: Request, context: Context, model: ReflectanceModel, points: Points, media_type: str
 ) -> Response:
     """Return the values of a model: a few at once, many in a turn, very many in parts."""
-    reply, head = values.ValuesReply(model, media_type, context.metrics), {"Content-Type": media_type}
-    if isinstance(points, StoredPoints):
-        head |= reply.length_of(points)
+    reply = values.ValuesReply(model, media_type, context.metrics)
+    head = reply.headers(points)
+    if len(points) > BLOCK:
         return StreamingResponse(context.computations.stream(request, reply.parts(points), head), 200, head)
     if len(points) <= _MAX_INLINE and request.method != "HEAD":
-        return Response(reply.whole(points), 200, head)
-    content = await context.computations.run(request, object(), lambda: reply.whole(points), head)
+        return Response(b"".join(reply.parts(points)), 200, head)
+    content = await context.computations.run(request, object(), lambda: b"".join(reply.parts(points)), head)
     return Response(content, 200, head)
 
 
-async def _batch(request: Request, context: Context) -> Points | StoredPoints:
+async def _batch(request: Request, context: Context) -> Points:
     """Return the points in the body; many of them in a temporary file."""
     folder, max_points = context.store.blobs.temporary, context.settings.max_points
     npy = media_type_of(request, JSON, NPY) == NPY
@@ -190,10 +190,10 @@ async def _batch(request: Request, context: Context) -> Points | StoredPoints:
     per_point = _NPY_BYTES_PER_POINT if npy else _JSON_BYTES_PER_POINT
     body = await receive_body(request, max_points * per_point + 4096, folder)
 
-    def convert() -> Points | StoredPoints:
+    def convert() -> Points:
         if npy:
-            return values.stored(values.npy_blocks(body), folder)
-        return values.stored(_from_json(bytes(body), max_points).blocks(), folder)
+            return values.kept(values.npy_blocks(body), folder)
+        return values.kept(_from_json(bytes(body), max_points).blocks(), folder)
 
     # What is read of a long body takes memory: of one at a time.
     place: Place = "medium" if len(body) > IN_MEMORY else "short"

@@ -2,8 +2,9 @@
 
 import asyncio
 from collections import Counter
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Path, Request
 from starlette.concurrency import run_in_threadpool
@@ -12,8 +13,10 @@ from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER
 from ..access.keys import Keys
-from ..errors import FitNotFoundError, MeasurementNotFoundError
+from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..jobs.computations import Computations
+from ..jobs.drawing import StoredMeasurement
 from ..jobs.jobs import Jobs
 from ..jobs.results import FitViews, ModelCache
 from ..operations.metrics import Metrics
@@ -21,7 +24,6 @@ from ..operations.readiness import Readiness
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow, MeasurementRow
 from ..storage.store import Store
-from ..wire import examples
 from ..wire.names import given_name
 from ..wire.schemas import FIT_ID, SHA256
 
@@ -49,6 +51,24 @@ class Context:
             raise FitNotFoundError(fit.id)
         return row
 
+    async def in_process(
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, **named: Any
+    ) -> Any:
+        """Return as `Computations.run_in_process`; raise MeasurementNotFoundError if it is deleted meanwhile."""
+        try:
+            return await self.computations.run_in_process(request, key, step, *arguments, **named)
+        except ProblemError:
+            owner = (await caller_of(request)).owner
+            for stored in arguments:
+                if isinstance(stored, StoredMeasurement):
+                    await run_in_threadpool(self.store.measurement_file, owner, stored.sha256)
+            raise
+
+    async def stored_measurement(self, owner: str, sha256: str, name: str | None = None) -> StoredMeasurement:
+        """Return a measurement to be drawn; raises as `Store.measured_grid`."""
+        path = await run_in_threadpool(self.store.measured_grid, owner, sha256)
+        return StoredMeasurement(path, sha256, name)
+
     async def measurement_row(self, owner: str, sha256: str) -> MeasurementRow:
         """Return the row of an owner's measurement; raise MeasurementNotFoundError if there is none."""
         row = await run_in_threadpool(self.store.measurement, owner, sha256)
@@ -71,8 +91,8 @@ async def caller_of(request: Request) -> Caller:
 
 TheContext = Annotated[Context, Depends(context_of)]
 TheCaller = Annotated[Caller, Depends(caller_of)]
-FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[examples.FIT_ID])]
-Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[examples.SHA256])]
+FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[EXAMPLE_FIT])]
+Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[EXAMPLE_SHA256])]
 
 
 async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:

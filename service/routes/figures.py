@@ -1,10 +1,9 @@
 """Pictures of fits and of measurements."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 import dsbrdf
@@ -12,7 +11,7 @@ from dsbrdf.extras import require
 
 from ..http import openapi
 from ..http.responses import is_current, tag_of
-from ..jobs.drawing import FIGURES, StoredMeasurement, figure_step, sphere_step
+from ..jobs.drawing import FIGURES, figure_step, sphere_step
 from ..wire.fit_options import from_wire
 from ..wire.schemas import FitSphere, Sphere
 from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
@@ -48,11 +47,10 @@ async def draw_sphere(
 
     The 99th percentile of the whole fit's sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
-    etag = tag_of(dsbrdf.__version__, fit.id, wanted)
     loaded = await context.models.get(fit)
     part = None if wanted.component is None else loaded.part(wanted.component)
     step = sphere_step, loaded.model, part, wanted.lighting, wanted.size
-    return await _drawn(request, context, fit.owner, etag, _PNG, *step)
+    return await drawn_reply(request, context, _PNG, ("sphere", fit, wanted.model_dump_json()), *step)
 
 
 @router.get(
@@ -79,11 +77,11 @@ async def draw_figure(
     """
     model = (await context.models.get(fit)).model
     row = await context.fit_row(fit)
-    stored = await _stored(context, fit.owner, row.measurement, row.name)
+    stored = await context.stored_measurement(fit.owner, row.measurement, row.name)
     require("plot", "matplotlib", purpose="figures")
-    etag, media_type = tag_of(dsbrdf.__version__, fit.id, row.name, figure, image_format), _MEDIA_TYPES[image_format]
     step = figure_step, figure, image_format, model, stored, from_wire(row.options).horizon_cutoff
-    return await _drawn(request, context, fit.owner, etag, media_type, *step)
+    key = "figure", fit, row.name, figure, image_format
+    return await drawn_reply(request, context, _MEDIA_TYPES[image_format], key, *step)
 
 
 @router.get(
@@ -100,32 +98,24 @@ async def draw_measurement(
     wanted: Annotated[Sphere, Query()],
 ) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
-    stored = await _stored(context, caller.owner, sha256)
-    etag = tag_of(dsbrdf.__version__, sha256, wanted)
+    stored = await context.stored_measurement(caller.owner, sha256)
     step = sphere_step, stored, None, wanted.lighting, wanted.size
-    return await _drawn(request, context, caller.owner, etag, _PNG, *step)
+    return await drawn_reply(
+        request, context, _PNG, ("measured", caller.owner, sha256, wanted.model_dump_json()), *step
+    )
 
 
-async def _drawn(
+async def drawn_reply(
     request: Request,
     context: Context,
-    owner: str,
-    etag: str,
     media_type: str,
+    key: tuple[Hashable, ...],
     step: Callable[..., bytes],
     *arguments: Any,
 ) -> Response:
-    """Return a picture, which `step` draws unless the client has it."""
+    """Return what `step` draws, unless the client has it; `key` determines it and names its owner."""
+    etag = tag_of(dsbrdf.__version__, *key)
     if is_current(request, etag):
         return Response(None, 304, {"ETag": etag})
     headers = {"ETag": etag, "Content-Type": media_type}
-    content = await context.computations.run_in_process(
-        request, ("figure", owner, etag), step, *arguments, head=headers
-    )
-    return Response(content, 200, headers)
-
-
-async def _stored(context: Context, owner: str, sha256: str, name: str | None = None) -> StoredMeasurement:
-    """Return a stored measurement whose file is sound; raises as `Store.measurement_file`."""
-    path = await run_in_threadpool(context.store.measurement_file, owner, sha256)
-    return StoredMeasurement(path, sha256, name)
+    return Response(await context.in_process(request, key, step, *arguments, head=headers), 200, headers)

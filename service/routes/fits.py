@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Annotated, Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -14,24 +14,24 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.engines.fit_steps import export_step
+from dsbrdf.engines.local import export_step
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, export_model
+from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, check_shader_options, export_model
 from dsbrdf.output.export.merl import merl_parts
 
 from ..access.authentication import invalid_key
 from ..errors import FitNotFoundError, ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import PIECE, media_type_of, receive_body, upload_body
+from ..http.request_body import PIECE, media_type_of, receive_body
 from ..http.responses import json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from ..jobs.computations import departure
+from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
-from ..storage.uploads import in_write_thread
-from ..wire import examples, schemas
+from ..wire import schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.model_document import model_document
-from ..wire.names import MAX_LENGTH, content_disposition
+from ..wire.names import content_disposition
 from ..wire.values import JSON
 from .dependencies import (
     NO_QUERY,
@@ -43,6 +43,7 @@ from .dependencies import (
     name_of,
     revocation,
 )
+from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
@@ -51,9 +52,6 @@ _MAX_JSON = 1 << 16
 _LOSSLESS = ("json", "npz")  # what the Python client asks for
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
-)
-CONTENT_ENCODING = openapi.header_parameter(
-    "Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip", "zstd"]
 )
 
 
@@ -68,22 +66,10 @@ def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}
 
 
-NAMES = [
-    {
-        "name": "name",
-        "in": "query",
-        "description": "Name of the measurement and of the fit; exports are called after it.",
-        "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
-    },
-    openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
-]
 _OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in schemas.OPTIONS_SCHEMA["properties"].items()]
 _SUBMISSION_BODY = openapi.body(
-    "A MERL file, or a reference to a stored measurement.",
-    {
-        BINARY: openapi.file(BINARY, maxLength=FILE_SIZE),
-        JSON: {"schema": openapi.reference(schemas.FitRequest)},
-    },
+    "A MERL file, an RGL .bsdf file, a table of scattered samples, or a reference to a stored measurement.",
+    CONTENT | {JSON: {"schema": openapi.reference(schemas.FitRequest)}},
 )
 
 _EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
@@ -99,10 +85,10 @@ _EXPORTED[JSON] = {"schema": {"type": "object"}}
     responses=openapi.response("The same request was made before; its fit has ended.", model=schemas.FitDocument)
     | openapi.response("The fit has not ended; ask again at `Location`.", status=202, model=schemas.FitDocument)
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
-    openapi_extra={"parameters": [*NAMES, *_OPTION_PARAMETERS, _PREFER, CONTENT_ENCODING], **_SUBMISSION_BODY},
+    openapi_extra={"parameters": [*PARAMETERS, *_OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:
-    """Fit the MERL file that is the body, or a stored measurement.
+    """Fit the measurement that is the body, or a stored one.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
     such an answer too: its `status` is `failed` and its `error` says why. If the fit takes longer than
@@ -111,11 +97,11 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     """
     name = name_of(request)
     given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
-    if media_type_of(request, BINARY, JSON) == BINARY:
+    media_type = media_type_of(request, BINARY, JSON, *TEXTS)
+    if media_type != JSON:
         options = canonical(from_query(given))
-        with context.metrics.timing("upload"):
-            measurement, _ = await context.store.receive_measurement(caller, upload_body(request), name)
-        sha256 = measurement.sha256
+        stored, _ = await receive_upload(request, context, caller, media_type)
+        sha256, name = stored.sha256, name and stored.name
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
@@ -205,6 +191,7 @@ async def export_fit(
 ) -> Response:
     """Return the model, one component, or the components' own lobes together, for another program."""
     loaded = await context.models.get(fit)
+    check_shader_options(wanted.format, wanted.name, sampling=wanted.sampling)
     if wanted.component not in (None, GUIDE):
         check_holds_component(wanted.format)
     row = await context.fit_row(fit)
@@ -217,31 +204,29 @@ async def export_fit(
     model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
     if wanted.format == "merl":
         return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
-    key, place = ("export", fit, wanted.format, wanted.component), FORMATS[wanted.format].time
+    key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         content = await computations.run_in_process(
             request, key, export_step, model, wanted.format, head=headers, place=place
         )
     else:
         report = loaded.report if wanted.component is None else None
-        export = partial(export_model, model, wanted.format, report)
+        export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
         content = await computations.run(request, key, export, headers)
     if wanted.format in _LOSSLESS:
         return Response(content, 200, headers)
-    file = await run_in_threadpool(_stored, content, folder)
-    return StreamingResponse(_pieces(file), 200, {**headers, "Content-Length": str(len(content))})
+    pieces = _pieces(content, folder)
+    await run_in_threadpool(next, pieces)
+    return StreamingResponse(pieces, 200, {**headers, "Content-Length": str(len(content))})
 
 
-def _stored(content: bytes, folder: Path) -> IO[bytes]:
-    """Return a file with this content: it is on the disk, so that a slow client takes no memory."""
-    file = TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as the answer is sent)
-    file.write(content)
-    file.seek(0)
-    return file
-
-
-def _pieces(file: IO[bytes]) -> Iterator[bytes]:
-    with file:
+def _pieces(content: bytes, folder: Path) -> Iterator[bytes]:
+    """Write the content to a file, so that a slow client takes no memory; yield an empty piece, then it in pieces."""
+    with TemporaryFile(dir=folder) as file:
+        file.write(content)
+        del content
+        file.seek(0)
+        yield b""
         while piece := file.read(PIECE):
             yield piece
 
@@ -259,7 +244,7 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
     summary="Follow a fit",
     responses=openapi.response(
         "Events until the fit has ended; the data of each is a `Progress` document.",
-        {"text/event-stream": {"example": examples.EVENTS}},
+        {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}},
     )
     | openapi.problems("not-found"),
 )

@@ -7,12 +7,10 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from dsbrdf.data.merl_validation import FILE_SIZE
-
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import media_type_of, upload_body
+from ..http.request_body import media_type_of
 from ..http.responses import (
     OpenFileResponse,
     check_range,
@@ -22,8 +20,8 @@ from ..http.responses import (
     prefix_of,
     tagged_reply,
 )
+from ..storage.database import in_write_thread
 from ..storage.schema import MeasurementRow
-from ..storage.uploads import in_write_thread
 from ..wire.names import content_disposition
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
 from ..wire.values import JSON
@@ -34,10 +32,9 @@ from .dependencies import (
     Sha256,
     TheCaller,
     TheContext,
-    name_of,
     no_query,
 )
-from .fits import CONTENT_ENCODING, NAMES
+from .uploads import CONTENT, PARAMETERS, UPLOADED, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
@@ -56,17 +53,19 @@ _RANGE = openapi.header_parameter("Range", "One range of bytes, such as `bytes=0
     responses=openapi.response("The measurement was stored before.", model=MeasurementDocument)
     | openapi.problems("invalid-argument", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={
-        "parameters": [*NAMES, CONTENT_ENCODING],
-        **openapi.body("A MERL file.", {BINARY: openapi.file(BINARY, maxLength=FILE_SIZE)}),
+        "parameters": PARAMETERS,
+        **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
 async def upload_measurement(request: Request, context: TheContext, caller: TheCaller) -> Response:
-    """Store the MERL file that is the body: 201, or 200 if the same bytes are stored already."""
-    media_type_of(request, BINARY)
+    """Store the measurement that is the body: 201, or 200 if the same is stored already.
+
+    A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
+    stored as the MERL table of its values: `sha256` and `size` are those of the table.
+    """
+    media_type = media_type_of(request, *UPLOADED)
     await no_query(request, "name")
-    name = name_of(request)
-    with context.metrics.timing("upload"):
-        row, new = await context.store.receive_measurement(caller, upload_body(request), name)
+    row, new = await receive_upload(request, context, caller, media_type)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
@@ -86,6 +85,17 @@ async def list_measurements(
     return json_reply(MeasurementList(items=items), headers=next_page(request, page, rows))
 
 
+@router.head(
+    "/{sha256}",
+    dependencies=NO_QUERY,
+    name="probe_measurement",
+    response_class=Response,
+    summary="Ask for a measurement",
+    description="Tell whether the measurement is stored and sound, so that it need not be sent again.",
+    responses=openapi.response("The measurement is stored; `Content-Length` is its size.")
+    | openapi.NOT_MODIFIED
+    | openapi.problems("not-found", "measurement-damaged"),
+)
 @router.get(
     "/{sha256}",
     dependencies=NO_QUERY,
@@ -111,35 +121,17 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     headers = {"ETag": f'"{sha256}"', **_VARY}
     if is_current(request, headers["ETag"]):
         return Response(None, 304, headers)
-    check_range(request, row.size)
-    headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}.binary")
+    if request.method != "HEAD":
+        check_range(request, row.size)
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
+    if request.method == "HEAD":
+        return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
+    headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{'.binary' if row.on_grid else '.txt'}")
     distrust = partial(context.store.blobs.distrust, sha256)
     try:
         return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256, distrust)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
-
-
-@router.head(
-    "/{sha256}",
-    dependencies=NO_QUERY,
-    response_class=Response,
-    summary="Ask for a measurement",
-    responses=openapi.response("The measurement is stored; `Content-Length` is its size.")
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "measurement-damaged"),
-)
-async def probe_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Tell whether the measurement is stored and sound, so that an upload can be spared."""
-    row = await context.measurement_row(caller.owner, sha256)
-    if _wants_document(request):
-        return await _details(request, context, row)
-    headers = {"ETag": f'"{sha256}"', **_VARY}
-    if is_current(request, headers["ETag"]):
-        return Response(None, 304, headers)
-    await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
-    return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
 
 
 def _wants_document(request: Request) -> bool:

@@ -1,39 +1,43 @@
 """The web pages: upload and list, a fit, two fits side by side, signing in with a key, the OpenAPI document."""
 
 import asyncio
+import hashlib
 from collections import Counter
-from collections.abc import Callable, Coroutine, Hashable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlencode
 
+import numpy as np
 from fastapi import APIRouter, HTTPException, Path, Query, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-import dsbrdf
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import lobes_phrase
 
 from ..access.authentication import COOKIE, from_another_site, same_origin
 from ..errors import ProblemError
+from ..http.openapi import BINARY
 from ..http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
 from ..http.problems import KINDS, problem_of
 from ..http.request_body import receive_body
-from ..http.responses import is_current, tag_of, tagged_reply
+from ..http.responses import tagged_reply
 from ..jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..jobs.results import FitView
 from ..storage.schema import FitKey, FitRow
 from ..wire.schemas import Page, Plain
 from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
+from .figures import drawn_reply
 from .page_text import (
     COMPONENT_MEANINGS,
     FIGURES,
@@ -44,10 +48,11 @@ from .page_text import (
     verdict,
 )
 
-_HTML = {"Content-Type": "text/html; charset=utf-8"}
 _PNG = "image/png"
 _MAX_FORM = 1 << 12
 _FORM_SECONDS = 5.0  # anyone may send one
+_PANORAMA = (128, 256)  # rows and columns, as `panorama.js` sends it
+_PANORAMA_BYTES = 12 * _PANORAMA[0] * _PANORAMA[1]
 
 
 class _PageRoute(APIRoute):
@@ -99,8 +104,14 @@ async def get_index(
 
 
 def _stored_measurements(context: Context, rows: list[FitRow]) -> set[str]:
-    """Return the measurements of fits that are still stored."""
-    return {row.measurement for row in rows if context.store.measurement(row.owner, row.measurement)}
+    """Return the measurements of fits of which there are pictures."""
+    return {row.measurement for row in rows if _has_picture(context, row)}
+
+
+def _has_picture(context: Context, row: FitRow) -> bool:
+    """Return whether the measurement of a fit is still stored, and on a grid."""
+    measurement = context.store.measurement(row.owner, row.measurement)
+    return measurement is not None and measurement.on_grid
 
 
 @pages.get("/fits/{fit_id}")
@@ -109,7 +120,7 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     row = await context.fit_row(fit)
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
-    measured = await run_in_threadpool(context.store.measurement, row.owner, row.measurement) is not None
+    measured = await run_in_threadpool(_has_picture, context, row)
     model = (await context.models.get(row.key)).model
     return _render(
         "fit.html",
@@ -160,17 +171,29 @@ async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: s
 async def get_table(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the measurement of a fit as the texture of its logarithms."""
     stored = await _measurement_of(context, fit)
-    return await _computed(request, context, (fit.owner, stored.sha256), table_step, stored)
+    return await drawn_reply(request, context, BINARY, ("table", fit.owner, stored.sha256), table_step, stored)
 
 
 @router.get("/fits/{fit_id}/environment/{name}.bin")
 async def get_environment(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the radiance of a sphere under environment light: of the measurement, the fit or a component."""
-    if name == "measured":
-        source: Any = await _measurement_of(context, fit)
-    else:
-        source = (await context.models.get(fit)).part(None if name == "fit" else name)
-    return await _computed(request, context, (fit, name), environment_step, source)
+    source = await _source(context, fit, name)
+    return await drawn_reply(request, context, BINARY, ("environment", fit, name), environment_step, source, None)
+
+
+@router.post("/fits/{fit_id}/environment/{name}.bin")
+async def post_environment(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
+    """Return the same under the light of a panorama, whose linear RGB the page has sent."""
+    source = await _source(context, fit, name)
+    body = bytes(await receive_body(request, _PANORAMA_BYTES, context.store.blobs.temporary))
+    if len(body) != _PANORAMA_BYTES:
+        raise InvalidArgumentError(
+            f"A panorama is float32 RGB of {_PANORAMA[0]} rows of {_PANORAMA[1]} pixels here, {_PANORAMA_BYTES} bytes, "
+            f"not {len(body)}."
+        )
+    pixels = np.frombuffer(body, "<f4").reshape(*_PANORAMA, 3)
+    key = ("panorama", fit, name, hashlib.sha256(body).digest())
+    return await drawn_reply(request, context, BINARY, key, environment_step, source, pixels)
 
 
 @router.get("/fits/{fit_id}/profiles/{theta_diff_deg}")
@@ -256,28 +279,20 @@ def _render(template: str, request: Request, status: int = 200, **values: Any) -
 
 async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:
     """Return the view of a fit, which is computed once for all who ask for a part of it."""
-    run = context.computations.for_request(request, {"Content-Type": media_type})
+    run = partial(context.in_process, request, head={"Content-Type": media_type})
     return await context.views.get(await context.fit_row(fit), run)
 
 
 async def _measurement_of(context: Context, fit: FitKey) -> StoredMeasurement:
-    """Return the stored measurement of a fit; raises as `Store.measurement_file`."""
     row = await context.fit_row(fit)
-    return StoredMeasurement(
-        await run_in_threadpool(context.store.measurement_file, fit.owner, row.measurement), row.measurement
-    )
+    return await context.stored_measurement(fit.owner, row.measurement)
 
 
-async def _computed(
-    request: Request, context: Context, key: tuple[Hashable, ...], step: Callable[..., bytes], source: object
-) -> Response:
-    """Return what `step` makes of a source, unless the browser has it."""
-    etag = tag_of(dsbrdf.__version__, step.__name__, key)
-    if is_current(request, etag):
-        return Response(None, 304, {"ETag": etag})
-    head = {"ETag": etag, "Content-Type": "application/octet-stream"}
-    content = await context.computations.run_in_process(request, (step.__name__, *key), step, source, head=head)
-    return Response(content, 200, head)
+async def _source(context: Context, fit: FitKey, name: str) -> ReflectanceModel | StoredMeasurement:
+    """Return what is seen on a sphere: the measurement of a fit, the fit or one of its components."""
+    if name == "measured":
+        return await _measurement_of(context, fit)
+    return (await context.models.get(fit)).part(None if name == "fit" else name)
 
 
 async def _shown(context: Context, row: FitRow) -> dict[str, Any]:

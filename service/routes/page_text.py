@@ -1,7 +1,6 @@
 """What the pages say of a fit in words."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -9,17 +8,10 @@ import numpy as np
 
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
+from dsbrdf.output.report_text import likeness
 
 from ..storage.schema import FitRow
 from ..wire.fit_options import DEFAULTS, canonical
-
-_LOOKS = (
-    (45.0, "Not to be told apart"),
-    (38.0, "Very close"),
-    (32.0, "Close"),
-    (26.0, "Visibly different"),
-)
-
 
 FIGURES = {
     "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),
@@ -38,37 +30,20 @@ COMPONENT_MEANINGS = {
 """Numbers of a component that the pages show, and what they mean."""
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A number, what it is called, and what it means."""
-
-    name: str
-    title: str
-    value: str
-    meaning: str
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What every page says of a fit: its name, when it was made, how good it is in a few words."""
-
-    name: str
-    date: str
-    error: str
-
-
-def facts_of(row: FitRow) -> Facts:
-    """Return the facts of a fit."""
+def facts_of(row: FitRow) -> dict[str, str]:
+    """Return what every page says of a fit: its name, when it was made, its error in percent."""
     error = (row.metrics or {}).get("relative_rms")
     date = datetime.fromtimestamp(row.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    return Facts(row.name or f"{row.measurement[:12]}…", date, "" if error is None else _percent(error))
+    name = row.name or f"{row.measurement[:12]}…"
+    return {"name": name, "date": date, "error": "" if error is None else _percent(error)}
 
 
-def metrics_in_words(metrics: Mapping[str, float | None]) -> list[Metric]:
-    """Return the metrics that a fit has, the most telling first."""
-    given = {name: value for name, value in metrics.items() if value is not None}
+def metrics_in_words(metrics: Mapping[str, float | None]) -> list[dict[str, str]]:
+    """Return the metrics that a fit has, the most telling first: name, title, value and meaning of each."""
     return [
-        Metric(name, title, write(given[name]), meaning) for name, title, write, meaning in _METRICS if name in given
+        {"name": name, "title": title, "value": write(value), "meaning": meaning}
+        for name, title, write, meaning in _METRICS
+        if (value := metrics.get(name)) is not None
     ]
 
 
@@ -77,8 +52,7 @@ def verdict(metrics: Mapping[str, float | None]) -> str:
     psnr = metrics.get("psnr")
     if psnr is None:
         return "How good it is"
-    words = next((words for level, words in _LOOKS if psnr >= level), "Strongly different")
-    return f"{words}: {psnr:.1f} dB"
+    return f"{likeness(psnr).capitalize()}: {psnr:.1f} dB"
 
 
 def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:

@@ -158,7 +158,7 @@ class Blobs:
             name.unlink(missing_ok=True)
 
     def set_aside(self, sha256: str) -> None:
-        """Move a measurement's file to ``lost``, beside what is there."""
+        """Move a measurement's file to ``lost``, under a new name."""
         self._verified.pop(sha256, None)
         path = self.path(sha256)
         own_folder(self._lost)

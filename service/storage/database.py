@@ -9,10 +9,12 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+from anyio import CapacityLimiter, to_thread
 
 from ..errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
 from .schema import VERSION, create_tables, version_of
@@ -21,6 +23,10 @@ FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"
 _BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
 _COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
+# Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
+_writers = CapacityLimiter(4)
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class Database:
@@ -75,7 +81,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Write all or nothing; durable when it ends.
+        """Write all or nothing; what is written is durable when the block ends.
 
         Raises DatabaseBusyError, sqlite3.OperationalError if its turn has not come within `busy_timeout`. Raises
         DatabaseLostError if the file is not where it was.
@@ -125,10 +131,15 @@ class Database:
             )
 
 
+async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Call what writes to the database in one of the few threads for that."""
+    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
+
+
 def check_integrity(folder: Path) -> None:
     """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
 
-    A damaged table or index lacks rows, and what has no row is taken for what nobody wants.
+    A damaged table can lack rows, and files without a row would be set aside.
     """
     path = folder.resolve() / FILE_NAME
     if not path.exists():

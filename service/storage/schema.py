@@ -121,6 +121,11 @@ class MeasurementRow:
     valid_nodes: int
     created: float
 
+    @property
+    def on_grid(self) -> bool:
+        """Whether it is a MERL file, which has nodes; else it is a table of scattered samples."""
+        return self.valid_nodes > 0
+
 
 @dataclass(frozen=True)
 class FitRow:

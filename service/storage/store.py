@@ -1,7 +1,7 @@
 """What the service keeps: SQLite rows and measurement files in one data folder, and how much of it each key may have.
 
 Every method is safe to call from any thread and returns when the change is durable. A fit's result and its
-state are written in one transaction. One server at a time may open a data folder, and commands while it runs.
+state are written in one transaction. One server at a time may open a data folder; commands may open it beside it.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ from .schema import (
     checksum,
     columns,
 )
-from .uploads import Received, UploadBody, Uploads, check_queue, check_storage, in_thread
+from .uploads import Convert, Received, UploadBody, Uploads, check_queue, check_storage, in_thread
 
 _Row = TypeVar("_Row")
 
@@ -118,10 +118,10 @@ class Store:
         return MeasurementRow(*row), known is None
 
     async def receive_measurement(
-        self, caller: Caller, body: UploadBody, name: str | None
+        self, caller: Caller, body: UploadBody, name: str | None, convert: Convert | None = None
     ) -> tuple[MeasurementRow, bool]:
         """Receive and store an upload; returns as `add_measurement`, raises as that and as `Uploads.receive`."""
-        async with self.uploads.receive(caller, body) as received:
+        async with self.uploads.receive(caller, body, convert) as received:
             return await in_thread(self.add_measurement, caller, received, name)
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
@@ -141,6 +141,19 @@ class Store:
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
+
+    def measured_grid(self, owner: str, sha256: str) -> Path:
+        """Return the file of a measurement on a grid, of which there are pictures; raises as `measurement_file`.
+
+        Raises ProblemError if it is a table of samples.
+        """
+        path = self.measurement_file(owner, sha256)
+        row = self.measurement(owner, sha256)
+        if row is not None and not row.on_grid:
+            raise ProblemError(
+                "not-found", "The measurement is a table of scattered samples, of which there is no picture."
+            )
+        return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""

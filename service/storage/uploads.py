@@ -6,9 +6,10 @@ A body is never held whole, and nothing of it stays if anything is wrong with it
 import asyncio
 import sqlite3
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple, ParamSpec, Protocol, TypeVar
 
 from anyio import CapacityLimiter, to_thread
@@ -18,12 +19,13 @@ from dsbrdf.errors import MeasurementFormatError
 
 from ..errors import ProblemError
 from .blobs import Blobs, Incoming
+from .conversions import Converted
 from .database import Database
 from .schema import IS_UNFINISHED, Caller
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Sink = Callable[[bytes], object]
+Sink = Callable[[bytes], None]
 
 _PIECE = 1 << 19  # bytes that are worth a switch to another thread
 _SMALL_PIECE = 1 << 16  # of many uploads at once
@@ -31,10 +33,9 @@ _BLOCK = 1 << 18  # bytes that are read back from the file at a time
 _CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
 # Few threads for all uploads, because each keeps the memory of its last piece.
 _threads = CapacityLimiter(4)
-# Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
-_writers = CapacityLimiter(4)
 # Compressors add less than this to what they cannot compress.
 _MAX_ENCODED = FILE_SIZE + FILE_SIZE // 64
+_MAX_CONVERTED = 1 << 23  # bytes of an RGL file or a table: to read one takes up to 70 times as much memory
 _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
@@ -54,11 +55,15 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class UploadBody:
-    """What a client sends: `parts` as they arrive, the `length` it has declared, and the decoder it needs, if any."""
+    """What a client sends: `parts` as they arrive, the `length` that the file will have if it is known, a decoder."""
 
     parts: AsyncIterator[bytes]
     length: int | None
-    decoder: Callable[[Sink], Decoder] | None
+    decoder: Callable[[Sink], Decoder]
+
+
+Convert = Callable[[Path], Awaitable[Converted]]
+"""Checks a file that is no MERL file, and replaces its content by what is stored of it."""
 
 
 class Received(NamedTuple):
@@ -78,18 +83,28 @@ class Uploads:
         self._in_progress: Counter[str] = Counter()  # changed by the event loop alone
 
     @asynccontextmanager
-    async def receive(self, caller: Caller, body: UploadBody) -> AsyncIterator[Received]:
+    async def receive(self, caller: Caller, body: UploadBody, convert: Convert | None) -> AsyncIterator[Received]:
         """Receive and check the MERL file that is the body; yield it to be stored, without which nothing of it stays.
+
+        What is no MERL file is given to `convert` when it is complete.
 
         Raises MeasurementFormatError if it is not an acceptable measurement. Raises ProblemError if it is too long, it
         does not decode, or the caller may not store it.
         """
-        if body.length not in (None, FILE_SIZE):
+        if convert is not None:
+            _check_convertible(body.length or 0)
+        elif body.length not in (None, FILE_SIZE):
             await _refuse_early(body.parts, body.length or 0)
         async with self.incoming(caller) as incoming:
-            valid_nodes = await _write(body, incoming, at_once=self._in_progress.total() <= _CHECKED_AT_ONCE)
-            sha256 = await in_thread(incoming.close)
-            yield Received(incoming, sha256, valid_nodes)
+            at_once = self._in_progress.total() <= _CHECKED_AT_ONCE
+            if convert is None:
+                valid_nodes = await _write_merl(body, incoming, at_once=at_once)
+                yield Received(incoming, await in_thread(incoming.close), valid_nodes)
+            else:
+                await _write_any(body, incoming, at_once=at_once)
+                await in_thread(incoming.close)
+                sha256, incoming.size, valid_nodes = await convert(incoming.path)
+                yield Received(incoming, sha256, valid_nodes)
 
     @asynccontextmanager
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
@@ -127,17 +142,12 @@ async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> 
     return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_threads)
 
 
-async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call what writes to the database in one of the few threads for that."""
-    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
-
-
-async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
-    """Write what the body decodes to, each piece while the next one arrives; return the number of valid nodes.
+async def _write_merl(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
+    """Write the MERL file that the body decodes to; return the number of valid nodes.
 
     Its values are checked `at_once` or at the end: a check takes memory that many uploads should not have together.
     """
-    header, n_received = b"", 0
+    header = b""
     checker = MerlChecker() if at_once else None
 
     def write(data: bytes) -> None:
@@ -158,8 +168,24 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
             complete.update(block)
         return int(complete.finish().sum())
 
-    decoder = None if body.decoder is None else body.decoder(write)
-    feed = write if decoder is None else decoder.feed
+    await _write(body, write, at_once=at_once)
+    return await in_thread(finish)
+
+
+async def _write_any(body: UploadBody, incoming: Incoming, *, at_once: bool) -> None:
+    """Write what the body decodes to, of which nothing is known but its largest length."""
+
+    def write(data: bytes) -> None:
+        _check_convertible(incoming.size + len(data))
+        incoming.write(data)
+
+    await _write(body, write, at_once=at_once)
+
+
+async def _write(body: UploadBody, write: Sink, *, at_once: bool) -> None:
+    """Write what the body decodes to, each piece while the next one arrives."""
+    n_received = 0
+    decoder = body.decoder(write)
     writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     writing.set_result(None)
     try:
@@ -169,19 +195,17 @@ async def _write(body: UploadBody, incoming: Incoming, *, at_once: bool) -> int:
             if n_received > _MAX_ENCODED:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
                 raise ProblemError("too-large", most)
-            writing = asyncio.ensure_future(in_thread(feed, piece))
+            writing = asyncio.ensure_future(in_thread(decoder.feed, piece))
             if not _threads.available_tokens:  # all are busy: reading ahead would only take memory
                 await writing
         await writing
-        if decoder is not None:
-            await in_thread(decoder.finish)
-        return await in_thread(finish)
+        await in_thread(decoder.finish)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 
 
 async def _pieces(parts: AsyncIterator[bytes], least: int) -> AsyncIterator[bytes]:
-    """Yield the body in pieces that are worth a switch to another thread, but its head, which may be wrong, at once."""
+    """Yield the header at once, as it may be wrong; the rest in pieces that are worth a switch to another thread."""
     waiting: list[bytes] = []
     size, enough = 0, HEADER_SIZE
     async for part in parts:
@@ -215,6 +239,13 @@ def _check_not_longer(n_bytes: int) -> None:
             check_length(n_bytes)
         except MeasurementFormatError as error:  # the library's sentence, with a kind of its own
             raise ProblemError("measurement-too-large", str(error)) from None
+
+
+def _check_convertible(n_bytes: int) -> None:
+    """Check the length of a file that is no MERL file."""
+    if n_bytes > _MAX_CONVERTED:
+        most = f"A .bsdf file or a table has at most {_MAX_CONVERTED} bytes here, and this one is longer."
+        raise ProblemError("measurement-too-large", most)
 
 
 def check_queue(db: sqlite3.Connection, caller: Caller) -> None:

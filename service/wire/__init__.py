@@ -1,4 +1,4 @@
 """From bytes and text to the library's objects, and back.
 
-`schemas` the JSON documents; `fit_options`; `values` points in and values out; `examples` for the OpenAPI document.
+`schemas` the JSON documents; `fit_options`; `values` points in and values out.
 """

@@ -5,15 +5,14 @@ A name is no part of an identity: the same measurement or fit sent with another 
 
 import re
 from collections.abc import Sequence
-from urllib.parse import quote, unquote
+from email.message import Message
+from email.utils import collapse_rfc2231_value
+from urllib.parse import quote
 
 from dsbrdf.errors import InvalidArgumentError
 
 MAX_LENGTH = 100
 _SUFFIX = ".binary"
-_EXTENDED = re.compile(r";\s*filename\*\s*=\s*utf-8''([^;\s]*)", re.IGNORECASE)
-_QUOTED = re.compile(r';\s*filename\s*=\s*"((?:[^"\\]|\\.)*)"', re.IGNORECASE)
-_PLAIN = re.compile(r';\s*filename\s*=\s*([^";\s]+)', re.IGNORECASE)
 
 
 def check_name(text: str) -> str:
@@ -35,7 +34,7 @@ def given_name(given: Sequence[str], content_disposition: str) -> str | None:
         raise InvalidArgumentError("The name is given more than once; give it once.")
     if given:
         return check_name(given[0])
-    file_name = _file_name(content_disposition)
+    file_name = _file_name(content_disposition) if content_disposition else None
     if file_name is None:
         return None
     return check_name(re.split(r"[/\\]", file_name)[-1].removesuffix(_SUFFIX))  # a folder is the sender's matter
@@ -49,18 +48,14 @@ def content_disposition(file_name: str) -> str:
 
 
 def _file_name(header: str) -> str | None:
-    """Return the file name of a ``Content-Disposition`` header (RFC 6266); the extended form goes first."""
-    if found := _EXTENDED.search(header):
-        return unquote(found[1])
-    if found := _QUOTED.search(header):
-        return _as_utf_8(re.sub(r"\\(.)", r"\1", found[1]))
-    found = _PLAIN.search(header)
-    return found and _as_utf_8(found[1])
-
-
-def _as_utf_8(text: str) -> str:
-    """Return what is probably meant: many programs send UTF-8, though HTTP takes it for Latin-1."""
+    """Return the file name of a ``Content-Disposition`` header (RFC 6266)."""
+    message = Message()
+    message["Content-Disposition"] = header
+    given = {name.lower(): value for name, value in message.get_params([], "content-disposition")}
+    if "filename" not in given:
+        return None
+    name = collapse_rfc2231_value(given["filename"])  # the extended form comes last, so it is the one that is kept
     try:
-        return text.encode("latin-1").decode()
-    except UnicodeDecodeError:
-        return text
+        return name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
+    except UnicodeError:
+        return name

@@ -280,7 +280,9 @@ class MeasurementDocument(BaseModel):
     sha256: Annotated[str, Field(pattern=SHA256, description="Its identity: the sha256 of the file's bytes.")]
     name: Name
     size: Annotated[int, Field(description="Length of the file [bytes].")]
-    valid_nodes: Annotated[int, Field(description="Grid nodes with a value in all channels, above the horizon.")]
+    valid_nodes: Annotated[
+        int, Field(description="Grid nodes with a value in all channels, above the horizon; 0 for samples.")
+    ]
     created: datetime
 
 
@@ -338,6 +340,10 @@ class Export(_Input):
             f"`{GUIDE}`, the components' own lobes together as a small model, in any format."
         ),
     ] = None
+    name: Annotated[
+        str | None, Field(description="Of the function in `glsl`; all other names in the file begin with it.")
+    ] = None
+    sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
 
 
 class Sphere(_Input):

@@ -6,10 +6,10 @@ file, and their values leave as JSON or .npy block by block as the client reads 
 
 import math
 import mmap
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import perf_counter
@@ -64,40 +64,17 @@ class Points:
             yield Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
 
 
-class StoredPoints:
-    """Points in a temporary file in `folder`."""
-
-    def __init__(self, folder: Path) -> None:
-        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 (open as long as the answer is sent)
-        self._size = 0
-
-    def __len__(self) -> int:
-        return self._size
-
-    def add(self, points: Points) -> None:
-        """Append points."""
-        self._file.write(np.stack([points.theta_half, points.theta_diff, points.phi_diff], axis=1).tobytes())
-        self._size += len(points)
-
-    def block(self, start: int) -> Points:
-        """Return a block of points."""
-        data = os.pread(self._file.fileno(), 24 * BLOCK, 24 * start)
-        return Points(*np.frombuffer(data).reshape(-1, 3).T)
-
-    def close(self) -> None:
-        """Remove the file."""
-        self._file.close()
-
-
-def stored(blocks: Iterator[Points], folder: Path) -> Points | StoredPoints:
-    """Return the points of several blocks; a single block is not stored."""
-    first, second = next(blocks), next(blocks, None)
-    if second is None:
+def kept(blocks: Iterator[Points], folder: Path) -> Points:
+    """Return the points of all blocks; more than one block in a temporary file in `folder`, which goes with them."""
+    first = next(blocks)
+    if len(first) < BLOCK:
         return first
-    points = StoredPoints(folder)
-    for block in (first, second, *blocks):
-        points.add(block)
-    return points
+    with TemporaryFile(dir=folder) as file:
+        for block in chain((first,), blocks):
+            file.write(np.stack([block.theta_half, block.theta_diff, block.phi_diff], axis=1).tobytes())
+        file.flush()
+        columns = np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)).reshape(-1, 3).T
+    return Points(*columns)
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
@@ -251,25 +228,11 @@ def check_plain(text: T) -> T:
     return text
 
 
-@dataclass(frozen=True)
-class _Form:
-    """How values are written: blocks of points, with what stands before, between and behind them."""
-
-    media_type: str
-    encode: Callable[[Array], bytes]
-    head: bytes
-    between: bytes = b""
-    tail: bytes = b""
-
-    def write(self, model: ReflectanceModel, points: Points) -> bytes:
-        return self.encode(points.values(model))
-
-
-def _npy_form(n_points: int) -> _Form:
-    """Return the form of a .npy file of shape (n, 3)."""
+def _npy_head(n_points: int) -> bytes:
+    """Return the head of a .npy file of shape (n, 3)."""
     header = BytesIO()
     npy.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
-    return _Form(NPY, lambda values: values.tobytes(), header.getvalue())
+    return header.getvalue()
 
 
 def _json_triples(values: Array) -> bytes:
@@ -279,44 +242,33 @@ def _json_triples(values: Array) -> bytes:
     return to_json(values.tolist())[1:-1]
 
 
-_JSON_FORM = _Form(JSON, _json_triples, b'{"values":[', b",", b"]}")
-
-
 @dataclass(frozen=True)
 class ValuesReply:
-    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; how long it takes is noted."""
+    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; records the time it takes."""
 
     model: ReflectanceModel
     media_type: str
     metrics: Metrics
 
-    def whole(self, points: Points) -> bytes:
-        """Return the answer with some points."""
-        form = self._form(len(points))
-        with self.metrics.timing("evaluating"):
-            return form.head + form.write(self.model, points) + form.tail
-
-    def length_of(self, points: StoredPoints) -> dict[str, str]:
-        """Return the header with the answer's length, which is known beforehand for numbers of equal size only."""
+    def headers(self, points: Points) -> dict[str, str]:
+        """Return the headers of an answer; its length is known beforehand where all numbers take equal room."""
         if self.media_type != NPY:
-            return {}
-        return {"Content-Length": str(len(self._form(len(points)).head) + 24 * len(points))}
+            return {"Content-Type": self.media_type}
+        return {"Content-Type": NPY, "Content-Length": str(len(_npy_head(len(points))) + 24 * len(points))}
 
-    def parts(self, points: StoredPoints) -> Iterator[bytes]:
-        """Yield the parts of a long answer, each computed when it is asked for."""
-        form, seconds = self._form(len(points)), 0.0
-        before = form.head
-        try:
-            for start in range(0, len(points), BLOCK):
-                begin = perf_counter()
-                part = before + form.write(self.model, points.block(start))
-                seconds += perf_counter() - begin
-                yield part
-                before = form.between
-        finally:
-            points.close()
+    def parts(self, points: Points) -> Iterator[bytes]:
+        """Yield the parts of an answer, one for each block of points, computed when it is asked for, and its end."""
+        if self.media_type == NPY:
+            head, between, tail = _npy_head(len(points)), b"", b""
+        else:
+            head, between, tail = b'{"values":[', b",", b"]}"
+        seconds = 0.0
+        for block in points.blocks():
+            begin = perf_counter()
+            values = block.values(self.model)
+            part = head + (values.tobytes() if self.media_type == NPY else _json_triples(values))
+            seconds += perf_counter() - begin
+            yield part
+            head = between
         self.metrics.record_time("evaluating", seconds)
-        yield form.tail
-
-    def _form(self, n_points: int) -> _Form:
-        return _npy_form(n_points) if self.media_type == NPY else _JSON_FORM
+        yield tail

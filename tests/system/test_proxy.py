@@ -60,7 +60,7 @@ class Proxy:
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def send(self, data: bytes) -> bytes:
-        """Send bytes as they are and return what comes back, to the end of a document or of the connection."""
+        """Send bytes as they are and return what comes back."""
         answer = b""
         with (
             socket.create_connection(("127.0.0.1", self.port), timeout=60) as connection,
@@ -116,13 +116,6 @@ def assert_problem(answer: httpx.Response, kind: str) -> None:
     assert document["detail"].endswith(".")
 
 
-def test_measurement_is_fitted_through_the_proxy(proxy: Proxy, data: bytes) -> None:
-    answer = proxy.http.post("/v1/fits?method=paper&n_lobes=1", content=data, headers=BINARY)
-    assert answer.status_code in (200, 201)
-    assert answer.json()["status"] == "succeeded"
-    assert "server" not in answer.headers or "/" not in answer.headers["server"]
-
-
 def test_upload_is_passed_on_unbuffered(proxy: Proxy, server: Server, data: bytes) -> None:
     """The service refuses a wrong header before the rest of the file has been sent."""
     head = (
@@ -152,12 +145,12 @@ def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str, par
     assert_problem(answer, "invalid-argument")
 
 
-def test_too_long_head_is_refused(proxy: Proxy) -> None:
-    assert_problem(proxy.http.get("/v1/fits", headers={"X-Long": "x" * 10_000}), "bad-request")
-    assert_problem(proxy.http.get("/v1/fits?cursor=" + "x" * 10_000), "bad-request")
-
-
-def test_malformed_http_is_refused_by_nginx(proxy: Proxy) -> None:
+def test_bad_heads_are_refused_by_nginx(proxy: Proxy) -> None:
+    for answer in (
+        proxy.http.get("/v1/fits", headers={"X-Long": "x" * 10_000}),
+        proxy.http.get("/v1/fits?cursor=" + "x" * 10_000),
+    ):
+        assert_problem(answer, "bad-request")
     assert b"urn:dsbrdf:problem:bad-request" in proxy.send(b"GET / HTTP/1.1\r\nHost: a b\r\nbad header\r\n\r\n")
 
 
@@ -282,23 +275,15 @@ def test_nginx_serves_tls_with_a_certificate(
     assert_problem(httpx.get(f"http://127.0.0.1:{port}/health/live", timeout=60), "bad-request")
 
 
-def test_unreachable_service_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
-    proxy = own_proxy(f"127.0.0.1:{free_port()}")
-    answer = proxy.http.get("/health/ready")
-    assert answer.status_code == 502
+def test_unreachable_or_silent_service_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
+    answer = own_proxy(f"127.0.0.1:{free_port()}").http.get("/health/ready")
+    assert (answer.status_code, answer.json()["status"]) == (502, 502)
     assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["status"] == 502
     assert "retry-after" in answer.headers
-
-
-def test_missing_response_is_a_problem_document(own_proxy: Callable[..., Proxy]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        proxy = own_proxy(
-            f"127.0.0.1:{silent.getsockname()[1]}", **{"proxy_read_timeout 330s": "proxy_read_timeout 1s"}
-        )
-        answer = proxy.http.get("/health/ready")
-    assert answer.status_code == 504
-    assert answer.json()["status"] == 504
+        changes = {"proxy_read_timeout 330s": "proxy_read_timeout 1s"}
+        answer = own_proxy(f"127.0.0.1:{silent.getsockname()[1]}", **changes).http.get("/health/ready")
+    assert (answer.status_code, answer.json()["status"]) == (504, 504)
 
 
 def test_forwarded_headers_are_those_of_nginx(own_proxy: Callable[..., Proxy]) -> None:
@@ -326,4 +311,5 @@ def heard_and_answered(listener: socket.socket) -> bytes:
 
 def test_proxy_log_has_the_request_id_of_the_service(proxy: Proxy) -> None:
     answer = proxy.http.get("/health/live")
+    assert "/" not in answer.headers.get("server", "")  # no version
     wait_until(lambda: answer.headers["x-request-id"] in proxy.log.read_text())

@@ -1,9 +1,7 @@
 """Owners: what is not yours does not exist, and a database without owners is brought up to date."""
 
 import ast
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import httpx
@@ -144,25 +142,6 @@ def test_page_cursors_do_not_reveal_other_owners_rows(guarded: Guarded, data: by
     assert links[0] == links[1]
 
 
-def test_concurrent_requests_of_two_owners_make_two_fits(guarded: Guarded, data: bytes) -> None:
-    server = guarded.server
-    content = data[:-8] + b"\2" + data[-7:]
-    before = len(server.files())
-    owners = [guarded.new_key("left"), guarded.new_key("right")] * 4
-
-    def submit(who: dict[str, str]) -> httpx.Response:
-        return server.http.post("/v1/fits", params=QUICK, content=content, headers=who)
-
-    with ThreadPoolExecutor(len(owners)) as pool:
-        answers = list(pool.map(submit, owners))
-    assert {answer.json()["status"] for answer in answers} == {"succeeded"}
-    for side in (0, 1):
-        assert sorted(answer.status_code for answer in answers[side::2]) == [200, 200, 200, 201]
-        assert len({answer.text for answer in answers[side::2]}) == 1
-        assert len(server.http.get("/v1/fits", headers=owners[side]).json()["items"]) == 1
-    assert len(server.files()) == before + 1
-
-
 def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) -> None:
     _, key = new_key(server, "x")
     nobody: dict[str, str] = {}
@@ -175,20 +154,3 @@ def test_local_user_and_keys_do_not_see_each_other(server: Server, data: bytes) 
     assert server.http.get(fit).status_code == 404
     assert [item["id"] for item in server.http.get("/v1/fits", headers=key).json()["items"]] == [answer.json()["id"]]
     assert server.http.get(fit, headers=key).json()["status"] == "succeeded"
-
-
-def test_unfinished_fits_of_several_owners_resume_after_a_kill(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(workers="1")
-    users: list[dict[str, str]] = [{}, new_key(server, "x")[1]]
-    ids = set()
-    for who in users:
-        headers = {**who, "Prefer": "respond-async"}
-        answer = server.http.post("/v1/fits", params={**QUICK, "n_lobes": 4}, content=data, headers=headers)
-        assert answer.status_code == 202
-        ids.add(answer.json()["id"])
-    assert len(ids) == 1
-    server.stop(signal.SIGKILL)
-    server.start()
-    for who in users:
-        fit = server.http.get(f"/v1/fits/{ids.copy().pop()}?wait=60", headers=who)
-        assert fit.json()["status"] == "succeeded"

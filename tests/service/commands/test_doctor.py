@@ -103,6 +103,8 @@ def test_damaged_and_missing_files_are_found(folder: Path) -> None:
 
 def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> None:
     assert "intact" in found(folder, "database")
+    with pytest.raises(sqlite3.OperationalError, match="readonly"):
+        doctor._rows(folder, "DELETE FROM fits")
     name = tmp_path / FILE_NAME
     name.write_bytes((folder / FILE_NAME).read_bytes())
     with closing(sqlite3.connect(name)) as db, db:

@@ -94,6 +94,8 @@ def test_file_is_removed_with_its_last_row(own_server: Callable[..., Server], da
             "INSERT INTO measurements (owner, seq, sha256, size, valid_nodes, created)"
             " SELECT 'other', 1, sha256, size, valid_nodes, 0 FROM measurements"
         )
+    told = run_main(purge.main, "--data-dir", str(server.data_dir), "--older-than", "1d", "--dry-run").stdout
+    assert told == "0 fits and 1 measurements would be removed, 0.0 MB of files\n"
     expected = {"fits": 0, "measurements": 1, "bytes": 0}
     assert purged(server.data_dir, "--older-than", "1d", "--dry-run") == {**expected, "dry_run": True}
     assert purged(server.data_dir, "--older-than", "1d") == {**expected, "dry_run": False}

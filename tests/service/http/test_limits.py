@@ -60,18 +60,17 @@ def head_of_upload(length: int) -> bytes:
 
 
 def trickle(connection: socket.socket, data: bytes) -> bytes:
-    """Send a byte every 0.05 s, 400 of them being 20 s of never being silent, and return what is answered."""
+    """Send a byte every 0.05 s, 20 s of never being silent, and return what is answered before the last one."""
     connection.settimeout(0.05)
-    answer = b""
     for byte in data:
         try:
             connection.sendall(bytes([byte]))
             answer = connection.recv(1 << 16)
-            break
         except TimeoutError:
             continue
-    connection.settimeout(20)
-    return answer + rest(connection)
+        connection.settimeout(20)
+        return answer + rest(connection)
+    raise AssertionError("a client may be as slow as it likes")
 
 
 def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
@@ -137,7 +136,7 @@ def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     with connect(impatient, f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: x\r\n\r\n".encode()) as connection:
         assert connection.recv(1000)
-        time.sleep(5 * PATIENCE)
+        time.sleep(3 * PATIENCE)
         received = 0
         try:
             while part := connection.recv(1 << 20):
@@ -160,18 +159,9 @@ def test_slow_reader_that_makes_progress_gets_the_whole_answer(impatient: Server
         begin = time.monotonic()
         while part := connection.recv(1 << 20):
             received += len(part)
-            if time.monotonic() - begin < 4 * PATIENCE:  # then the rest, as fast as it comes
+            if time.monotonic() - begin < 2.5 * PATIENCE:  # then the rest, as fast as it comes
                 time.sleep(0.1)
     assert received > FILE_SIZE
-
-
-@pytest.mark.parametrize(
-    "sent",
-    [b"nonsense\r\n\r\n", b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"\0" * 99],
-)
-def test_malformed_http_gets_a_problem_document(impatient: Server, sent: bytes) -> None:
-    with connect(impatient, sent) as connection:
-        assert problem(rest(connection)) == (400, "bad-request")
 
 
 def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: dict[str, str]) -> int:
@@ -252,21 +242,6 @@ def test_endless_trailers_are_refused(impatient: Server) -> None:
     head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nTransfer-Encoding: chunked\r\n\r\n"
     with connect(impatient, head + b"1\r\n{\r\n0\r\nX-Trailer: " + b"x" * 200_000) as connection:
         assert b" 400 " in connection.recv(100)
-
-
-def test_requests_over_the_concurrency_limit_without_keys_are_refused(impatient: Server, data: bytes) -> None:
-    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
-    fit = impatient.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-    last = impatient.submit(sha256, prefer="respond-async", **{**ENDLESS, "mask": 0.01}).json()["id"]
-    try:
-        with ExitStack() as stack, httpx.Client(base_url=impatient.http.base_url, timeout=20) as client:
-            assert follow_until_refused(stack, impatient, f"/v1/fits/{last}", {}) == 2
-            assert_problem(client.get("/v1/fits"), 429, "too-many-at-once")
-            assert client.get("/health/live").status_code == 200
-    finally:
-        for name in (last, fit):
-            wait_until(lambda: impatient.http.delete(f"/v1/fits/{name}").status_code in (200, 404))  # noqa: B023
-    wait_until(lambda: impatient.http.get("/v1/fits").status_code == 200)
 
 
 def test_connections_over_eight_times_the_limit_are_refused(own_server: Callable[..., Server]) -> None:

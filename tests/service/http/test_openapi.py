@@ -41,37 +41,15 @@ def media(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]
                 yield f"{name} {part}", media_type, entry
 
 
-def test_operations_are_those_of_the_interface(document: dict[str, Any]) -> None:
-    assert document["openapi"].startswith("3.1")
-    assert {name for name, _ in operations(document)} >= {
-        "POST /v1/fits",
-        "GET /v1/fits",
-        "GET /v1/fits/{fit_id}",
-        "DELETE /v1/fits/{fit_id}",
-        "GET /v1/fits/{fit_id}/events",
-        "GET /v1/fits/{fit_id}/brdf",
-        "POST /v1/fits/{fit_id}/brdf",
-        "GET /v1/fits/{fit_id}/components",
-        "GET /v1/fits/{fit_id}/components/{label}/brdf",
-        "GET /v1/fits/{fit_id}/export",
-        "POST /v1/measurements",
-        "GET /v1/measurements",
-        "GET /v1/measurements/{sha256}",
-        "HEAD /v1/measurements/{sha256}",
-        "DELETE /v1/measurements/{sha256}",
-        "GET /health/live",
-        "GET /health/ready",
-    }
+def test_document_describes_every_route_of_the_interface(document: dict[str, Any], tmp_path: Path) -> None:
+    routes = create_app(Settings(data_dir=tmp_path / "data")).routes
+    served = {path for route in routes if (path := getattr(route, "path", "")).startswith(("/v1/", "/health/"))}
+    assert len(served) > 10
+    assert served <= set(document["paths"])
 
 
 def test_document_is_valid(document: dict[str, Any]) -> None:
     OpenAPIV31SpecValidator(document).validate()
-
-
-def test_every_reference_resolves(document: dict[str, Any]) -> None:
-    names = re.findall(r'"#/components/schemas/([^"]+)"', str(document).replace("'", '"'))
-    assert names
-    assert set(names) <= set(document["components"]["schemas"])
 
 
 def test_every_operation_has_a_description_and_examples(document: dict[str, Any]) -> None:

@@ -18,22 +18,11 @@ import zstandard
 
 import dsbrdf
 from dsbrdf.data.merl_validation import FILE_SIZE
-from tests.support.merl_files import HEADER, filled, header, with_value
+from tests.support.merl_files import filled, with_value
 from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem
 
 # One for each check and each moment of it; the system tests send all kinds of malformed files.
-MALFORMED: dict[str, Callable[[bytes], bytes]] = {
-    "empty": lambda _: b"",
-    "part of the header": lambda data: data[:11],
-    "one value less": lambda data: data[:-8],
-    "one byte more": lambda data: data + b"\0",
-    "same product": lambda data: header(180, 45, 180) + data[12:],
-    "nan in the last value": lambda data: with_value(data, np.nan, FILE_SIZE - 8),
-    "too large": lambda _: filled(1e12),
-    "no valid node": lambda _: filled(-1.0),
-    "text": lambda _: b"this is not a measurement\n" * 1000,
-}
 
 
 def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
@@ -44,24 +33,6 @@ def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
 def contents(server: Server) -> tuple[list[Path], list[object]]:
     """Files and rows that a server has."""
     return sorted(server.files()), [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
-
-
-@pytest.mark.parametrize("fault", MALFORMED)
-def test_malformed_upload_gets_the_library_error_and_stores_nothing(
-    server: Server, data: bytes, stored: str, fault: str
-) -> None:
-    content = MALFORMED[fault](data)
-    with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
-        dsbrdf.parse_merl(content)
-    before = contents(server)
-    kind, status = ("measurement-format", 422)
-    if "longer than" in str(raised.value):
-        kind, status = ("measurement-too-large", 413)
-    # With a Content-Length and without one.
-    for path, body in (("/v1/fits", content), ("/v1/measurements", in_pieces(content))):
-        answer = server.http.post(path, content=body)
-        assert assert_problem(answer, status, kind) == str(raised.value)
-    assert contents(server) == before
 
 
 def test_negative_values_are_accepted(server: Server, data: bytes) -> None:
@@ -175,15 +146,6 @@ def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: st
 
     wait_until(lambda: bool(lines()), 60)
     assert [json.loads(line)["status"] for line in lines()] == [400]
-
-
-def test_wrong_content_length_is_refused_before_the_body(server: Server) -> None:
-    address = (str(server.http.base_url.host), server.http.base_url.port)
-    lines = b"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n" + HEADER
-    with socket.create_connection(address, timeout=60) as connection:
-        connection.sendall(lines)
-        reply = connection.recv(65536)
-    assert reply.startswith(b"HTTP/1.1 413")
 
 
 def test_json_bodies_are_limited_in_size(server: Server, fitted: str) -> None:

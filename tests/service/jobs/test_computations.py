@@ -6,12 +6,15 @@ import socket
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dsbrdf.fitting import decomposition
 from service.jobs import drawing, results
 from service.routes import brdf, figures, fits
+from service.storage.schema import Caller
+from service.storage.uploads import Received
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
@@ -94,16 +97,6 @@ def test_components_come_with_the_fit(tmp_path: Path, monkeypatch: pytest.Monkey
     asyncio.run(check())
 
 
-def test_head_of_components_has_their_tag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            key, path = running.new_key(), f"{FIT_PATH}/components"
-            head, get = [await running.ask(path, key, method).end() for method in ("HEAD", "GET")]
-            assert head.headers["etag"] == get.headers["etag"]
-
-    asyncio.run(check())
-
-
 def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
         blocked = Blocked(drawing.sphere_step)
@@ -117,6 +110,29 @@ def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monke
             await asyncio.gather(second.end(), others.end())
             assert second.body == others.body != b""
             assert len(blocked.calls) == 2  # of one fit of each key
+
+    asyncio.run(check())
+
+
+def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def check() -> None:
+        async with application(tmp_path, monkeypatch) as running:
+            key = running.new_key()
+            caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
+            incoming.write(b"a measurement")
+            sha256 = incoming.close()
+            running.store.add_measurement(caller, Received(incoming, sha256, 1))
+
+            def delete_and_draw(*arguments: Any) -> bytes:
+                assert running.store.remove_measurement(caller.owner, sha256)
+                return drawing.sphere_step(*arguments)
+
+            monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
+            answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
+            assert answer.status == 404
+            assert "There is no measurement" in json.loads(answer.body)["detail"]
 
     asyncio.run(check())
 
@@ -140,40 +156,32 @@ def test_keys_take_turns_with_long_batches(tmp_path: Path, monkeypatch: pytest.M
     asyncio.run(check())
 
 
-@pytest.mark.parametrize(
-    "target",
-    [EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS],
-)
-def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str) -> None:
+def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    computed = []
+
+    def compute(*_: object) -> bytes:
+        computed.append(1)
+        return b""
+
     async def check() -> None:
         async with application(tmp_path, monkeypatch) as running:
-            key, computed = running.new_key(), []
-
-            def compute(*_: object) -> bytes:
-                computed.append(1)
-                return b""
-
-            with monkeypatch.context() as patch:
-                patch.setattr(fits, "export_model", compute)
-                patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
-                patch.setattr(fits, "export_step", compute)
-                patch.setattr(figures, "sphere_step", compute)
-                patch.setattr(results, "view_step", compute)
-                patch.setattr(decomposition, "fit_guide", compute)
-                head = await running.ask(target, key, "HEAD").end()
-            get = await running.ask(target, key).end()
-            assert (head.status, head.body, computed) == (200, b"", [])
-            assert get.status == 200
-            assert head.headers["content-type"] == get.headers["content-type"]
-
-    asyncio.run(check())
-
-
-def test_head_of_an_export_that_is_refused_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            target = f"{FIT_PATH}/export?format=json&component=diffuse"
-            assert (await running.ask(target, running.new_key(), "HEAD").end()).status == 422
+            key = running.new_key()
+            for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
+                with monkeypatch.context() as patch:
+                    patch.setattr(fits, "export_model", compute)
+                    patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
+                    patch.setattr(fits, "export_step", compute)
+                    patch.setattr(figures, "sphere_step", compute)
+                    patch.setattr(results, "view_step", compute)
+                    patch.setattr(decomposition, "fit_guide", compute)
+                    head = await running.ask(target, key, "HEAD").end()
+                get = await running.ask(target, key).end()
+                assert (head.status, head.body, computed) == (200, b"", []), target
+                assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
+                if target.endswith("/components"):
+                    assert get.headers["etag"] == head.headers["etag"]
+            refused = f"{FIT_PATH}/export?format=json&component=diffuse"
+            assert (await running.ask(refused, key, "HEAD").end()).status == 422
 
     asyncio.run(check())
 

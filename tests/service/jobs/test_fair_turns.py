@@ -2,7 +2,7 @@
 
 import asyncio
 
-from service.jobs.fair_turns import FairTurns
+from service.jobs.computations import FairTurns
 
 
 def test_owners_take_turns_and_the_requests_of_one_come_in_order() -> None:

@@ -12,18 +12,16 @@ from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import to_json
 from service.errors import FitNotFoundError
 from service.jobs.results import ModelCache
-from service.storage.schema import Caller, FitKey
+from service.storage.schema import FitKey
 from service.storage.store import Store
-from service.storage.uploads import Received
+from tests.support.stores import LOCAL, add
 
 PATIENCE = 60.0  # seconds
 
 
 def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
-    incoming = store.blobs.incoming()
-    row, _ = store.add_measurement(Caller(), Received(incoming, incoming.close(), 1))
-    key = store.add_fit(Caller(), row.sha256, {}, 1)[0].key
+    key = store.add_fit(LOCAL, add(store), {}, 1)[0].key
     store.start_fit(key)
     model = DSBRDF(np.zeros(1), np.ones((3, 1, 1)), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
     store.complete_fit(key, to_json(model, None, dsbrdf.decompose(model)), {})

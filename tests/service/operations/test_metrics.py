@@ -3,7 +3,6 @@
 import os
 import signal
 from collections.abc import Callable
-from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -86,13 +85,3 @@ def test_fits_and_uploads_are_counted_and_timed(own_server: Callable[..., Server
     assert after["dsbrdf_stage_seconds_count", "waiting"] == 2
     assert after["dsbrdf_stage_seconds_count", "fitting"] == 2  # one of them was lost
     assert after["dsbrdf_requests_in_progress",] == 1
-
-
-def test_applications_do_not_share_metrics(tmp_path: Path) -> None:
-    from service.app import create_app
-    from service.settings import Settings
-
-    first, second = (create_app(Settings(data_dir=tmp_path / name)) for name in ("a", "b"))
-    first.state.metrics.retries.inc()
-    assert b"dsbrdf_fit_retries_total 1.0" in first.state.metrics.exposition()
-    assert b"dsbrdf_fit_retries_total 0.0" in second.state.metrics.exposition()

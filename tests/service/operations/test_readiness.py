@@ -24,10 +24,18 @@ from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 
-def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False)
+def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
+    server = own_server()
+    first = server.http.post("/v1/fits", params=QUICK, content=data).json()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
+        again = [server.http.post("/v1/fits", params=QUICK, content=data)]
+        again.append(server.submit(first["measurement"], **QUICK))
+        again.append(server.http.post("/v1/measurements", content=data))
+        assert [answer.status_code for answer in again] == [200] * 3
+        assert [answer.json().get("id") for answer in again] == [first["id"], first["id"], None]
         wait_until(lambda: server.http.get("/health/ready").status_code == 503)
         # It has not answered, or has given up.
         assert "The database " in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
@@ -39,21 +47,6 @@ def test_locked_database_is_not_ready_but_alive(own_server: Callable[..., Server
         assert min(took) < readiness.LIMIT
         db.execute("ROLLBACK")
     wait_until(lambda: server.http.get("/health/ready").status_code == 200)
-
-
-def test_known_requests_are_answered_while_the_database_is_locked(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
-    server = own_server()
-    first = server.http.post("/v1/fits", params=QUICK, content=data).json()
-    with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
-        db.execute("BEGIN IMMEDIATE")
-        again = [server.http.post("/v1/fits", params=QUICK, content=data) for _ in range(2)]
-        again.append(server.submit(first["measurement"], **QUICK))
-        again.append(server.http.post("/v1/measurements", content=data))
-        assert [answer.status_code for answer in again] == [200] * 4
-        assert [answer.json().get("id") for answer in again] == [first["id"]] * 3 + [None]
-        db.execute("ROLLBACK")
     assert not list((server.data_dir / "tmp").iterdir())
 
 

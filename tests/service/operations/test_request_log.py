@@ -161,7 +161,7 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
 def test_output_of_fit_processes_is_in_the_log(
     own_server: Callable[..., Server], data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fault = "from dsbrdf.engines import fit_steps\nfit_steps.map_merl = open\n"  # which gets the sha256 as a mode
+    fault = "from dsbrdf.engines import local\nlocal.open_checked = open\n"  # which gets the sha256 as a mode
     (tmp_path / "sitecustomize.py").write_text(fault)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     server = own_server(own_interpreter=True, fit_attempts="1")
@@ -170,6 +170,6 @@ def test_output_of_fit_processes_is_in_the_log(
     fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "faulty"}).json()
     assert fit["status"] == "failed"
     (told,) = [line for line in lines_of(server, "faulty") if "exception" in line]
-    assert told["logger"] == "dsbrdf.engines.fit_steps"
+    assert told["logger"] == "dsbrdf.engines.engine"
     assert told["fit"] == fit["id"]
     assert "ValueError: invalid mode" in told["exception"]

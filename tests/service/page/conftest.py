@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import httpx
@@ -10,7 +11,7 @@ import pytest
 from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
 
-if CHROMIUM is not None:
+if CHROMIUM is not None and find_spec("playwright"):
     from playwright.sync_api import Browser, BrowserContext
 
     from tests.support.browser import Visitor, new_context, running_browser

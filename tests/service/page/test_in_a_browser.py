@@ -20,6 +20,8 @@ from tests.support.webgl import CHROMIUM
 
 if CHROMIUM is None:
     pytest.skip('"chromium" is not installed', allow_module_level=True)
+pytest.importorskip("playwright", reason='"playwright" is not installed')
+pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is not installed')
 
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 from playwright.sync_api import expect
@@ -225,6 +227,7 @@ def test_list_takes_several_files_and_is_sorted_and_shortened(
     page.locator("#file").set_input_files([*copies, plastic_file])
     names = page.locator(".card-name")
     expect(names).to_have_text(["plastic", "a", "b"])
+    page.wait_for_load_state()  # its scripts run
     page.get_by_label("Sort by").select_option("name")
     expect(names).to_have_text(["a", "b", "plastic"])
     http = guarded.server.http
@@ -260,6 +263,16 @@ def test_values_under_the_pointer_stand_in_the_legend(visit: Visit, site: Site) 
     at = np.abs(np.array(curve["theta_out_deg"]) - float(place[1])).argmin()
     told = page.locator('#polar-plot-legend [data-label="red, fit"] b').inner_text()
     assert float(told) == pytest.approx(curve["fit"][0][at], rel=0.01)
+
+
+def test_fit_is_renamed(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['rough']}").page
+    names = iter(("<b>matt & dry", "rough"))
+    page.on("dialog", lambda dialog: dialog.accept(next(names)))
+    for name in ("<b>matt & dry", "rough"):
+        page.locator("#controls").wait_for()  # the page's script has run
+        page.locator("#rename").click()
+        expect(page.locator("h1")).to_have_text(name)
 
 
 def test_verdict_stands_before_the_metrics(visit: Visit, site: Site) -> None:

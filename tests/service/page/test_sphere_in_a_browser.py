@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsbrdf.data.hdr_image import read_hdr_image
 from dsbrdf.data.merl import read_merl, write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.environment import THREE_LIGHTS, EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
@@ -20,6 +21,7 @@ from tests.support.webgl import CHROMIUM
 
 if CHROMIUM is None:
     pytest.skip('"chromium" is not installed', allow_module_level=True)
+pytest.importorskip("playwright", reason='"playwright" is not installed')
 
 from playwright.sync_api import Page, expect
 
@@ -105,7 +107,7 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
     for name, value in (("exposure", "-1.5"), ("zoom", "1")):
         page.locator(f"[name={name}]").fill(value)
     repaint(page, lambda: page.locator("canvas").click(position={"x": 200, "y": 150}))
-    page.wait_for_function("location.hash.includes('highlight')")
+    expect(page).to_have_url(re.compile("highlight"))
     page.wait_for_timeout(600)  # the picture and the address are at rest
     before, address = pixels(page), page.url
     page.goto("/")
@@ -214,3 +216,42 @@ def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: S
     facing[mask] = normals[:, 2] > 0.85  # farther out, what has no highlight at normal incidence has one
     assert (bright & facing).sum() > 50
     assert np.abs(ground - expected)[bright & facing].max() < 0.03
+
+
+def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, tmp_path: Path) -> None:
+    rows, columns = np.mgrid[0:128, 0:256]
+    mantissas = np.stack([rows + 40, columns // 2 + 20, np.where(columns < 60, 250, 30)], axis=-1)
+    rgbe = np.concatenate([mantissas, np.full((128, 256, 1), 129)], axis=-1).astype(np.uint8)
+    file = tmp_path / "room.hdr"
+    file.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 128 +X 256\n" + rgbe.tobytes())
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}#lighting=panorama", device_scale_factor=0.5).page
+    expect(page.locator(".hint")).to_contain_text("Choose a panorama")
+    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    page.locator("#panorama").set_input_files(file)
+    page.locator(PAINTED).wait_for()
+    shown = pixels(page)
+    back = repaint(page, lambda: page.locator("[name=turn]").fill("90"))
+    size = len(shown)
+    _, mask = sphere_normals(size)
+    for seen, columns_turned in ((shown, 0), (back, 64)):
+        around = EnvironmentMap.from_pixels(np.roll(read_hdr_image(file), columns_turned, axis=1))
+        rendered = render_sphere(model, lighting=around, size=size)
+        expected = displayed(rendered, exposure(rendered, mask))
+        assert np.abs(seen[..., :3] - expected)[mask].mean() < 1.5 / 255
+    repaint(page, page.locator("[data-component]").first.uncheck)
+    cut = tmp_path / "cut.hdr"
+    cut.write_bytes(file.read_bytes()[:90_000])
+    page.locator("#panorama").set_input_files(cut)
+    expect(page.locator(".hint")).to_have_text("The .hdr file is cut off.")
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [(b"\0" * 12, "not 12."), (np.full((128, 256, 3), np.nan, "<f4").tobytes(), "finite and not negative")],
+)
+def test_panorama_that_is_none_is_refused(site: Site, body: bytes, said: str) -> None:
+    header = {**site.header, "Content-Type": "application/octet-stream"}
+    answer = site.http.post(f"/fits/{site.fits['glossy']}/environment/fit.bin", content=body, headers=header)
+    assert answer.status_code == 422
+    assert said in answer.json()["detail"]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.export import FORMATS, export_model, merl_table, part_of
-from dsbrdf.output.export.merl import merl_parts
+from dsbrdf.output.export import FORMATS, export_model, part_of
+from dsbrdf.output.export.merl import merl_parts, merl_table
 from dsbrdf.output.serialize import from_json, from_npz
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
@@ -71,6 +71,14 @@ def test_formats_of_lobes_refuse_a_component(server: Server, fitted: str, file_f
     detail = assert_problem(server.http.get(f"/v1/fits/{fitted}/export", params=query), 422, "invalid-argument")
     assert "guide" in detail
     assert "merl" in detail
+
+
+def test_a_shader_has_the_name_and_the_sampling_asked_for(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    url, query = f"/v1/fits/{fitted}/export", {"format": "glsl", "name": "paint", "sampling": "true"}
+    assert server.http.get(url, params=query).content == export_model(model, "glsl", name="paint", sampling=True)
+    for wrong, said in (({"name": "flat"}, "no word of GLSL"), ({"format": "merl"}, "options of the format glsl")):
+        detail = assert_problem(server.http.get(url, params=query | wrong), 422, "invalid-argument")
+        assert said in detail
 
 
 def test_the_openapi_document_lists_every_format(server: Server) -> None:

@@ -48,18 +48,6 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert [component["label"] for component in fit["components"]] == list(dsbrdf.decompose(expected).labels)
 
 
-def test_default_options_are_those_of_the_library(server: Server, stored: str) -> None:
-    document = {"measurement": stored}
-    fit = server.http.post("/v1/fits", json=document, headers={"Prefer": "respond-async"}).json()
-    server.http.delete(f"/v1/fits/{fit['id']}")  # the demo waits for a fit with these options
-    options = fit["options"]
-    defaults = dsbrdf.FitOptions()
-    assert options["n_lobes"] == defaults.n_lobes
-    assert options["method"] == defaults.method
-    assert defaults.horizon_cutoff is not None
-    assert options["horizon_cutoff_deg"] == pytest.approx(np.degrees(defaults.horizon_cutoff), abs=1e-9)
-
-
 def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, stored: str) -> None:
     first = server.submit(stored, n_lobes=1, em_iterations=37)
     assert first.status_code == 201
@@ -73,13 +61,6 @@ def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, st
         assert again.status_code == 200
         assert again.json() == first.json()  # with the times of the first computation
     assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
-
-
-def test_options_that_change_nothing_find_the_same_fit(server: Server, stored: str) -> None:
-    first = server.submit(stored, n_lobes=1, em_iterations=5)
-    again = server.submit(stored, n_lobes=1, em_iterations=5, mask=1.0, weighting="plain", ring_lobes=0)
-    assert again.status_code == 200
-    assert again.json() == first.json()
 
 
 def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
@@ -166,29 +147,6 @@ def test_cancelling_ends_the_process_of_the_fit(server: Server, stored: str) -> 
     assert_problem(points, 409, "fit-without-result")
 
 
-def test_cancelled_fit_can_be_requested_again(server: Server, stored: str) -> None:
-    places = [server.submit(stored, prefer="respond-async", mask=0.1 * i, **ENDLESS).json()["id"] for i in range(2, 10)]
-    waiting = server.submit(stored, prefer="respond-async", mask=0.13, **QUICK).json()
-    url = f"/v1/fits/{waiting['id']}"
-    assert server.http.delete(url).json()["status"] == "cancelled"
-    again = server.submit(stored, prefer="respond-async", mask=0.13, **QUICK)
-    assert (again.status_code, again.json()["id"]) == (202, waiting["id"])
-    for fit_id in places:
-        server.http.delete(f"/v1/fits/{fit_id}")
-    assert server.http.get(url, params={"wait": 60}).json()["status"] == "succeeded"
-
-
-def test_fit_survives_repeated_cancelling_and_requesting(server: Server, stored: str) -> None:
-    for turn in range(6):
-        fit_id = server.submit(stored, prefer="respond-async", mask=0.14, **ENDLESS).json()["id"]
-        time.sleep(0.05 * turn)
-        assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
-    server.submit(stored, prefer="respond-async", mask=0.14, **ENDLESS)
-    server.until_running(fit_id)
-    assert server.http.delete(f"/v1/fits/{fit_id}").json()["status"] == "cancelled"
-    wait_until(lambda: not server.workers())
-
-
 def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, stored: str) -> None:
     fit_id = server.submit(stored, n_lobes=1, em_iterations=6).json()["id"]
     url = f"/v1/fits/{fit_id}"
@@ -239,15 +197,6 @@ def test_event_stream_of_a_finished_fit_has_one_event(server: Server, fitted: st
     text = server.http.get(f"/v1/fits/{fitted}/events").text
     assert text.count("event:") == 1
     assert "event: succeeded" in text
-
-
-def test_etag_of_a_fit_changes_with_its_status(server: Server, fitted: str) -> None:
-    first = server.http.get(f"/v1/fits/{fitted}")
-    tag = first.headers["etag"]
-    assert tag.startswith('"')
-    same = server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": tag})
-    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
-    assert server.http.get(f"/v1/fits/{fitted}", headers={"If-None-Match": '"other"'}).status_code == 200
 
 
 def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Server], data: bytes) -> None:

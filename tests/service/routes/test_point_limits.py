@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import httpx
 import numpy as np
-import pytest
 
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -25,15 +24,12 @@ def json_batch(server: Server, fit: str, count: int) -> httpx.Response:
     return server.http.post(f"/v1/fits/{fit}/brdf", json=document)
 
 
-@pytest.mark.parametrize("batch", [npy_batch, json_batch])
-def test_batch_has_the_points_that_the_setting_allows(
-    own_server: Callable[..., Server], data: bytes, batch: Callable[[Server, str, int], httpx.Response]
-) -> None:
+def test_batch_has_the_points_that_the_setting_allows(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(max_points="100")
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
-    assert batch(server, fit, 100).status_code == 200
-    for count in (101, 200, 999):
-        assert_problem(batch(server, fit, count), 413, "too-large")
+    for batch in (npy_batch, json_batch):
+        assert batch(server, fit, 100).status_code == 200
+        assert_problem(batch(server, fit, 101), 413, "too-large")
 
 
 def test_json_batch_has_a_hundred_thousand_points(server: Server, fitted: str) -> None:

@@ -1,12 +1,9 @@
 """What holds for all routes alike: HEAD, unknown parameters, caches, forwarded addresses, who sees the metrics."""
 
-import asyncio
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from tests.service.jobs.test_jobs import Race
 from tests.support.guarded import Guarded, new_key
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -88,11 +85,6 @@ def test_what_only_python_takes_for_a_number_is_none(server: Server, fitted: str
         assert_problem(server.http.get(f"/fits/{fitted}/{part}/{number}"), 404)
 
 
-def test_answer_about_a_measurement_does_not_outlive_it(server: Server, stored: str) -> None:
-    answer = server.http.head(f"/v1/measurements/{stored}")
-    assert answer.headers["cache-control"] == "private, no-cache"
-
-
 def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False, access_log="true")
     server.http.get("/v1/fits", headers={"X-Forwarded-For": "203.0.113.9"})
@@ -118,26 +110,3 @@ def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> 
     assert_problem(guarded.server.http.get("/metrics", headers=guarded.alice), 404, "not-found")
     header = new_key(guarded.server, "prometheus", metrics=True)[1]
     assert "dsbrdf_fits" in guarded.server.http.get("/metrics", headers=header).text
-
-
-def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        race = Race(tmp_path)
-        key = await race.submit()
-        await race.until_run(1)
-        slow = race.slow_down(monkeypatch, "fit", 60.0)
-        waiting = asyncio.create_task(race.jobs.wait(key, 60.0))
-        await asyncio.sleep(0)
-        await race.jobs.cancel(key)
-        await asyncio.to_thread(slow.there.wait, 60.0)
-        assert await race.submit() == key
-        slow.on.set()  # the row that is read now is the new one's
-        await race.until_run(2)
-        race.engine.go_on.set()
-        row = await waiting
-        assert row is not None
-        assert row.status == "succeeded"
-        await race.jobs.close()
-        race.store.close()
-
-    asyncio.run(check())

@@ -20,7 +20,7 @@ from tests.support.guarded import keys_command
 from tests.support.server import Server
 
 NAMES = ("run", "tmp", "lock", "blobs", "work", f"{FILE_NAME}-wal", FILE_NAME)
-FOLDERS = 200
+FOLDERS = 60
 
 
 def snapshot(folder: Path) -> dict[str, object]:

@@ -2,9 +2,9 @@
 
 import asyncio
 import socket
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -15,11 +15,11 @@ from dsbrdf.data.merl_validation import FILE_SIZE
 from service.errors import ProblemError
 from service.storage.schema import Caller, FitKey
 from service.storage.store import Store
-from service.storage.uploads import Received
+from service.storage.uploads import in_thread
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import Server, assert_problem
-from tests.support.soak import repeats
+from tests.support.stores import add
 
 
 def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.socket:
@@ -50,31 +50,7 @@ def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., S
     assert upload(header).status_code == 200
 
 
-def test_concurrent_uploads_exceed_the_quota_by_one_file_at_most(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
-    server = own_server(fits=False, require_keys="true")
-    _, header = new_key(server, "crowd", stored_mb=105)  # three files
-
-    def upload(number: int) -> int:
-        content = data[:-8] + bytes([number, *data[-7:]])
-        return server.http.post("/v1/measurements", content=content, headers=header).status_code
-
-    most, clients = 0, repeats(8, 32)
-    with ThreadPoolExecutor(clients) as pool:
-        answers = [pool.submit(upload, number) for number in range(clients)]
-        while not all(answer.done() for answer in answers):
-            most = max(most, len(server.files()))
-            time.sleep(0.001)
-    statuses = [answer.result() for answer in answers]
-    assert sorted(statuses) == [201] * 3 + [403] * (clients - 3)
-    assert most <= 4  # the one more could be one of the three
-    assert len(server.files()) == 3
-
-
-def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-
+def test_one_upload_at_a_time_may_exceed_a_full_quota(store: Store, tmp_path: Path) -> None:
     async def most_at_once(caller: Caller, most: int) -> None:
         async with AsyncExitStack() as stack:
             for _ in range(most):
@@ -89,11 +65,30 @@ def test_one_upload_at_a_time_may_exceed_a_full_quota(tmp_path: Path) -> None:
     with pytest.raises(pytest.fail.Exception):
         asyncio.run(most_at_once(Caller(), 100))
     assert list((tmp_path / "tmp").iterdir()) == []
-    store.close()
 
 
-def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(tmp_path)
+def test_uploads_share_few_threads() -> None:
+    running, most, lock = 0, 0, threading.Lock()
+
+    def work() -> None:
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        time.sleep(0.02)  # long enough for all threads to begin
+        with lock:
+            running -= 1
+
+    async def body() -> None:
+        await asyncio.gather(*(in_thread(work) for _ in range(20)))
+
+    asyncio.run(body())
+    assert most == 4
+
+
+def test_upload_that_cannot_begin_reserves_nothing(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     caller = Caller("a", stored_bytes=FILE_SIZE)
 
     async def begin() -> None:
@@ -109,18 +104,14 @@ def test_upload_that_cannot_begin_reserves_nothing(tmp_path: Path, monkeypatch: 
     for _ in range(2):
         asyncio.run(begin())
     assert list((tmp_path / "tmp").iterdir()) == []
-    store.close()
 
 
-def test_cancelled_fits_count_as_stored_bytes(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    incoming = store.blobs.incoming()
-    received = Received(incoming, incoming.close(), 1)
+def test_cancelled_fits_count_as_stored_bytes(store: Store) -> None:
     caller = Caller("a", stored_bytes=100_000)
-    store.add_measurement(caller, received)
+    sha256 = add(store, b"", caller)
 
     def cancel_one_more(number: int) -> FitKey:
-        key = store.add_fit(caller, received.sha256, {"mask": number}, 10)[0].key
+        key = store.add_fit(caller, sha256, {"mask": number}, 10)[0].key
         assert store.cancel_fit(key) is not None
         return key
 
@@ -135,4 +126,3 @@ def test_cancelled_fits_count_as_stored_bytes(tmp_path: Path) -> None:
     for row in fits:
         store.remove_fit(row.key)
     cancel_one_more(0)  # there is room again
-    store.close()

@@ -15,24 +15,11 @@ from service.commands.doctor import CHECKS
 from service.commands.purge import purge
 from service.errors import CheckFailedError, DataFolderError
 from service.storage.database import FILE_NAME
-from service.storage.schema import Caller
 from service.storage.store import Store
-from service.storage.uploads import Received
 from tests.support.commands import run_main
 from tests.support.guarded import new_key
 from tests.support.server import QUICK, Server, assert_problem
-
-LOCAL = Caller()
-
-
-def receive(store: Store, content: bytes) -> Received:
-    incoming = store.blobs.incoming()
-    incoming.write(content)
-    return Received(incoming, incoming.close(), 1)
-
-
-def add(store: Store, content: bytes, caller: Caller = LOCAL) -> str:
-    return store.add_measurement(caller, receive(store, content))[0].sha256
+from tests.support.stores import LOCAL, add, receive
 
 
 def stored(folder: Path) -> set[bytes]:
@@ -74,8 +61,7 @@ def test_older_database_loses_no_file_and_an_upload_takes_it_back(
     assert list((server.data_dir / "lost").iterdir()) == []
 
 
-def test_row_keeps_waiting_for_its_file(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def test_row_keeps_waiting_for_its_file(store: Store, tmp_path: Path) -> None:
     sha256 = add(store, b"content")
     store.close()
     (tmp_path / "blobs").rename(tmp_path / "later")  # the database came back before the measurements
@@ -90,8 +76,7 @@ def test_row_keeps_waiting_for_its_file(tmp_path: Path) -> None:
     store.close()
 
 
-def test_row_takes_its_file_back(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def test_row_takes_its_file_back(store: Store, tmp_path: Path) -> None:
     contents = {add(store, content): content for content in (b"first", b"second")}
     store.close()
     copy = shutil.copy(tmp_path / FILE_NAME, tmp_path / "copy")
@@ -107,14 +92,12 @@ def test_row_takes_its_file_back(tmp_path: Path) -> None:
     store.close()
 
 
-def test_upload_in_the_place_of_other_bytes_keeps_them(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def test_upload_in_the_place_of_other_bytes_keeps_them(store: Store, tmp_path: Path) -> None:
     first, second = add(store, b"first"), add(store, b"second")
     store.blobs.path(second).replace(store.blobs.path(first))
-    assert add(store, b"first") == first
+    assert not store.add_measurement(LOCAL, receive(store, b"first"))[1]
     assert stored(tmp_path) == {b"first", b"second"}
     assert store.blobs.damage(first) is None
-    store.close()
 
 
 EMPTY_TABLE, EMPTY_INDEX = (bytes([kind, 0, 0, 0, 0, 16, 0, 0]) for kind in (13, 10))  # a valid page without rows
@@ -133,8 +116,7 @@ def test_damaged_table_or_index_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.setattr("service.__main__._run", lambda *_: 0)  # it must not come to that
     store = Store(tmp_path)
-    row, _ = store.add_measurement(LOCAL, receive(store, b"content"))
-    store.add_fit(LOCAL, row.sha256, {}, 10)
+    store.add_fit(LOCAL, add(store), {}, 10)
     add_key(store.database, "someone", KeyLimits())
     store.close()
     harm_page(tmp_path, name, content)
@@ -165,8 +147,9 @@ def test_deletion_that_a_kill_breaks_off_is_undone_or_done(tmp_path: Path, commi
     store.close()
 
 
-def test_deletion_that_cannot_be_committed_keeps_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(tmp_path)
+def test_deletion_that_cannot_be_committed_keeps_the_file(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     transaction = store.database.transaction
 
     @contextmanager
@@ -183,7 +166,6 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(tmp_path: Path, monkey
     assert store.blobs.damage(sha256) is None
     assert store.remove_measurement("", sha256)
     assert not stored(tmp_path)
-    store.close()
 
 
 def test_file_of_a_fit_and_of_a_key_is_not_touched_by_a_start(own_server: Callable[..., Server], data: bytes) -> None:

@@ -1,28 +1,31 @@
-"""Parts of the service on their own: decoders, options, store, preferences."""
+"""The store on its own: what a fit may become, what owners share, and what a failure leaves."""
 
 import shutil
+import sqlite3
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
-from service.errors import DatabaseLostError, DataFolderInUseError, MeasurementNotFoundError
-from service.storage.database import FILE_NAME
-from service.storage.schema import Caller, FitKey
+from service.errors import (
+    DatabaseLostError,
+    DataFolderError,
+    DataFolderInUseError,
+    MeasurementNotFoundError,
+    ProblemError,
+)
+from service.storage.database import FILE_NAME, Database
+from service.storage.schema import ROW_SIZE, Caller, FitKey
 from service.storage.store import Store, fit_identity
-from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
+from tests.support.stores import LOCAL, add, receive
 
-LOCAL = Caller()
 OPTIONS = to_wire(dsbrdf.FitOptions())
 
 
-def test_finished_fit_cannot_change(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    incoming = store.blobs.incoming()
-    incoming.write(b"content")
-    sha256 = incoming.close()
-    store.add_measurement(LOCAL, Received(incoming, sha256, 1))
+def test_finished_fit_cannot_change(store: Store) -> None:
+    sha256 = add(store)
     arguments = (sha256, OPTIONS, 10)
     key = FitKey("", fit_identity(sha256, OPTIONS))
     with pytest.raises(MeasurementNotFoundError):
@@ -40,22 +43,76 @@ def test_finished_fit_cannot_change(tmp_path: Path) -> None:
     assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
     assert store.remove_fit(key)
     assert store.fit(key) is None
-    store.close()
 
 
 @pytest.mark.parametrize(("origin", "repeats"), [("input", False), ("compute", True), ("system", True)])
-def test_failed_fit_runs_again_unless_its_input_is_at_fault(tmp_path: Path, origin: str, repeats: bool) -> None:
-    store = Store(tmp_path)
-    incoming = store.blobs.incoming()
-    sha256 = incoming.close()
-    store.add_measurement(LOCAL, Received(incoming, sha256, 1))
-    arguments = (sha256, OPTIONS, 10)
-    key = FitKey("", fit_identity(sha256, OPTIONS))
-    store.add_fit(LOCAL, *arguments)
+def test_failed_fit_runs_again_unless_its_input_is_at_fault(store: Store, origin: str, repeats: bool) -> None:
+    arguments = (add(store), OPTIONS, 10)
+    key = store.add_fit(LOCAL, *arguments)[0].key
     store.start_fit(key)
     store.fail_fit(key, {"origin": origin, "type": "T", "message": "M"})
     assert store.add_fit(LOCAL, *arguments)[1] is repeats
-    store.close()
+
+
+def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
+    a, b = Caller("a"), Caller("b")
+    sha256 = add(store, b"x", a)
+    add(store, b"y", a)
+    assert add(store, b"x", b) == sha256
+    assert [row.seq for row in store.measurements("b", 10, None)] == [1]
+    assert [row.seq for row in store.measurements("a", 10, None)] == [2, 1]
+    keys = []
+    for caller in (a, b):
+        row, new = store.add_fit(caller, sha256, {}, 10)
+        assert new
+        assert row.key == FitKey(caller.owner, fit_identity(sha256, {}))
+        keys.append(row.key)
+    assert store.start_fit(keys[1]) is not None
+    assert store.complete_fit(keys[1], "of b", {}) is not None
+    fit = store.fit(keys[0])
+    assert fit is not None
+    assert (fit.status, store.result(keys[0])) == ("accepted", None)
+    assert store.remove_measurement("b", sha256)  # a's fit of it is unfinished, b's is not
+    assert store.blobs.path(sha256).exists()
+    assert not store.remove_measurement("b", sha256)
+    assert store.cancel_fit(keys[0]) is not None
+    assert store.remove_measurement("a", sha256)
+    assert not store.blobs.path(sha256).exists()
+    assert store.result(keys[1]) == "of b"
+
+
+def test_stored_bytes_include_results(store: Store) -> None:
+    sha256 = add(store, b"12345", Caller("a"))
+
+    def submit(name: str, most: int) -> FitKey:
+        row, new = store.add_fit(Caller("a", stored_bytes=most), sha256, {"name": name}, 10)
+        assert new
+        return row.key
+
+    first = submit("f", 6)
+    store.start_fit(first)
+    store.complete_fit(first, "é", {})
+    with pytest.raises(ProblemError, match="stored"):
+        submit("g", ROW_SIZE + 7)
+    submit("g", ROW_SIZE + 8)
+    assert store.remove_fit(first)
+    with pytest.raises(ProblemError):
+        submit("h", ROW_SIZE + 5)
+    submit("h", ROW_SIZE + 6)
+
+
+def test_damaged_result_is_not_returned(store: Store) -> None:
+    key = store.add_fit(LOCAL, add(store), OPTIONS, 10)[0].key
+    store.start_fit(key)
+    store.complete_fit(key, "document", {"male": 0.5})
+    with store.database.transaction() as db:
+        db.execute("UPDATE fits SET result = 'docunent'")
+    with pytest.raises(ProblemError, match="result of the fit is damaged; delete the fit and ask for it once more"):
+        store.result(key)
+    with store.database.transaction() as db:
+        db.execute("UPDATE fits SET options = '{'")
+    with pytest.raises(sqlite3.DatabaseError, match=r"the options of the fit .* are damaged"):
+        store.fit(key)
 
 
 def test_data_folder_is_opened_by_one_store_at_a_time(tmp_path: Path) -> None:
@@ -66,29 +123,27 @@ def test_data_folder_is_opened_by_one_store_at_a_time(tmp_path: Path) -> None:
     Store(tmp_path).close()
 
 
-def test_transactions_are_synced_to_the_disk_before_they_end(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def test_database_with_other_tables_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    Store(tmp_path).close()
+    file = tmp_path / FILE_NAME
+    database = sqlite3.connect(file, isolation_level=None)
+    database.execute("ALTER TABLE keys DROP COLUMN metrics")
+    database.execute("PRAGMA user_version = 1")  # as an older release has numbered it
+    database.close()
+    before = file.read_bytes()
+    for open_folder in (Store, partial(Database, exclusive=False)):
+        with pytest.raises(DataFolderError, match=r"made by another release.* serve it with that release, or give"):
+            open_folder(tmp_path)
+    assert file.read_bytes() == before
+
+
+def test_transactions_are_synced_to_the_disk_before_they_end(store: Store) -> None:
     with store.database.transaction() as db:
         assert db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: the log is synced at every commit
         assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-    store.close()
 
 
-def test_measurement_without_file_accepts_it_again(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    for expected_new in (True, False):
-        incoming = store.blobs.incoming()
-        incoming.write(b"content")
-        sha256 = incoming.close()
-        assert store.add_measurement(LOCAL, Received(incoming, sha256, 1))[1] is expected_new
-        assert store.blobs.path(sha256).read_bytes() == b"content"
-        store.blobs.path(sha256).unlink()
-    store.close()
-
-
-def test_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-
+def test_transaction_that_fails_leaves_nothing(store: Store, tmp_path: Path) -> None:
     def insert_and_fail() -> None:
         with store.database.transaction() as db:
             db.execute("INSERT INTO keys (id, name, secret_sha256, created) VALUES ('1', 'a', '', 0)")
@@ -103,26 +158,19 @@ def test_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
     reopened.close()
 
 
-def test_nothing_is_written_to_a_database_that_was_replaced(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def test_nothing_is_written_to_a_database_that_was_replaced(store: Store, tmp_path: Path) -> None:
     path = tmp_path / FILE_NAME
     shutil.copy(path, tmp_path / "copy")
     (tmp_path / "copy").replace(path)
     with pytest.raises(DatabaseLostError, match="removed or replaced"), store.database.transaction():
         pytest.fail("the transaction began")
-    store.close()
 
 
-def test_upload_that_cannot_be_placed_leaves_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(tmp_path)
-    incoming = store.blobs.incoming()
-    received = Received(incoming, incoming.close(), 1)
-
+def test_upload_that_cannot_be_placed_leaves_no_row(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(store.blobs, "place", fail)
     with pytest.raises(OSError, match="No space"):
-        store.add_measurement(LOCAL, received)
+        store.add_measurement(LOCAL, receive(store))
     assert store.measurements("", 9, None) == []
-    store.close()

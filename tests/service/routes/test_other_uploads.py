@@ -1,0 +1,168 @@
+"""Uploads that are no MERL files: RGL files and tables of samples, what is stored of them, and what is refused."""
+
+import hashlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
+from dsbrdf.data.rgl_material import parse_rgl
+from dsbrdf.data.scattered_samples import parse_samples
+from dsbrdf.output.export import export_model
+from dsbrdf.output.serialize import from_json
+from tests.support.mixtures import mixture, scattered_samples
+from tests.support.models import assert_same_bits
+from tests.support.server import Server, assert_problem
+
+MODEL = mixture(2, 0)
+FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
+HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"
+
+
+@pytest.fixture(scope="module")
+def bsdf() -> bytes:
+    return export_model(MODEL, "bsdf")
+
+
+@pytest.fixture(scope="module")
+def table() -> bytes:
+    samples = scattered_samples(MODEL, 300)
+    rows = np.hstack([samples.omega_in, samples.omega_out, samples.values]).tolist()
+    return "\n".join([HEAD, *(",".join(map(repr, row)) for row in rows), ""]).encode()
+
+
+def post(server: Server, content: bytes, name: str, media_type: str = "application/octet-stream") -> httpx.Response:
+    return server.http.post(
+        "/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": media_type}
+    )
+
+
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes) -> None:
+    expected = encode_merl(parse_rgl(bsdf).measurement())
+    answer = post(server, bsdf, "paint.bsdf")
+    assert answer.status_code == 201, answer.text
+    document = answer.json()
+    assert document["name"] == "paint"
+    assert document["sha256"] == hashlib.sha256(expected).hexdigest()
+    assert document["size"] == len(expected)
+    assert document["valid_nodes"] == dsbrdf.parse_merl(expected).valid.sum()
+    assert post(server, bsdf, "paint.BSDF").status_code == 200
+    assert server.http.get(answer.headers["location"]).content == expected
+    picture = server.http.get(f"{answer.headers['location']}/figures/sphere.png?size=16")
+    assert picture.headers["content-type"] == "image/png"
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [
+        ("felt.csv", "application/octet-stream"),
+        ("felt.TXT", "application/octet-stream"),
+        ("felt", "text/csv; charset=utf-8"),
+        ("felt", "text/plain"),
+        ("felt.tsv", "text/tab-separated-values"),
+    ],
+)
+def test_a_table_is_stored_as_it_was_sent(server: Server, table: bytes, name: str, media_type: str) -> None:
+    answer = post(server, table, name, media_type)
+    assert answer.status_code in (200, 201), answer.text
+    document = answer.json()
+    expected = {"name": "felt", "sha256": hashlib.sha256(table).hexdigest(), "size": len(table), "valid_nodes": 0}
+    assert {name: document[name] for name in expected} == expected
+    file = server.http.get(answer.headers["location"])
+    assert file.content == table
+    assert file.headers["content-disposition"] == 'attachment; filename="felt.txt"'
+
+
+def test_a_table_is_fitted_as_by_the_library_and_has_no_pictures(server: Server, table: bytes) -> None:
+    headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
+    answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt"}, content=table, headers=headers)
+    fit = answer.json()
+    assert fit["status"] == "succeeded", fit
+    expected = dsbrdf.fit(parse_samples(table), n_lobes=1, ring_lobes=0)
+    exported = server.http.get(f"/v1/fits/{fit['id']}/export?format=json").text
+    assert_same_bits(from_json(exported)[0], expected.model)
+    assert fit["metrics"]["relative_rms"] == expected.report.metrics.relative_rms
+    assert fit["warnings"] == list(expected.report.warnings)
+    for path in (
+        f"/v1/measurements/{fit['measurement']}/figures/sphere.png",
+        f"/v1/fits/{fit['id']}/figures/profiles.svg",
+        f"/fits/{fit['id']}/measured.bin",
+    ):
+        assert "scattered samples, of which there is no picture" in assert_problem(server.http.get(path), 404)
+    assert server.http.get(f"/fits/{fit['id']}/view").json()["pictures"] == ["fit"]
+    assert server.http.get(f"/v1/fits/{fit['id']}/figures/sphere.png?size=16").is_success
+    for page in ("/", f"/fits/{fit['id']}"):
+        text = server.http.get(page, headers={"Accept": "text/html"})
+        assert text.is_success
+        assert f"{fit['measurement']}/figures" not in text.text
+
+
+def test_what_was_stored_is_there_after_a_kill(own_server: Callable[..., Server], table: bytes, bsdf: bytes) -> None:
+    server = own_server()
+    places = [post(server, table, "felt.csv"), post(server, bsdf, "paint.bsdf")]
+    server.stop(9)
+    server.start()
+    files = [server.http.get(answer.headers["location"]).content for answer in places]
+    assert files == [table, encode_merl(parse_rgl(bsdf).measurement())]
+    assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
+    fit = server.http.post("/v1/fits", json={"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1}})
+    assert fit.json()["status"] == "succeeded"
+
+
+def changed(bsdf: bytes, **fields: object) -> bytes:
+    return encode_tensors({name: np.asarray(array) for name, array in (parse_tensors(bsdf) | fields).items()})
+
+
+def with_count(bsdf: bytes, count: int) -> bytes:
+    """The file with a wrong length of the only axis of theta_i, in the middle of its head."""
+    at = bsdf.index(b"theta_i") + len("theta_i") + 2 + 1 + 8
+    return bsdf[:at] + count.to_bytes(8, "little") + bsdf[at + 8 :]
+
+
+ATTACKS: dict[str, tuple[str, Callable[[bytes], bytes], int, str]] = {
+    "a count beyond the file": ("a.bsdf", lambda bsdf: with_count(bsdf, 1 << 60), 422, "a field lies outside of it"),
+    "a wrong count": ("a.bsdf", lambda bsdf: with_count(bsdf, 3), 422, "do not fit together"),
+    "cut off": ("a.bsdf", lambda bsdf: bsdf[: len(bsdf) // 2], 422, "damaged or cut off"),
+    "NaN": ("a.bsdf", lambda bsdf: changed(bsdf, sigma=np.full((2, 2), np.nan, "f4")), 422, "NaN or infinite"),
+    "anisotropic": ("a.bsdf", lambda bsdf: changed(bsdf, phi_i=np.arange(8, dtype="f4")), 422, "has 8 azimuths"),
+    "a MERL file": ("a.bsdf", lambda _: bytes(100_000), 422, "not a tensor file"),
+    "an RGL file without its suffix": ("a", lambda bsdf: bsdf, 422, "is an RGL .bsdf file"),
+    "a million columns": ("a.csv", lambda _: f"{HEAD}{',x' * 1_000_000}\n".encode(), 422, "split into cells"),
+    "a million rows": ("a.csv", lambda _: b"theta_in,theta_out,value\n" + b",,\n" * 1_000_000, 422, "0 samples"),
+    "no numbers": ("a.csv", lambda _: f"{HEAD}\n{'nan,' * 8}nan\n".encode() * 300, 422, "in the column"),
+    "no text": ("a.txt", lambda _: bytes(range(256)) * 100, 422, "is not a text"),
+    "too long": ("a.csv", lambda _: b"#" * ((1 << 23) + 1), 413, "at most 8388608 bytes here"),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_what_is_wrong_is_told_soon_and_nothing_is_stored(server: Server, bsdf: bytes, attack: str) -> None:
+    name, change, status, words = ATTACKS[attack]
+    before = sorted(server.files())
+    start = time.monotonic()
+    problem = assert_problem(post(server, change(bsdf), name), status)
+    assert words in problem
+    assert time.monotonic() - start < 30.0
+    assert sorted(server.files()) == before
+
+
+def test_a_long_body_without_a_length_is_refused_while_it_arrives(server: Server) -> None:
+    def pieces() -> object:
+        for _ in range(10_000):
+            yield b"#" * 100_000
+
+    before = sorted(server.files())
+    answer = server.http.post("/v1/measurements?name=a.csv", content=pieces())  # type: ignore[arg-type]
+    assert_problem(answer, 413, "measurement-too-large")
+    assert sorted(server.files()) == before
+
+
+def test_other_types_are_refused_with_those_that_are_taken(server: Server, tmp_path: Path) -> None:
+    answer = post(server, b"{}", "a", "application/json")
+    assert "text/csv" in assert_problem(answer, 415, "unsupported-media-type")
