@@ -43,10 +43,10 @@ test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 # Browsers, Dask, processes that are killed, folders that are damaged, slow clients, figures, fits of whole measurements.
-SLOW := $(addprefix tests/library/,engines paper cli/test_demo.py cli/test_fit_command.py \
-  fitting/test_global_method.py fitting/test_global_method_data.py fitting/test_matching_pursuit.py \
-  fitting/test_critical_values.py fitting/test_lobe_selection.py fitting/test_paper_method.py \
-  fitting/test_report_warnings.py output/test_figures.py output/export/test_glsl.py output/export/test_materialx.py)
+SLOW := $(addprefix tests/library/,engines cli/test_fit_command.py fitting/test_global_method.py \
+  fitting/test_global_method_data.py fitting/test_matching_pursuit.py fitting/test_lobe_selection.py \
+  fitting/test_paper_method.py fitting/test_report_warnings.py fitting/test_scattered_fit.py \
+  output/test_figures.py output/export/test_glsl.py output/export/test_materialx.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_content_encoding.py \
   http/test_limits.py http/test_openapi_conformance.py jobs/test_computations.py operations/test_readiness.py \
   operations/test_request_log.py routes/test_figures.py routes/test_lists.py routes/test_point_limits.py \
@@ -81,7 +81,7 @@ prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 
 lock: $(READY)  ## pin the newest dependencies
 	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --upgrade \
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra heavy --universal --python-version 3.11 --upgrade \
 	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o requirements.lock
 	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra docs --universal --python-version 3.11 --upgrade \
 	  --constraint requirements.lock \

@@ -6,7 +6,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from importlib import import_module
 from typing import Any
 from unittest import mock
@@ -44,7 +44,7 @@ def _service_main(command: str) -> Callable[[Sequence[str]], int]:
 def _help_of(command: Callable[[Sequence[str]], int], *words: str) -> str:
     """Return what a command prints with ``--help``."""
     printed = io.StringIO()
-    with redirect_stdout(printed), suppress(SystemExit):  # a command of the service ends after its help
+    with redirect_stdout(printed):
         command([*words, "--help"])
     return "\n".join(line.rstrip() for line in printed.getvalue().rstrip().splitlines())
 

@@ -1,10 +1,12 @@
 """Writes the table of settings into the page on operations: ``python docs/settings_table.py``."""
 
+from inspect import signature
 from pathlib import Path
 
 from annotated_types import Ge, Gt, Le
 
-from service.settings import FLAGS, PREFIX, Settings
+from service.commands.serve import flags
+from service.settings import PREFIX, Settings
 
 PAGE = Path(__file__).with_name("operations.md")
 _BEGIN, _END = "<!-- settings:", "<!-- end of settings -->"
@@ -15,7 +17,7 @@ def settings_table() -> str:
     """Return a Markdown table with a row for each setting."""
     rows = ["| variable | flag | default | |", "|---|---|---|---|"]
     for name, field in Settings.model_fields.items():
-        flag = f"`--{name.replace('_', '-')}`" if name in FLAGS else ""
+        flag = f"`--{name.replace('_', '-')}`" if name in signature(flags).parameters else ""
         default = "number of cores" if field.default_factory else f"`{str(field.default).lower()}`"
         bounds = " ".join(_SIGNS[type(bound)].format(bound) for bound in field.metadata if type(bound) in _SIGNS)
         rows.append(

@@ -9,9 +9,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 import dsbrdf
@@ -35,26 +33,27 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "built" / "html"
 
 
-def test_site_has_a_page_for_each_public_name(site: Path) -> None:
+def test_site_has_a_page_for_each_public_name_and_the_references(site: Path) -> None:
     documented = {file.name for file in (site / "generated" / "api").glob("dsbrdf.*.html")}
     names = set(dsbrdf.__all__) - {"ALGORITHM_VERSION", "__version__"}
     assert {f"dsbrdf.{name}.html" for name in names} <= documented
     assert (site / "generated" / "api" / "dsbrdf_service.client.AsyncClient.html").is_file()
-
-
-def test_notebooks_were_run(site: Path) -> None:
-    tutorial, choices = (site / f"{name}.html" for name in ("tutorial", "choices"))
-    assert tutorial.read_text().count('alt="lit sphere"') == 3
-    assert "the components add up: True" in tutorial.read_text()
-    assert "Traceback" not in tutorial.read_text() + choices.read_text()
-    assert len(re.findall(r"\d dB +\d", choices.read_text())) == 8
-
-
-def test_site_shows_spheres_formulas_and_references(site: Path) -> None:
-    assert (site / "index.html").read_text().count('alt="lit sphere') == 4
     assert (site / "model.html").read_text().count("<math ") > 20
     assert "dsbrdf fit" in (site / "command_reference.html").read_text()
     assert 'href="#post-v1-fits"' in (site / "http_reference.html").read_text()
+
+
+def test_notebooks_were_run_and_pages_show_spheres_also_without_the_data(site: Path) -> None:
+    tutorial, choices, index, gallery = (
+        (site / f"{name}.html").read_text() for name in ("tutorial", "choices", "index", "gallery")
+    )
+    assert tutorial.count('alt="lit sphere"') == 3
+    assert "the components add up: True" in tutorial
+    assert "Traceback" not in tutorial + choices
+    assert len(re.findall(r"\d dB +\d", choices)) == 8
+    assert index.count('alt="lit sphere') == 4
+    assert gallery.count('alt="lit spheres: measured, fit, difference x 4') == 9
+    assert "CC0 1.0" in gallery
 
 
 def test_search_has_the_texts_of_all_pages_for_those_who_open_it_from_a_disk(site: Path) -> None:
@@ -64,90 +63,39 @@ def test_search_has_the_texts_of_all_pages_for_those_who_open_it_from_a_disk(sit
     assert [file.name for file in site.glob("*.html") if "search_from_disk.js" in file.read_text()] == ["search.html"]
 
 
-def test_gallery_shows_the_measured_materials_without_the_data(site: Path) -> None:
-    page = (site / "gallery.html").read_text()
-    assert page.count('alt="lit spheres: measured, fit, difference x 4') == 9
-    assert "CC0 1.0" in page
-
-
 PAGE = """<html><head><link rel="stylesheet" href="style.css"><link rel="next" href="gone.html"></head><body id="top">
 <a href="other.html#here">one</a> <a href="#below">two</a> <p id="below"><img src="data:image/png;base64,AA=="></p>
 <a href="https://example.org/page">three</a></body></html>"""
 
 
 @pytest.mark.parametrize(
-    ("added", "fault"),
+    ("added", "style", "fault"),
     [
-        ("", None),
-        ('<a href="missing.html">', "index.html links to missing.html, which is not there"),
-        ('<a href="other.html#nowhere">', "index.html links to other.html#nowhere, which is not there"),
-        ('<a href="#nowhere">', "index.html links to #nowhere, which is not there"),
-        ('<img src="missing.png">', "index.html links to missing.png, which is not there"),
-        ('<script src="https://example.org/a.js"></script>', "index.html loads https://example.org/a.js from another"),
-        ('<img src="//example.org/a.png">', "index.html loads //example.org/a.png from another host"),
-        ('<link rel="stylesheet" href="http://example.org/a.css">', "index.html loads http://example.org/a.css from"),
+        ("", "", None),
+        ('<a href="missing.html">', "", "index.html links to missing.html, which is not there"),
+        ('<a href="other.html#nowhere">', "", "index.html links to other.html#nowhere, which is not there"),
+        ('<a href="#nowhere">', "", "index.html links to #nowhere, which is not there"),
+        ('<img src="missing.png">', "", "index.html links to missing.png, which is not there"),
+        (
+            '<script src="https://example.org/a.js"></script>',
+            "",
+            "index.html loads https://example.org/a.js from another",
+        ),
+        ('<img src="//example.org/a.png">', "", "index.html loads //example.org/a.png from another host"),
+        ("", '@font-face { src: url("https://example.org/font.woff2") }', "style.css loads a file from another host"),
+        ("", "a { background: url( //example.org/a.png) }", "style.css loads a file from another host"),
+        ("", '@import "http://example.org/a.css";', "style.css loads a file from another host"),
     ],
 )
-def test_faults_of_links_are_found(tmp_path: Path, added: str, fault: str | None) -> None:
+def test_faults_of_links_are_found(tmp_path: Path, added: str, style: str, fault: str | None) -> None:
     links = runpy.run_path(str(DOCS / "links.py"))
     (tmp_path / "index.html").write_text(PAGE.replace("</body>", f"{added}</body>"))
     (tmp_path / "other.html").write_text('<h1 id="here">Other</h1>')
-    (tmp_path / "style.css").write_text("body { background: url(picture.png) }")
+    (tmp_path / "style.css").write_text("body { background: url(picture.png) }" + style)
     pages = links["read_pages"](tmp_path)
     found = links["faults"](tmp_path, pages)
     assert [sentence[: len(fault or "")] for sentence in found] == ([] if fault is None else [fault])
     assert links["external"](pages) == ["https://example.org/page"]
-
-
-@pytest.mark.parametrize(
-    "style",
-    [
-        '@font-face { src: url("https://example.org/font.woff2") }',
-        "a { background: url( //example.org/a.png) }",
-        '@import "http://example.org/a.css";',
-        "@import url(//example.org/a.css);",
-    ],
-)
-def test_style_that_loads_from_another_host_is_found(tmp_path: Path, style: str) -> None:
-    links = runpy.run_path(str(DOCS / "links.py"))
-    (tmp_path / "style.css").write_text(style)
-    assert links["faults"](tmp_path, {}) == ["style.css loads a file from another host"]
-
-
-def gallery_of(kinds: dict[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
-    """Home page's spheres and gallery, written of materials without a fit."""
-    monkeypatch.syspath_prepend(str(DOCS))
-    gallery = runpy.run_path(str(DOCS / "gallery.py"))
-    exhibit = gallery["Exhibit"]
-    panels = {"fit": np.zeros((4, 4, 3)), "difference x 4": np.zeros((4, 4, 3))}
-    metrics = {"relative_rms": 0.02, "excess": 0.5, "psnr": 40.0}
-    exhibits = [exhibit(name, kind, {kind: panels["fit"], **panels}, metrics, 3) for name, kind in kinds.items()]
-    changed: dict[str, Any] = gallery["write_pictures"].__globals__
-    monkeypatch.setitem(changed, "synthetic_exhibits", lambda _: [exhibit("paint", "synthetic", panels, metrics, 3)])
-    monkeypatch.setitem(changed, "reference_exhibits", lambda *_: (exhibits, ["rgl_torn: not a measurement"]))
-    gallery["write_pictures"](folder, folder)
-    return (folder / "spheres.md").read_text(), (folder / "gallery.md").read_text()
-
-
-def test_gallery_says_what_is_measured_and_what_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DSBRDF_REFERENCE_DATA", str(tmp_path))
-    kinds = {"rgl_blue_felt": "measured", "merl_nickel": "decoded stand-in", "merl_brass": "decoded stand-in"}
-    home, page = gallery_of(kinds, tmp_path, monkeypatch)
-    assert "3 in all. The data of 1 are measurements. Those of 2 are *decoded stand-ins*" in page.replace("\n", " ")
-    assert "## blue felt\n\nMeasured; 3 lobes" in page
-    assert "## nickel\n\nDecoded stand-in; 3 lobes" in page
-    assert "MERL" not in page
-    assert "rgl_torn: not a measurement" in page
-    assert "difference" in page
-    assert "difference" not in home
-    assert (tmp_path / "pictures" / "merl_nickel-fit.png").is_file()
-
-
-def test_gallery_without_measurements_is_synthetic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DSBRDF_REFERENCE_DATA", raising=False)
-    _, page = gallery_of({}, tmp_path, monkeypatch)
-    assert "## paint\n\nSynthetic; 3 lobes" in page
-    assert "stand-in" not in page
 
 
 def test_reference_material_is_fitted_once_and_called_what_it_is(
