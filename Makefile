@@ -69,7 +69,7 @@ fix: $(READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(READY)  ## run all benchmarks except the two long ones
+bench: $(READY)  ## run all benchmarks except the long ones
 	$(BIN)/python -m benchmarks
 
 soak: $(READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
