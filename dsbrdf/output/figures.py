@@ -22,7 +22,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.figure_layout import (
     ROW_HEIGHT,
     SPHERES_HEIGHT,
@@ -133,7 +133,7 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
     Raises InvalidArgumentError if the format is unknown.
     """
     if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
+        raise InvalidArgumentError(f"the image format must be {one_of(IMAGE_FORMATS)}, not {image_format!r}")
     buffer = BytesIO()
     figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
@@ -271,9 +271,5 @@ def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
 
 def _channel_index(channel: str) -> int:
     if channel not in CHANNELS:
-        raise InvalidArgumentError(f"channel must be {_one_of(CHANNELS)}, not {channel!r}")
+        raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
     return CHANNELS.index(channel)
-
-
-def _one_of(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} or {names[-1]}"
