@@ -122,7 +122,10 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
     """Fit the files, and print each result as soon as it is there unless `quiet`."""
     done: list[FileFit] = []
     jobs = core_count() if work.jobs is None else work.jobs
-    engine = None if work.url is None else _client_engine(work.url, jobs)
+    engine: Engine | None = None
+    if work.url is not None:
+        require("client", "httpx", purpose="dsbrdf fit --url")
+        engine = entry_point("engines", "url").load()(work.url, jobs)
     bar = _progress_bar()
     task = bar.add_task("", total=len(files), done="0")
     items = fit_files(
@@ -143,12 +146,6 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
             for line in [] if quiet else _text(item, whole=len(files) == 1):
                 _print_above(bar, line)
     return done
-
-
-def _client_engine(url: str, count: int) -> Engine:
-    require("client", "httpx", purpose="dsbrdf fit --url")
-    engine: Engine = entry_point("engines", "url").load()(url, count)
-    return engine
 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:

@@ -97,14 +97,13 @@ class MerlChecker:
         reported by `finish`, because the message contains their number.
         """
         view = memoryview(piece).cast("B")
+        self.n_bytes += len(view)
         if len(self._header) < HEADER_SIZE:
             taken = HEADER_SIZE - len(self._header)
             self._header += bytes(view[:taken])
-            self.n_bytes += len(view[:taken])
             view = view[taken:]
             if len(self._header) == HEADER_SIZE:
                 check_header(self._header)
-        self.n_bytes += len(view)
         if self.n_bytes > FILE_SIZE:
             check_length(self.n_bytes)
         if self._incomplete_value and len(view) > 0:

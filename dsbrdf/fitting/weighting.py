@@ -38,7 +38,9 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
     Beyond the cutoff, an angle to the normal [rad], samples count less; None trusts all of them.
     """
-    level, swing = _level_and_swing()
+    # Both cosines to the normal are level -/+ swing cos(phi_diff).
+    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
+    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
     lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
     plain = folded.weight * trust(lowest, horizon_cutoff) * center_share(THETA_HALF)[:, None]
     center = THETA_HALF < CENTER_CUTOFF
@@ -70,13 +72,6 @@ def _floor(folded: FoldedProfiles, weight: Array) -> float:
 def _over_phi(values: Array, weight: Array) -> Array:
     total = weight.sum(axis=3)
     return np.asarray(np.sum(weight * values, axis=3) / np.where(total > 0.0, total, 1.0))
-
-
-def _level_and_swing() -> tuple[Array, Array]:
-    """Both cosines are level -/+ swing cos(phi_diff); each of shape (90, 90, 1)."""
-    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
-    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
-    return level, swing
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:

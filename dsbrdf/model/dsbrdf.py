@@ -26,7 +26,7 @@ from dsbrdf.data.geometry import check_directions
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
+from dsbrdf.model.evaluation import Evaluator, ParameterPieces
 from dsbrdf.model.parameter_checks import check_parameters
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
@@ -282,9 +282,9 @@ class DSBRDF(ReflectanceModel):
         scaled = [np.log(part) if spline else part for part in shape]
         rows = [part.transpose(1, 0, 2).reshape(part.shape[1], -1) for part in (amplitude, *scaled, self.center)]
         return Evaluator(
-            ParameterCurves(self.theta_diff, rows[0]),
-            ParameterCurves(self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
-            ParameterCurves(self.elongation_theta_diff, self.elongation),
+            (self.theta_diff, rows[0]),
+            (self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
+            (self.elongation_theta_diff, self.elongation),
             n_lobes=self.n_lobes,
             n_shapes=self.kappa.shape[0],
             is_ring=self.is_ring,
