@@ -10,13 +10,11 @@ DSBRDFError
 ConvergenceWarning           a fit stopped before it converged; the result is usable
 """
 
-from collections.abc import Sequence
-
 WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
 """Errors of the operating system that mean a wrong path, not a fault of the machine."""
 
 
-def one_of(names: Sequence[str]) -> str:
+def one_of(names: tuple[str, ...] | list[str]) -> str:
     """Return names as a sentence has them: ``a, b or c``."""
     return f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
 
