@@ -84,10 +84,7 @@ class DaskEngine:
         fault = self._cluster.fault()
         if fault is not None:
             raise RuntimeError(fault)
-        try:
-            await asyncio.to_thread(start_fork_server)
-        except OSError as error:
-            raise RuntimeError(f"no process that reads measurements can be started: {error}") from error
+        await self._processes.check("no process that reads measurements")
 
     async def close(self) -> None:
         """Disconnect from the cluster; all calls of `run` must have ended or been cancelled."""

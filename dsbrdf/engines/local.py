@@ -115,6 +115,13 @@ class WorkerProcesses:
                 await asyncio.wait([ended])
             raise
 
+    async def check(self, what: str) -> None:
+        """Start the fork server again if it has ended; raise RuntimeError if what is needed cannot be started."""
+        try:
+            await asyncio.to_thread(start_fork_server)
+        except OSError as error:
+            raise RuntimeError(f"{what} can be started: {error}") from error
+
     async def close(self) -> None:
         """Release the threads."""
         await asyncio.to_thread(self._threads.shutdown)
@@ -142,10 +149,7 @@ class LocalEngine:
 
     async def check(self) -> None:
         """Start the fork server again if it has ended; raise RuntimeError if no process can be started."""
-        try:
-            await asyncio.to_thread(start_fork_server)
-        except OSError as error:
-            raise RuntimeError(f"no process can be started: {error}") from error
+        await self._processes.check("no process")
 
     async def close(self) -> None:
         """Release the threads; all calls of `run` must have ended or been cancelled."""

@@ -9,7 +9,6 @@ every point.
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,18 +19,6 @@ from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
 _FEW = 512  # points that are quicker looked up than sorted
 _BLOCK = 65536  # points sorted at a time
 _LARGEST_TANGENT = 1e15  # of theta_half = pi/2
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterPieces:
-    """Parameters as P polynomials in theta_diff, for programs that evaluate a model themselves.
-
-    `breaks` (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.  `terms`
-    (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``, in rows as `Evaluator` has them.
-    """
-
-    breaks: Array
-    terms: Array
 
 
 class Evaluator:
@@ -75,9 +62,9 @@ class Evaluator:
         self._n_logarithms = ends[3 if spline else 1]
 
     @property
-    def pieces(self) -> ParameterPieces:
-        """The polynomials that are evaluated."""
-        return ParameterPieces(self._breaks, self._terms)
+    def pieces(self) -> tuple[Array, Array]:
+        """The P polynomials that are evaluated, see `dsbrdf.DSBRDF.pieces`."""
+        return self._breaks, self._terms
 
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""

@@ -63,8 +63,8 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
-    Lighting and size are as for `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured
-    sphere.
+    With components, those of a fit that is a model are drawn too.  Lighting and size are as for
+    `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
