@@ -25,6 +25,7 @@ from dsbrdf.cli.parameters import (
     read_source,
 )
 from dsbrdf.data.files import write_atomically
+from dsbrdf.data.hdr_image import SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import InvalidArgumentError, one_of
@@ -37,8 +38,6 @@ from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
-
-_PICTURES = (".hdr", ".exr")
 
 
 @Parameter(name="*")
@@ -65,7 +64,7 @@ class Look:
     exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
 
     def __post_init__(self) -> None:
-        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(_PICTURES):
+        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(SUFFIXES):
             raise InvalidArgumentError(
                 f"--lighting: must be {', '.join(LIGHTINGS)} or a .hdr or .exr file, not {self.lighting!r}"
             )

@@ -61,7 +61,8 @@ _TOLERANCE, _ITERATIONS = 1e-3, 60
 _PAYS = 0.7  # of the error with one specular lobe
 _APART = 3.0  # how many times as wide as the first lobe the second is
 _LEAST_LIGHT = 0.05  # of the specular light that each of two specular lobes holds
-_TYPICAL_ANGLES = np.radians(np.arange(0.0, 61.0, 15.0))
+TYPICAL_ANGLES = np.radians(np.arange(0.0, 61.0, 15.0))
+"""Angles theta_diff over which the median half width of a lobe is taken [rad]."""
 
 _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 9), np.linspace(1.73, 9.27, 29) ** 2]))
@@ -78,7 +79,7 @@ class Guide:
     @property
     def half_widths(self) -> Array:
         """Half width of each lobe [rad], shape (K,): the median over theta_diff from 0 to 60 degrees."""
-        _, shape, _ = _at(_TYPICAL_ANGLES, self.mixture)
+        _, shape, _ = _at(TYPICAL_ANGLES, self.mixture)
         kappa, gamma = np.split(np.exp(shape), 2, axis=1)
         return np.asarray(np.median(half_width(kappa, gamma, FAMILY), axis=0))
 
