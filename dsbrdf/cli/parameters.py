@@ -89,8 +89,11 @@ def _each(kind: Any, tokens: Sequence[Token]) -> Any:
     return convert(kind, [tokens[0].evolve(value=value) for value in values])
 
 
+_PLAIN = Parameter(help="An angle, or several.")
 _Angles = Annotated[tuple[float, ...], Parameter(metavar="DEGREES...", converter=_each)]
-_Directions = Annotated[tuple[str, ...], Parameter(metavar="X,Y,Z...", converter=_each)]
+_Directions = Annotated[
+    tuple[str, ...], Parameter(metavar="X,Y,Z...", converter=_each, help="A unit vector, or several.")
+]
 
 
 _FORMS = (("theta_half", "theta_diff", "phi_diff"), ("theta_in", "theta_out", "phi_out"), ("omega_in", "omega_out"))
@@ -104,10 +107,6 @@ class Points:
 
     Attributes
     ----------
-    theta_half
-        An angle, or several.
-    theta_diff
-        An angle, or several.
     phi_diff
         An angle, or several; by default 90, where both directions make the same angle with the normal.
     theta_in
@@ -116,14 +115,10 @@ class Points:
         Angle of omega_out to the normal, or several.
     phi_out
         Azimuth of omega_out, that of omega_in being 0; by default 180, the side of the mirror direction.
-    omega_in
-        A unit vector, or several.
-    omega_out
-        A unit vector, or several.
     """
 
-    theta_half: _Angles = ()
-    theta_diff: _Angles = ()
+    theta_half: Annotated[_Angles, _PLAIN] = ()
+    theta_diff: Annotated[_Angles, _PLAIN] = ()
     phi_diff: _Angles = ()
     theta_in: _Angles = ()
     theta_out: _Angles = ()

@@ -51,8 +51,6 @@ class Look:
         three_lights, environment, or a panorama of 360 by 180 degrees, .hdr or .exr.
     size
         Of a sphere [pixels].
-    component
-        One component, or the guide (all components' own lobes), instead of the model.
     exposure
         What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
         of the whole material, or of the first source, becomes 1.
