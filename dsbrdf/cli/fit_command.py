@@ -198,16 +198,14 @@ _COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "secon
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
     """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
-    fits = sorted((item for item in items if item.result is not None), key=_relative_rms, reverse=True)
+    fits = [(item.file, item.result) for item in items if item.result is not None]
+    fits.sort(key=lambda pair: _sortable(pair[1].report.metrics.relative_rms), reverse=True)
     heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
     lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
-    for item in fits:
-        if item.result is not None:
-            metrics, warnings = item.result.report.metrics, len(item.result.report.warnings)
-            cells = "".join(
-                f"{'' if metrics[name] is None else f'{metrics[name]:.4g}':>{width}}" for name, width in SHOWN.items()
-            )
-            lines.append(f"{cells}{item.result.model.n_lobes:>7}{warnings:>10}  {item.file.stem}")
+    for file, result in fits:
+        values = [(result.report.metrics[name], width) for name, width in SHOWN.items()]
+        cells = "".join(f"{'' if value is None else f'{value:.4g}':>{width}}" for value, width in values)
+        lines.append(f"{cells}{result.model.n_lobes:>7}{len(result.report.warnings):>10}  {file.stem}")
     failed = len(items) - len(fits)
     if failed:
         lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")
@@ -239,10 +237,9 @@ def _row(item: FileFit) -> dict[str, Any]:
     }
 
 
-def _relative_rms(item: FileFit) -> float:
+def _sortable(error: float | None) -> float:
     """Return what the table is sorted by; a fit without metrics comes last."""
-    value = None if item.result is None else item.result.report.metrics.relative_rms
-    return -math.inf if value is None else value
+    return -math.inf if error is None else error
 
 
 def _progress_bar() -> Progress:

@@ -180,6 +180,4 @@ def _start(problem: MixtureProblem, widths: tuple[float, ...]) -> Array:
 
 def _at(theta_diff: Array, mixture: Mixture) -> tuple[Array, Array, Array]:
     """Amplitude, log kappa and log gamma, and elongation at angles (R,)."""
-    empty = np.zeros((3, theta_diff.size, 1, 1))
-    rows = MixtureProblem(FitData(empty, empty, empty[0], theta_diff, np.zeros(1)), mixture.structure)
-    return rows.row_parameters(mixture.unknowns)
+    return mixture.structure.row_parameters(mixture.structure.bases(theta_diff), mixture.unknowns)

@@ -31,7 +31,7 @@ from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.lobes import Stretch, lobe_derivatives, lobe_values, log_cosine, stretch
-from dsbrdf.model.splines import roughness, spline_basis
+from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
@@ -114,8 +114,7 @@ class MixtureProblem:
         prior: Prior | None = None,
     ) -> None:
         self.data, self.structure = data, structure
-        knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
-        self.bases = tuple(spline_basis(k, data.theta_diff) for k in knots)
+        self.bases = structure.bases(data.theta_diff)
         self._squared = np.tan(data.theta_half)[..., None] ** 2
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._signal = data.signal
@@ -143,11 +142,7 @@ class MixtureProblem:
 
     def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
-        amplitude, _, elongation = self.structure.split(unknowns)
-        shape = self.structure.lobe_shapes(unknowns)
-        k = self.structure.n_lobes
-        logs = (self.bases[0] @ amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
-        return np.exp(logs), self.bases[1] @ shape, self.bases[2] @ elongation
+        return self.structure.row_parameters(self.bases, unknowns)
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""

@@ -307,25 +307,16 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     target = np.log(np.maximum(amplitude, _FAINTEST_START * level + 1e-9))
-    unknowns = np.zeros(structure.n_unknowns)
-    amplitudes, shapes, elongations = structure.split(unknowns)
-    k = structure.n_lobes
-    others = [lobe for lobe in range(k) if lobe != place]
-    heights = amplitudes.reshape(-1, 3, k)
-    heights[:, :, place] = smooth_control_values(basis, target.T)
-    if others:
-        old_amplitudes, old_shapes, old_elongations = old.split(mixture.unknowns)
-        n = old.n_lobes
-        heights[:, :, others] = old_amplitudes.reshape(-1, 3, n)
-        shapes[:, others], shapes[:, [k + lobe for lobe in others]] = old_shapes[:, :n], old_shapes[:, n : 2 * n]
-        shapes[:, 2 * k : 2 * k + old.n_rings] = old_shapes[:, 2 * n :]
-        elongations[:, others] = old_elongations
-    shapes[:, place] = np.log(_START_KAPPA)
-    shapes[:, k + place] = np.log(reach_of_width(np.array(candidate.width), old.family))
-    elongations[:, place] = _START_ELONGATION * candidate.elongation
-    if candidate.is_ring:
-        shapes[:, -1] = candidate.center
-    return Mixture(structure, unknowns)
+    amplitudes, shapes, elongations = old.split(mixture.unknowns)
+    n, reach = old.n_lobes, reach_of_width(np.array(candidate.width), old.family)
+    heights = amplitudes.reshape(len(amplitudes), 3, n)
+    heights = np.insert(heights, place, smooth_control_values(basis, target.T), axis=2)
+    kappas = np.insert(shapes[:, :n], place, np.log(_START_KAPPA), axis=1)
+    reaches = np.insert(shapes[:, n : 2 * n], place, np.log(reach), axis=1)
+    centers = np.full((len(shapes), int(candidate.is_ring)), candidate.center)
+    elongations = np.insert(elongations, place, _START_ELONGATION * candidate.elongation, axis=1)
+    parts = (heights, np.hstack([kappas, reaches, shapes[:, 2 * n :], centers]), elongations)
+    return Mixture(structure, np.concatenate([part.ravel() for part in parts]))
 
 
 def _error(data: FitData, mixture: Mixture) -> float:
