@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
+from dsbrdf.data.reduction import used_samples
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.model.dsbrdf import DSBRDF
 
@@ -23,6 +23,11 @@ RowPredictor = Callable[[int], Array]
 ALL_ROWS = THETA_DIFF.size
 PAPER_RANGE = 76
 """Rows theta_diff 0 to 75 degrees: the paper's slices that have data within the cutoff, without extrapolation."""
+
+
+def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+    """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
+    return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ import pytest
 
 from benchmarks.alternatives import of_table
 from benchmarks.paper.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
-from benchmarks.scoring import PAPER_RANGE, errors, of_model
+from benchmarks.scoring import PAPER_RANGE, errors, of_model, used_nodes
 from dsbrdf.data.grid import THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit

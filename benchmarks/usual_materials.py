@@ -16,7 +16,7 @@ from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.guide import fit_single_highlight, guide_data
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.usual_materials import guides, names
+from dsbrdf.fitting.usual_materials import STORED, guides
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,7 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_arguments(parser, every=1)
     parser.add_argument("--output", type=Path, metavar="FILE", help="the .npz file to write")
     arguments = parser.parse_args(argv)
-    unknowns, found, known = [], [], dict(zip(names(), guides(), strict=True))
+    with STORED.open("rb") as file:
+        names = np.load(file)["names"].tolist()
+    unknowns, found, known = [], [], dict(zip(names, guides(), strict=True))
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         for measurement in chosen_measurements(arguments):
             unknowns.append(fit_single_highlight(guide_data(fit(measurement).model)).mixture.unknowns)

@@ -14,6 +14,11 @@ WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, IsADirectoryError, NotA
 """Errors of the operating system that mean a wrong path, not a fault of the machine."""
 
 
+def one_of(names: tuple[str, ...] | list[str]) -> str:
+    """Return names as a sentence has them: ``a, b or c``."""
+    return f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
+
+
 class DSBRDFError(Exception):
     """Base class of all errors that the library raises on purpose."""
 

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -23,7 +22,7 @@ from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.figures import encode_figure, overview_figure
-from dsbrdf.output.report_text import component_lobes_table, components_table, metrics_line
+from dsbrdf.output.report_text import component_lobes_table, components_table, metrics_lines
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import compare_spheres
 
@@ -145,7 +144,7 @@ def _show_metrics(report: dsbrdf.FitReport | None) -> None:
         raise RuntimeError("the service exported the fit without its report")
     tried = [f"{step.n_lobes}{'' if step.pays else ' no'}" for step in report.growth]
     print(f"\nnumbers of lobes tried on held-out rows: {', '.join(tried)}")
-    print(*textwrap.wrap(metrics_line(report.metrics), 100), sep="\n")
+    print(*metrics_lines(report.metrics, 100), sep="\n")
 
 
 def _show_values(client: httpx.Client, fit: dict[str, Any], measurement: dsbrdf.Measurement) -> None:

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, nnls
 
+from benchmarks.scoring import used_nodes
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
 __all__ = ["FINE_STRIDE", "GGXModel", "Nodes", "Objective", "fit_ggx", "microfacet", "samples"]

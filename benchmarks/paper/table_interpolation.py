@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scoring import used_nodes
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import used_nodes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
 __all__ = [

@@ -7,9 +7,9 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +45,12 @@ def print_error(error: BaseException | str) -> None:
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
-def print_written(path: Path, what: str) -> None:
-    """Say which file has been written, what it is and how large."""
+def print_written(path: Path, what: str, file_format: str = "", *, json: bool = False, **about: Any) -> None:
+    """Say which file has been written, what it is and how large; with more about it in JSON."""
     size = path.stat().st_size
+    if json:
+        print_json({"output": str(path), "format": file_format, "bytes": size} | about)
+        return
     amount = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.3g} kB"
     print(f"{path}: {what} ({amount})")
 
@@ -83,11 +86,10 @@ SERVICE_COMMANDS = {
 }
 
 
-def entry_point(group: str, name: str) -> Callable[..., Any]:
-    """Return what the service offers to the command line: a command, or an engine; see ``pyproject.toml``."""
+def entry_point(group: str, name: str) -> EntryPoint:
+    """Return where to find what the service offers: a command, or an engine; see ``pyproject.toml``."""
     (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
-    offered: Callable[..., Any] = found.load()
-    return offered
+    return found
 
 
 def run_service_command(command: str, words: Sequence[str]) -> int:
@@ -97,8 +99,9 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     """
     needed, _ = SERVICE_COMMANDS[command]
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
+    found = entry_point("commands", command)
     if command == "serve":  # replaces this process, so that signals reach the service
         sys.stdout.flush()
-        os.execv(sys.executable, [sys.executable, "-m", "dsbrdf_service", *words])  # noqa: S606 (no shell)
-    code: int = entry_point("commands", command)(words)
+        os.execv(sys.executable, [sys.executable, "-m", found.module.removesuffix(".__main__"), *words])  # noqa: S606 (no shell)
+    code: int = found.load()(words)
     return code

@@ -165,8 +165,8 @@ def _allowed(kind: Any) -> str:
     return {int: "a whole number", float: "a number", bool: "yes or no", NoneType: "none"}.get(kind, "a text")
 
 
-def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
-    """Print the script with which a shell completes commands, options and files; return the exit code.
+def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
+    """Print the script with which a shell completes commands, options and files.
 
     Parameters
     ----------
@@ -176,4 +176,3 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     app = application()
     script = app.generate_completion(shell=shell)  # nosec B604
     print(script)
-    return 0

@@ -6,14 +6,15 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
 from dsbrdf.cli.parameters import DEFAULT, Flags, Jobs, Json, OutputFolder, RequiredFiles
@@ -121,35 +122,30 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
     """Fit the files, and print each result as soon as it is there unless `quiet`."""
     done: list[FileFit] = []
     jobs = core_count() if work.jobs is None else work.jobs
-    with (
-        progress_bar(len(files), "files") as progress,
-        closing(
-            fit_files(
-                files,
-                options,
-                work.output,
-                jobs=jobs,
-                scheduler=work.scheduler,
-                engine=None if work.url is None else _client_engine(work.url, jobs),
-                force=work.force,
-                progress=progress,
-            )
-        ) as items,
-    ):
+    engine: Engine | None = None
+    if work.url is not None:
+        require("client", "httpx", purpose="dsbrdf fit --url")
+        engine = entry_point("engines", "url").load()(work.url, jobs)
+    bar = _progress_bar()
+    task = bar.add_task("", total=len(files), done="0")
+    items = fit_files(
+        files,
+        options,
+        work.output,
+        jobs=jobs,
+        scheduler=work.scheduler,
+        engine=engine,
+        force=work.force,
+        progress=lambda finished: bar.update(task, completed=finished, done=f"{finished:.4g}"),
+    )
+    with bar, closing(items):
         for item in items:
             done.append(item)
             for message in _messages(item, printed=quiet or len(files) == 1):
-                progress.write(f"dsbrdf: {item.file}: {message}", error=True)
-            if not quiet:
-                for line in _text(item, whole=len(files) == 1):
-                    progress.write(line)
+                _print_above(bar, f"dsbrdf: {item.file}: {message}", error=True)
+            for line in [] if quiet else _text(item, whole=len(files) == 1):
+                _print_above(bar, line)
     return done
-
-
-def _client_engine(url: str, count: int) -> Engine:
-    require("client", "httpx", purpose="dsbrdf fit --url")
-    engine: Engine = entry_point("engines", "url")(url, count)
-    return engine
 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
@@ -202,16 +198,14 @@ _COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "secon
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
     """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
-    fits = sorted((item for item in items if item.result is not None), key=_relative_rms, reverse=True)
+    fits = [(item.file, item.result) for item in items if item.result is not None]
+    fits.sort(key=lambda pair: _sortable(pair[1].report.metrics.relative_rms), reverse=True)
     heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
     lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
-    for item in fits:
-        if item.result is not None:
-            metrics, warnings = item.result.report.metrics, len(item.result.report.warnings)
-            cells = "".join(
-                f"{'' if metrics[name] is None else f'{metrics[name]:.4g}':>{width}}" for name, width in SHOWN.items()
-            )
-            lines.append(f"{cells}{item.result.model.n_lobes:>7}{warnings:>10}  {item.file.stem}")
+    for file, result in fits:
+        values = [(result.report.metrics[name], width) for name, width in SHOWN.items()]
+        cells = "".join(f"{'' if value is None else f'{value:.4g}':>{width}}" for value, width in values)
+        lines.append(f"{cells}{result.model.n_lobes:>7}{len(result.report.warnings):>10}  {file.stem}")
     failed = len(items) - len(fits)
     if failed:
         lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")
@@ -243,55 +237,25 @@ def _row(item: FileFit) -> dict[str, Any]:
     }
 
 
-def _relative_rms(item: FileFit) -> float:
+def _sortable(error: float | None) -> float:
     """Return what the table is sorted by; a fit without metrics comes last."""
-    value = None if item.result is None else item.result.report.metrics.relative_rms
-    return -math.inf if value is None else value
+    return -math.inf if error is None else error
 
 
-if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-    from rich.progress import TaskID
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress and messages of a long command; made by `progress_bar`."""
-
-    bar: "Bar | None" = None
-    task: "TaskID | None" = None
-
-    def __call__(self, done: float) -> None:
-        """Move the bar to ``done``, in the units of its total."""
-        if self.bar is not None and self.task is not None:
-            self.bar.update(self.task, completed=done, done=f"{done:.4g}")
-
-    def write(self, line: str, *, error: bool = False) -> None:
-        """Print a line to stdout, or to stderr, above the bar."""
-        if self.bar is not None:
-            self.bar.stop()  # which takes the bar away, so that the line can go to another stream
-        print(line, file=sys.stderr if error else sys.stdout, flush=True)
-        if self.bar is not None:
-            self.bar.start()
-
-
-@contextmanager
-def progress_bar(total: int, unit: str) -> Iterator[Progress]:
-    """Show a bar during the block, if stderr is a terminal and rich (extra ``cli``) is installed."""
-    if not sys.stderr.isatty() or find_spec("rich") is None:
-        yield Progress()
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        BarColumn(),
-        TextColumn("{task.fields[done]}/{task.total} {task.description}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+def _progress_bar() -> Progress:
+    """Return a bar that is seen if stderr is a terminal; it has one task, the number of finished files."""
+    return Progress(
+        *(BarColumn(), "{task.fields[done]}/{task.total} files", TimeElapsedColumn(), "left", TimeRemainingColumn()),
+        console=Console(file=sys.stderr),
+        disable=not sys.stderr.isatty(),
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
     )
-    console = Console(file=sys.stderr)
-    with Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
-        yield Progress(bar, bar.add_task(unit, total=total, done="0"))
+
+
+def _print_above(bar: Progress, line: str, *, error: bool = False) -> None:
+    """Print a line to stdout, or to stderr, above a bar."""
+    bar.stop()  # which takes the bar away, so that the line can go to another stream
+    print(line, file=sys.stderr if error else sys.stdout, flush=True)
+    bar.start()

@@ -17,22 +17,22 @@ from dsbrdf.cli.parameters import (
     Points,
     named_in_errors,
     named_part,
-    read_grid,
     read_model,
 )
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.geometry import spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import encode_merl, read_merl
+from dsbrdf.data.rgl_material import RglMaterial, read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, read_samples
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import FORMATS, export_model, format_of
-from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
@@ -56,8 +56,8 @@ _NO_POINTS = Points()
 
 def evaluate(
     model: ModelFile, /, *, points: Points = _NO_POINTS, component: ComponentName = None, json: Json = False
-) -> int:
-    """Print values of a model or of one of its components; return the exit code."""
+) -> None:
+    """Print values of a model or of one of its components."""
     part = named_part(model, read_model(model)[0], component)
     columns = points.arrays()
     if "theta_in_deg" in columns:
@@ -69,7 +69,7 @@ def evaluate(
         values = part.evaluate(*(np.radians(angles) for angles in columns.values()))
     if json:
         print_json({name: array.tolist() for name, array in columns.items()} | {"values": values.tolist()})
-        return 0
+        return
     rows = [
         [",".join(f"{number:.6g}" for number in np.ravel(part)) for part in point]
         for point in zip(*columns.values(), strict=True)
@@ -81,15 +81,14 @@ def evaluate(
     print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
     for row, value in zip(rows, values, strict=True):
         print(_aligned(row, widths) + "".join(f"{one:>{number}.{6 if number == 12 else 3}g}" for one in value))
-    return 0
 
 
 def _aligned(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
 
 
-def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", json: Json = False) -> int:
-    """Print the report of a fit again; return the exit code.
+def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", json: Json = False) -> None:
+    """Print the report of a fit again.
 
     Parameters
     ----------
@@ -105,11 +104,10 @@ def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", 
         print(f"{model.stem}: {lobes_phrase(stored)}", "", *model_text(stored, lobes=lobes, channel=channel), sep="\n")
     else:
         print(*result_text(model, FitResult(stored, report), lobes=lobes, channel=channel), sep="\n")
-    return 0
 
 
-def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Json = False) -> int:
-    """Print the components of a model and their own lobes; return the exit code.
+def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Json = False) -> None:
+    """Print the components of a model and their own lobes.
 
     Parameters
     ----------
@@ -125,7 +123,6 @@ def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Jso
         print_json({"items": component_documents(stored)})
     else:
         print(*model_text(stored), sep="\n")
-    return 0
 
 
 def export(
@@ -138,8 +135,8 @@ def export(
     name: str | None = None,
     sampling: bool = False,
     json: Json = False,
-) -> int:
-    """Write a model, or one of its components, for other programs; return the exit code.
+) -> None:
+    """Write a model, or one of its components, for other programs.
 
     Parameters
     ----------
@@ -155,20 +152,16 @@ def export(
     part = named_part(model, stored, component)
     content = export_model(part, kind, report if component is None else None, name=name, sampling=sampling)
     write_atomically(output, [content])
-    if json:
-        print_json({"output": str(output), "format": kind, "bytes": len(content)})
-    else:
-        of = "" if component is None else f" of the {component.replace('_', ' ')}"
-        print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}")
-    return 0
+    of = "" if component is None else f" of the {component.replace('_', ' ')}"
+    print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}", kind, json=json)
 
 
 _SUFFIXES = (".binary", ".bsdf")
 _LARGEST_DIFFERENCE = 0.1  # of swapped directions that a reciprocal file may hide without a warning
 
 
-def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> int:
-    """Write a measurement as another kind of file; return the exit code.
+def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> None:
+    """Write a measurement as another kind of file.
 
     Parameters
     ----------
@@ -182,50 +175,44 @@ def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json
     """
     suffix = target.suffix.lower()
     if suffix not in _SUFFIXES:
-        raise InvalidArgumentError(f"{target}: the output must end in {' or '.join(_SUFFIXES)}")
-    of_table, of_bsdf = source.suffix.lower() in TABLE_SUFFIXES, source.suffix.lower() == ".bsdf"
-    convert_source = _of_table if of_table else _of_bsdf if of_bsdf else _of_grid
-    content, sentences, about = convert_source(source, suffix, spectral=spectral)
+        raise InvalidArgumentError(f"{target}: the output must end in {one_of(_SUFFIXES)}")
+    with named_in_errors(source):
+        content, sentences, about = _converted(source, suffix, spectral=spectral)
     write_atomically(target, [content])
     for sentence in sentences:
         print_warning(f"{source}: {sentence}")
-    if json:
-        print_json({"output": str(target), "format": suffix[1:], "bytes": len(content)} | about)
-    else:
-        print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file")
+    print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file", suffix[1:], json=json, **about)
     if about and not json:
         print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
-    return 0
 
 
-def _of_grid(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
+def _converted(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
     """Content of the file, sentences to warn with, and figures."""
-    measurement = read_grid(source)
-    if suffix == ".binary":
-        return encode_merl(measurement), (), {}
-    return rgl_bsdf(measurement, measurement.name, spectral=spectral), (), {}
-
-
-def _of_bsdf(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
-    """As `_of_grid`; only a MERL table needs the means of both orders of the directions."""
-    with named_in_errors(source):
-        material = read_rgl(source)
-        if suffix == ".bsdf":
-            return rgl_bsdf(material, material.name, spectral=True) if spectral else source.read_bytes(), (), {}
-        difference = material.non_reciprocity()
-        warning = (
-            f"values of swapped directions differ by {difference:.0%} in the median, and a MERL table has one "
-            "value for both, their mean: pictures change."
-        )
-        sentences = (warning,) if difference > _LARGEST_DIFFERENCE else ()
-        return encode_merl(material.measurement()), sentences, {"non_reciprocity": difference}
-
-
-def _of_table(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
-    """As `_of_grid`, of a fit with the default options."""
-    with named_in_errors(source):
+    found: Measurement | RglMaterial | DSBRDF
+    sentences: tuple[str, ...] = ()
+    about: dict[str, Any] = {}
+    if source.suffix.lower() in TABLE_SUFFIXES:
         result = fit(read_samples(source), FitOptions())
-    content = (
-        merl_table(result.model) if suffix == ".binary" else rgl_bsdf(result.model, source.stem, spectral=spectral)
-    )
-    return content, result.report.warnings, {"error_of_the_fit": result.report.metrics.relative_rms}
+        found, sentences, about = (
+            result.model,
+            result.report.warnings,
+            {"error_of_the_fit": result.report.metrics.relative_rms},
+        )
+    elif source.suffix.lower() == ".bsdf":
+        found = read_rgl(source)
+        if suffix == ".bsdf" and not spectral:
+            return source.read_bytes(), (), {}
+    else:
+        found = read_merl(source)
+    if suffix == ".bsdf":
+        return rgl_bsdf(found, source.stem, spectral=spectral), sentences, about
+    if isinstance(found, RglMaterial):  # only a MERL table needs the means of both orders of the directions
+        difference = found.non_reciprocity()
+        about = {"non_reciprocity": difference}
+        if difference > _LARGEST_DIFFERENCE:
+            sentences = (
+                f"values of swapped directions differ by {difference:.0%} in the median, and a MERL table has one "
+                "value for both, their mean: pictures change.",
+            )
+        found = found.measurement()
+    return encode_merl(found if isinstance(found, Measurement) else found.tabulate()), sentences, about

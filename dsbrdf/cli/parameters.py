@@ -89,8 +89,15 @@ def _each(kind: Any, tokens: Sequence[Token]) -> Any:
     return convert(kind, [tokens[0].evolve(value=value) for value in values])
 
 
+_PLAIN = Parameter(help="An angle, or several.")
 _Angles = Annotated[tuple[float, ...], Parameter(metavar="DEGREES...", converter=_each)]
-_Directions = Annotated[tuple[str, ...], Parameter(metavar="X,Y,Z...", converter=_each)]
+_Directions = Annotated[
+    tuple[str, ...], Parameter(metavar="X,Y,Z...", converter=_each, help="A unit vector, or several.")
+]
+
+
+_FORMS = (("theta_half", "theta_diff", "phi_diff"), ("theta_in", "theta_out", "phi_out"), ("omega_in", "omega_out"))
+_DEFAULTS = {"phi_diff": (90.0,), "phi_out": (180.0,)}
 
 
 @Parameter(name="*", group=Group("Points", sort_key=2))
@@ -100,10 +107,6 @@ class Points:
 
     Attributes
     ----------
-    theta_half
-        An angle, or several.
-    theta_diff
-        An angle, or several.
     phi_diff
         An angle, or several; by default 90, where both directions make the same angle with the normal.
     theta_in
@@ -112,14 +115,10 @@ class Points:
         Angle of omega_out to the normal, or several.
     phi_out
         Azimuth of omega_out, that of omega_in being 0; by default 180, the side of the mirror direction.
-    omega_in
-        A unit vector, or several.
-    omega_out
-        A unit vector, or several.
     """
 
-    theta_half: _Angles = ()
-    theta_diff: _Angles = ()
+    theta_half: Annotated[_Angles, _PLAIN] = ()
+    theta_diff: Annotated[_Angles, _PLAIN] = ()
     phi_diff: _Angles = ()
     theta_in: _Angles = ()
     theta_out: _Angles = ()
@@ -135,41 +134,23 @@ class Points:
         Raises InvalidArgumentError if one of them is missing or is none, ways to name points are mixed, or numbers
         differ and are not 1.
         """
-        half = self.theta_half or self.theta_diff or self.phi_diff
-        polar = self.theta_in or self.theta_out or self.phi_out
-        vectors = self.omega_in or self.omega_out
-        if sum(map(bool, (half, polar, vectors))) > 1:
+        used = [form for form in _FORMS if any(getattr(self, name) for name in form)]
+        if len(used) > 1:
             raise InvalidArgumentError(
                 "give either --theta-half and --theta-diff, --theta-in and --theta-out, or --omega-in and --omega-out"
             )
-        if polar:
-            columns = {
-                "theta_in_deg": _given("theta_in", self.theta_in),
-                "theta_out_deg": _given("theta_out", self.theta_out),
-                "phi_out_deg": np.array(self.phi_out or [180.0]),
-            }
-        elif vectors:
-            columns = {
-                "omega_in": _given("omega_in", [_direction(text) for text in self.omega_in]),
-                "omega_out": _given("omega_out", [_direction(text) for text in self.omega_out]),
-            }
-        else:
-            columns = {
-                "theta_half_deg": _given("theta_half", self.theta_half),
-                "theta_diff_deg": _given("theta_diff", self.theta_diff),
-                "phi_diff_deg": np.array(self.phi_diff or [90.0]),
-            }
+        columns: dict[str, Array] = {}
+        for name in used[0] if used else _FORMS[0]:
+            given = getattr(self, name) or _DEFAULTS.get(name, ())
+            if not given:
+                raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both")
+            is_angle = not name.startswith("omega")
+            columns[f"{name}_deg" if is_angle else name] = np.array(given if is_angle else list(map(_direction, given)))
         length = max(len(array) for array in columns.values())
         if any(len(array) not in (1, length) for array in columns.values()):
             counts = ", ".join(f"{len(array)} {name}" for name, array in columns.items())
             raise InvalidArgumentError(f"{counts} cannot be combined: give equally many of each, or one")
         return {name: np.repeat(array, length // len(array), axis=0) for name, array in columns.items()}
-
-
-def _given(name: str, values: Sequence[object]) -> Array:
-    if not values:
-        raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both")
-    return np.array(values, dtype=np.float64)
 
 
 def _direction(text: str) -> list[float]:

@@ -25,20 +25,19 @@ from dsbrdf.cli.parameters import (
     read_source,
 )
 from dsbrdf.data.files import write_atomically
+from dsbrdf.data.hdr_image import SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure
 from dsbrdf.output.parameters_figure import parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
-
-_PICTURES = (".hdr", ".exr")
 
 
 @Parameter(name="*")
@@ -52,8 +51,6 @@ class Look:
         three_lights, environment, or a panorama of 360 by 180 degrees, .hdr or .exr.
     size
         Of a sphere [pixels].
-    component
-        One component, or the guide (all components' own lobes), instead of the model.
     exposure
         What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
         of the whole material, or of the first source, becomes 1.
@@ -65,7 +62,7 @@ class Look:
     exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
 
     def __post_init__(self) -> None:
-        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(_PICTURES):
+        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(SUFFIXES):
             raise InvalidArgumentError(
                 f"--lighting: must be {', '.join(LIGHTINGS)} or a .hdr or .exr file, not {self.lighting!r}"
             )
@@ -83,8 +80,8 @@ class Look:
 _USUAL = Look()
 
 
-def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, json: Json = False) -> int:
-    """Draw a lit sphere of a model or a measurement; return the exit code.
+def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, json: Json = False) -> None:
+    """Draw a lit sphere of a model or a measurement.
 
     Parameters
     ----------
@@ -94,21 +91,24 @@ def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, jso
     output
         The file to write, a .png.
     """
-    if output.suffix.lower() != ".png":
-        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
+    _check_png(output)
     if len(sources) > 2:
         raise InvalidArgumentError(f"one or two sources can be drawn, not {len(sources)}")
     image, about = _sphere(sources[0], look) if len(sources) == 1 else _comparison(sources[0], sources[1], look)
     write_atomically(output, [encode_png(image)])
     if json:
         print_json({"output": str(output), "lighting": look.lighting} | about)
-        return 0
+        return
     print(f"{output}: {look.lighting}, radiance times {about['exposure']:.4g}, clipped at 1, sRGB curve")
     if "panels" in about:
         print(f"from left to right: {', '.join(about['panels'])}")
         psnr = "infinite" if about["psnr"] is None else f"{about['psnr']:.1f} dB"
         print(f"likeness of the first two: PSNR {psnr}, SSIM {about['ssim']:.4f}")
-    return 0
+
+
+def _check_png(output: Path) -> None:
+    if output.suffix.lower() != ".png":
+        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
 
 
 def _sphere(path: Path, look: Look) -> tuple[Array, dict[str, Any]]:
@@ -150,8 +150,8 @@ def plot(
     output: OutputFile,
     lobes: bool = False,
     json: Json = False,
-) -> int:
-    """Draw the fit of a measurement, or the parameters of a model; return the exit code.
+) -> None:
+    """Draw the fit of a measurement, or the parameters of a model.
 
     Parameters
     ----------
@@ -165,60 +165,45 @@ def plot(
     """
     image_format = output.suffix.lower().removeprefix(".")
     if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(f"{output}: the figure's file must end in {_endings()}")
+        raise InvalidArgumentError(
+            f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
+        )
     fitted, _ = read_model(model)
     if measurement is None:
         figure = parameters_figure(fitted, title=model.stem, model_lobes=lobes)
     else:
         figure = overview_figure(profiles(read_grid(measurement)), fitted, model_lobes=lobes)
-    content = encode_figure(figure, image_format)
-    write_atomically(output, [content])
-    if json:
-        print_json({"output": str(output), "format": image_format, "bytes": len(content)})
-    else:
-        print_written(output, "parameters over theta_diff" if measurement is None else "profiles, fit and components")
-    return 0
+    write_atomically(output, [encode_figure(figure, image_format)])
+    what = "parameters over theta_diff" if measurement is None else "profiles, fit and components"
+    print_written(output, what, image_format, json=json)
 
 
-def _endings() -> str:
-    *others, last = (f".{name}" for name in IMAGE_FORMATS)
-    return f"{', '.join(others)} or {last}"
-
-
-_SIZE = 256  # pixels of a sphere
-
-
-def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | None = None, json: Json = False) -> int:
-    """Compare two models or measurements; return the exit code.
+def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | None = None, json: Json = False) -> None:
+    """Compare two models or measurements.
 
     Parameters
     ----------
     output
         Write a picture, a .png file: both spheres with the exposure of the first, and their difference.
     """
-    if output is not None and output.suffix.lower() != ".png":
-        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
+    if output is not None:
+        _check_png(output)
     paths = (first, second)
     sources, columns = zip(*(_source(path) for path in paths), strict=True)
-    spheres = [render_sphere(source, size=_SIZE) for source in sources]
-    psnr, ssim = sphere_likeness(*spheres)
+    found = compare_spheres(*sources, with_components=False)
     if output is not None:
-        factor = exposure(spheres[0], sphere_normals(_SIZE)[1])
-        panels = {name: displayed(sphere, factor) for name, sphere in zip(("first", "second"), spheres, strict=True)}
-        panels["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(panels["first"] - panels["second"]), 0.0, 1.0)
-        write_atomically(output, [encode_png(side_by_side(panels))])
+        write_atomically(output, [encode_png(side_by_side(found.panels))])
     if json:
-        likeness = {"psnr": psnr if np.isfinite(psnr) else None, "ssim": ssim}
+        likeness = {"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim}
         items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
         print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
-        return 0
+        return
     print(f"{'':<16}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
     for name in columns[0]:
         print(f"{name:<16}" + "".join(f"{_cell(column[name]):>22}" for column in columns))
-    print(f"likeness of their lit spheres: PSNR {psnr:.1f} dB, SSIM {ssim:.4f}")
+    print(f"likeness of their lit spheres: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}")
     if output is not None:
         print(f"{output}: both spheres, and their difference times {DIFFERENCE_GAIN:g}")
-    return 0
 
 
 def _source(path: Path) -> tuple[Any, dict[str, Any]]:

@@ -17,7 +17,8 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.errors import ImageFormatError
 from dsbrdf.extras import require
 
-_SUFFIXES = (".hdr", ".exr")
+SUFFIXES = (".hdr", ".exr")
+"""Of pictures of radiance."""
 _MOST_PIXELS = 1 << 26
 _RESOLUTION = re.compile(rb"-Y ([0-9]{1,6}) \+X ([0-9]{1,6})\n")
 _EXR_MAGIC = b"v/1\x01"
@@ -30,8 +31,8 @@ def read_hdr_image(path: str | os.PathLike[str]) -> Array:
     MissingExtraError for an OpenEXR file if the extra ``exr`` is not installed.
     """
     source = Path(path)
-    if source.suffix.lower() not in _SUFFIXES:
-        raise ImageFormatError(f"A picture of radiance ends in {' or '.join(_SUFFIXES)}, unlike {source.name!r}.")
+    if source.suffix.lower() not in SUFFIXES:
+        raise ImageFormatError(f"A picture of radiance ends in {' or '.join(SUFFIXES)}, unlike {source.name!r}.")
     data = source.read_bytes()
     if data.startswith(_EXR_MAGIC):
         pixels = _read_exr(source)

@@ -35,21 +35,7 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
 def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
     """Return a MERL file or a table of samples that was checked before; its content tells which.
 
-    Parameters
-    ----------
-    path : path-like
-        It must not change as long as the measurement is used.
-    sha256 : str
-        Hexadecimal digest of its bytes.
-
-    Returns
-    -------
-    Measurement or ScatteredSamples
-
-    Raises
-    ------
-    OSError
-        If the file does not exist or cannot be read.
+    It must not change as long as the measurement is used; `sha256` is the hexadecimal digest of its bytes.
     """
     with Path(path).open("rb") as file:
         if file.read(HEADER_SIZE) == HEADER:

@@ -97,28 +97,21 @@ class MerlChecker:
         reported by `finish`, because the message contains their number.
         """
         view = memoryview(piece).cast("B")
+        self.n_bytes += len(view)
         if len(self._header) < HEADER_SIZE:
             taken = HEADER_SIZE - len(self._header)
             self._header += bytes(view[:taken])
-            self.n_bytes += len(view[:taken])
             view = view[taken:]
             if len(self._header) == HEADER_SIZE:
                 check_header(self._header)
-        self.n_bytes += len(view)
         if self.n_bytes > FILE_SIZE:
             check_length(self.n_bytes)
-        if self._incomplete_value and len(view) > 0:
-            taken = 8 - len(self._incomplete_value)
-            self._incomplete_value += bytes(view[:taken])
-            view = view[taken:]
-            if len(self._incomplete_value) == 8:
-                self._check_values(np.frombuffer(self._incomplete_value, dtype="<f8"))
-                self._incomplete_value = b""
+        if self._incomplete_value:
+            view = memoryview(self._incomplete_value + bytes(view))
         whole = len(view) // 8 * 8
         if whole:
             self._check_values(np.frombuffer(view[:whole], dtype="<f8"))
-        if whole < len(view):
-            self._incomplete_value = bytes(view[whole:])
+        self._incomplete_value = bytes(view[whole:])
 
     def finish(self) -> Mask:
         """Return the valid nodes (90, 90, 180), after the last byte: above the horizon, with a value in some channel.

@@ -152,11 +152,6 @@ def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None)
     return measurement.known(i) & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
 
 
-def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
-    return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
-
-
 def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
     """Raise `InvalidArgumentError` unless the cutoff is None or an angle in (0, pi/2] [rad]."""
     if horizon_cutoff is not None and not 0.0 < horizon_cutoff <= np.pi / 2:

@@ -11,8 +11,8 @@ that density: the row first, by its marginal, then the column within it.
 """
 
 import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import prod
 from typing import Any
 
@@ -25,24 +25,24 @@ from dsbrdf.errors import MeasurementFormatError
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """One slice."""
+    """One warp, or T of them with one parameter, between which everything is linear."""
 
-    density: Array  # normalised: 1 for a uniform one, (H, W)
-    conditional: Array  # integral of each row up to each column, (H, W)
-    marginal: Array  # integral up to each row, 0 to 1, (H,)
+    density: Array  # normalised: 1 for a uniform one, (..., H, W)
+    conditional: Array  # integral of each row up to each column, (..., H, W)
+    marginal: Array  # integral up to each row, 0 to 1, (..., H)
 
     @classmethod
     def of(cls, table: ArrayLike) -> "Warp":
-        """Return the warp of a table (H, W) of zero or positive values, not all of them 0."""
+        """Return the warp of a table (..., H, W) of zero or positive values, not all of them 0."""
         density = np.asarray(table, dtype=np.float64)
-        height, width = density.shape
+        height, width = density.shape[-2:]
         conditional = _running(density) / (width - 1)
-        marginal = _running(conditional[:, -1]) / (height - 1)
-        total = marginal[-1]
-        return cls(density / total, conditional / total, marginal / total)
+        marginal = _running(conditional[..., -1]) / (height - 1)
+        total = marginal[..., -1:, None]
+        return cls(density / total, conditional / total, marginal / total[..., 0])
 
     def sample(self, columns: Array, rows: Array) -> tuple[Array, Array]:
-        """Points (x, y) that uniform samples are mapped to, along the columns and rows; all of shape (n,)."""
+        """Points (x, y) that one warp maps uniform samples to, along the columns and rows; all of shape (n,)."""
         height, width = self.density.shape
         row = np.clip(np.searchsorted(self.marginal, rows, side="right") - 1, 0, height - 2)
         ends = self.conditional[:, -1]
@@ -57,22 +57,8 @@ class Warp:
         across = _invert_linear(left, right, rest)
         return (column + across) / (width - 1), (row + down) / (height - 1)
 
-
-@dataclass(frozen=True, eq=False)
-class WarpStack:
-    """Warps with one parameter, linear between T of them."""
-
-    density: Array  # (T, H, W)
-    conditional: Array  # (T, H, W)
-    marginal: Array  # (T, H)
-
-    @classmethod
-    def of(cls, warps: Sequence[Warp]) -> "WarpStack":
-        """Return the stack of warps of one shape."""
-        return cls(*(np.stack([getattr(warp, field.name) for warp in warps]) for field in fields(cls)))
-
     def invert(self, lower: Indices, share: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Uniform samples (columns, rows) that are mapped to points (x, y); all of shape (n,).
+        """Uniform samples (columns, rows) that several warps map to points (x, y); all of shape (n,).
 
         The point n belongs to the warp that lies a ``share`` of the way from the warp ``lower`` to the next.
         """

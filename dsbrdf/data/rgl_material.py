@@ -25,7 +25,7 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.data.geometry import check_directions, directions, random_directions
 from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.rgl_file import Warp, WarpStack, bilinear, parse_tensors
+from dsbrdf.data.rgl_file import Warp, bilinear, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
@@ -41,7 +41,7 @@ class RglMaterial:
     theta_i: Array
     ndf: Array  # (H, W)
     sigma: Array  # (H, W)
-    vndf: WarpStack  # one warp for each theta_i
+    vndf: Warp  # one for each theta_i
     rgb: Array  # (T, 3, H, W)
     name: str
     sha256: str  # hexadecimal digest of the file
@@ -145,12 +145,11 @@ def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
     fields = parse_tensors(data)
     _check(fields)
     tables = {key: np.asarray(fields[key], dtype=np.float64) for key in _AXES}
-    warps = [Warp.of(table) for table in tables["vndf"][0]]
     return RglMaterial(
         theta_i=tables["theta_i"],
         ndf=tables["ndf"],
         sigma=tables["sigma"],
-        vndf=WarpStack.of(warps),
+        vndf=Warp.of(tables["vndf"][0]),
         rgb=tables["rgb"][0],
         name=name,
         sha256=hashlib.sha256(data).hexdigest(),

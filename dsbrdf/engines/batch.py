@@ -118,10 +118,11 @@ def fit_files(
 
 def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
     """Return the result of a file that need not be fitted: it cannot be opened, or an earlier fit can be kept."""
-    result = _unreadable(file)
-    if result is None and output is not None and not force:
-        result = _earlier_fit(file, output, options)
-    return result
+    try:
+        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
+    except OSError as error:
+        return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
+    return None if output is None or force else _earlier_fit(file, output, options)
 
 
 def _fit_here(file: Path, options: FitOptions, progress: OnProgress | None) -> FileFit:
@@ -212,15 +213,6 @@ def _file_fit(file: Path, outcome: Outcome) -> FileFit:
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
     return FileFit(file, result=outcome)
-
-
-def _unreadable(file: Path) -> FileFit | None:
-    """Return the failure of a file that cannot be opened, without waiting for a process."""
-    try:
-        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
-    except OSError as error:
-        return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
-    return None
 
 
 def _written(item: FileFit, output: Path | None) -> FileFit:

@@ -1,9 +1,10 @@
 """Fits on the workers of a Dask cluster.
 
 The measurement is read and reduced in a worker process of this machine, the fit runs in a child process of a Dask
-worker, and only the profiles are sent, some 5 MB. Dask workers need the same versions of the software as this
-machine and permission to start child processes; other workers of the cluster are not used. The fits of a worker that is
-lost run again on another one; after the connection to the scheduler was lost, all unfinished fits are sent again.
+worker, and only the profiles are sent, some 5 MB, or scattered samples as they are. Dask workers need the same versions
+of the software as this machine and permission to start child processes; other workers of the cluster are not used. The
+fits of a worker that is lost run again on another one; after the connection to the scheduler was lost, all unfinished
+fits are sent again.
 
 Anyone who can connect to a Dask cluster can run any code on it, unless TLS is set up in Dask's configuration.
 """
@@ -18,15 +19,18 @@ from dataclasses import replace
 from typing import Any
 
 from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError, Slots
 from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_profiles, reduce_measurement
+from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_reduced, reduce_measurement
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 
 _PROGRESS_INTERVAL = 0.2  # seconds between two progress messages of a fit; each costs time on three machines
 _MAX_LOST_WORKERS = 3  # a fit fails when it has lost more workers: the limit that Dask has for its tasks
+
+_Reduced = Profiles | ScatteredSamples
 
 logger = logging.getLogger(__name__)
 
@@ -62,14 +66,14 @@ class DaskEngine:
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
-        reduced: tuple[Profiles, float] | Fault = await self._here(reduce_measurement, task)
-        if isinstance(reduced, Fault):
-            return reduced
-        profiles, seconds = reduced
-        outcome = await self._fit(profiles, task.options, _increasing(on_progress))
+        found: tuple[_Reduced, float] | Fault = await self._here(reduce_measurement, task)
+        if isinstance(found, Fault):
+            return found
+        reduced, seconds = found
+        outcome = await self._fit(reduced, task.options, _increasing(on_progress))
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._here(complete_report, outcome, task, profiles.sha256, seconds)
+        completed: Outcome = await self._here(complete_report, outcome, task, reduced.sha256, seconds)
         return completed
 
     async def _here(self, step: Callable[..., Any], *arguments: Any) -> Any:
@@ -80,10 +84,7 @@ class DaskEngine:
         fault = self._cluster.fault()
         if fault is not None:
             raise RuntimeError(fault)
-        try:
-            await asyncio.to_thread(start_fork_server)
-        except OSError as error:
-            raise RuntimeError(f"no process that reads measurements can be started: {error}") from error
+        await self._processes.check("no process that reads measurements")
 
     async def close(self) -> None:
         """Disconnect from the cluster; all calls of `run` must have ended or been cancelled."""
@@ -95,13 +96,13 @@ class DaskEngine:
     def _resize_slots(self, threads: int, elsewhere: bool) -> None:
         self._slots.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
 
-    async def _fit(self, profiles: Profiles, options: FitOptions, on_progress: OnProgress) -> Outcome:
+    async def _fit(self, reduced: _Reduced, options: FitOptions, on_progress: OnProgress) -> Outcome:
         lost = 0
         while lost <= _MAX_LOST_WORKERS:
             async with self._cluster.threads.slot() as worker:
                 try:
                     outcome: Outcome = await self._cluster.call(
-                        worker, on_progress, fit_on_worker, profiles, options, self._limits
+                        worker, on_progress, fit_on_worker, reduced, options, self._limits
                     )
                 except LostError as error:
                     logger.warning("a fit on the worker %s has to run again: %s", worker, error)
@@ -114,8 +115,8 @@ class DaskEngine:
         return Fault("system", "WorkerLost", f"{lost} workers of the Dask cluster were lost while they ran this fit.")
 
 
-def fit_on_worker(profiles: Profiles, options: FitOptions, limits: FitLimits) -> Outcome:
-    """Fit profiles in a child process of the Dask worker that calls this; end it if the task is cancelled."""
+def fit_on_worker(reduced: _Reduced, options: FitOptions, limits: FitLimits) -> Outcome:
+    """Fit what is reduced in a child process of the Dask worker that calls this; end it if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
 
@@ -137,7 +138,7 @@ def fit_on_worker(profiles: Profiles, options: FitOptions, limits: FitLimits) ->
         state = worker.state.tasks.get(key)
         return state is not None and state.state == "executing" and worker.status not in (Status.closing, Status.closed)
 
-    process = WorkerProcess(fit_profiles, (profiles, options), _with_memory_share(limits, worker))
+    process = WorkerProcess(fit_reduced, (reduced, options), _with_memory_share(limits, worker))
     outcome: Outcome = process.run(send_progress, still_wanted)
     return outcome
 

@@ -184,9 +184,10 @@ class Cluster:
                     logger.warning("the Dask scheduler at %s cannot be reached: %s", self._address, reason)
                 self._disconnected(reason)
             finally:
-                with suppress(TimeoutError):
-                    async with asyncio.timeout(_CONNECT_TIMEOUT):
-                        await _close(client)
+                if client is not None:
+                    with suppress(TimeoutError):
+                        async with asyncio.timeout(_CONNECT_TIMEOUT):
+                            await client.close()
             await asyncio.sleep(_RECONNECT_DELAY)
 
     async def call(self, worker: str, on_progress: OnProgress, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -301,11 +302,6 @@ def _first_line(error: Exception) -> str:
 def _stop_check(worker: _Worker) -> None:
     if worker.check is not None:
         worker.check.cancel()
-
-
-async def _close(client: Any) -> None:
-    if client is not None:
-        await client.close()
 
 
 async def _unusable_because(client: Any, worker: str) -> str | None:

@@ -2,8 +2,8 @@
 
     compute:             file -> result
 
-    reduce_measurement:  file -> profiles
-    fit_profiles:        profiles -> result without metrics, perhaps on another machine
+    reduce_measurement:  file -> profiles, or scattered samples as they are
+    fit_reduced:         these -> result, of profiles without metrics, perhaps on another machine
     complete_report:     that result, same file -> result
 
 Both ways give the same result to the last bit, apart from the timings.
@@ -21,11 +21,12 @@ from typing import Any
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import open_checked, read_measurement
+from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome
 from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
-from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
+from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
@@ -36,41 +37,39 @@ from dsbrdf.output.export import export_model
 
 def compute(task: FitTask, on_progress: OnProgress) -> DecomposedFit:
     """Fit the measurement of a task in one step."""
-    return _decomposed(_fit(_measurement(task), task.options, on_progress))
+    return _decomposed(fit_reduced(_measurement(task), task.options, on_progress))
 
 
-def reduce_measurement(task: FitTask, _: OnProgress) -> tuple[Profiles, float]:
-    """Return the profiles of the measurement of a task, and the time [s] that the reduction took."""
-    measurement = _grid_measurement(task)
+def reduce_measurement(task: FitTask, _: OnProgress) -> tuple[Profiles | ScatteredSamples, float]:
+    """Return the measurement of a task in as few numbers as a fit needs, and the time [s] that this took."""
+    measurement = _measurement_now(task)
     begin = time.perf_counter()
-    return profiles_for(measurement, task.options), time.perf_counter() - begin
+    reduced = profiles_for(measurement, task.options) if isinstance(measurement, Measurement) else measurement
+    return reduced, time.perf_counter() - begin
 
 
-def fit_profiles(profiles: Profiles, options: FitOptions, on_progress: OnProgress) -> FitResult:
-    """Fit profiles; the report lacks the metrics that need the samples."""
-    return _fit(profiles, options, on_progress)
+def fit_reduced(
+    measurement: Measurement | Profiles | ScatteredSamples, options: FitOptions, on_progress: OnProgress
+) -> FitResult:
+    """Fit a measurement; of profiles, the report lacks the metrics that need the samples."""
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
+        return fit(measurement, options, progress=on_progress)
 
 
 def complete_report(result: FitResult, task: FitTask, sha256: str, seconds: float, _: OnProgress) -> Outcome:
-    """Add what `fit_profiles` cannot report; the file must still be the one with this digest, reduced in this time."""
-    measurement = _grid_measurement(task)
+    """Add what a fit of profiles lacks; the file must still be the one with this digest, reduced in this time."""
+    measurement = _measurement_now(task)
     if measurement.sha256 != sha256:
         return Fault("system", "MeasurementChanged", "The measurement's file was changed while it was being fitted.")
-    timings = result.report.timings | {"profiles": seconds}
-    result = FitResult(result.model, replace(result.report, timings=timings))
-    return _decomposed(add_sample_metrics(result, measurement))
+    if isinstance(measurement, Measurement):
+        timings = result.report.timings | {"profiles": seconds}
+        result = add_sample_metrics(replace(result, report=replace(result.report, timings=timings)), measurement)
+    return _decomposed(result)
 
 
 def export_step(model: DSBRDF | Component, file_format: str, _: OnProgress) -> bytes:
     """Return the content of a file with a model, as `export_model` does, for formats that take seconds."""
     return export_model(model, file_format)
-
-
-def _fit(
-    measurement: Measurement | Profiles | ScatteredSamples, options: FitOptions, on_progress: OnProgress
-) -> FitResult:
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # the report has them
-        return fit(measurement, options, progress=on_progress)
 
 
 def _decomposed(result: FitResult) -> DecomposedFit:
@@ -81,13 +80,10 @@ def _measurement(task: FitTask) -> Measurement | ScatteredSamples:
     return read_measurement(task.path) if task.sha256 is None else open_checked(task.path, task.sha256)
 
 
-def _grid_measurement(task: FitTask) -> Measurement:
+def _measurement_now(task: FitTask) -> Measurement | ScatteredSamples:
+    """Return a measurement with the digest that its file has now, also where it has been checked before."""
     measurement = _measurement(task)
-    if isinstance(measurement, Measurement) and task.sha256 is not None:
-        measurement = read_measurement(task.path)  # with the digest that the file has now
-    if not isinstance(measurement, Measurement):
-        raise InvalidArgumentError("scattered samples are fitted on this machine only: fit them without a scheduler")
-    return measurement
+    return read_merl(task.path) if isinstance(measurement, Measurement) and task.sha256 is not None else measurement
 
 
 class WorkerProcesses:
@@ -119,6 +115,13 @@ class WorkerProcesses:
                 await asyncio.wait([ended])
             raise
 
+    async def check(self, what: str) -> None:
+        """Start the fork server again if it has ended; raise RuntimeError if what is needed cannot be started."""
+        try:
+            await asyncio.to_thread(start_fork_server)
+        except OSError as error:
+            raise RuntimeError(f"{what} can be started: {error}") from error
+
     async def close(self) -> None:
         """Release the threads."""
         await asyncio.to_thread(self._threads.shutdown)
@@ -146,10 +149,7 @@ class LocalEngine:
 
     async def check(self) -> None:
         """Start the fork server again if it has ended; raise RuntimeError if no process can be started."""
-        try:
-            await asyncio.to_thread(start_fork_server)
-        except OSError as error:
-            raise RuntimeError(f"no process can be started: {error}") from error
+        await self._processes.check("no process")
 
     async def close(self) -> None:
         """Release the threads; all calls of `run` must have ended or been cancelled."""

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
 from typing import Any
@@ -227,9 +227,7 @@ class _LogToParent(logging.Handler):
 @contextmanager
 def _start_conditions() -> Iterator[None]:
     """Hold the conditions under which worker processes and their fork server must be started."""
-    with _start_lock, ExitStack() as stack:
-        for condition in (_worker_environment, _interrupts_blocked, _main_module_hidden):
-            stack.enter_context(condition())
+    with _start_lock, _worker_environment(), _interrupts_blocked(), _main_module_hidden():
         yield
 
 

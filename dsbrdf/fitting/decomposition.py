@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.guide import FAMILY, SPIKE_HALF_WIDTH, fit_guide, guide_data
+from dsbrdf.fitting.guide import FAMILY, SPIKE_HALF_WIDTH, TYPICAL_ANGLES, fit_guide, guide_data
 from dsbrdf.fitting.structure import mixture_model
 from dsbrdf.model.albedo import directional_albedo, half_vector_rule
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -122,7 +122,7 @@ class Component(ReflectanceModel):
     @property
     def half_width(self) -> float:
         """Half width of the component's own lobe [rad]: the median over theta_diff from 0 to 60 degrees."""
-        return float(np.median(self.parameters_at(np.radians(np.arange(0.0, 61.0, 15.0))).half_width))
+        return float(np.median(self.parameters_at(TYPICAL_ANGLES).half_width))
 
     @property
     def clarity(self) -> float:

@@ -6,8 +6,9 @@ identity from knot to knot and from channel to channel.  The mixture is grown on
 on most of them.
 """
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -20,7 +21,7 @@ from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import KnotReport
+from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.fitting.weighting import bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -58,24 +59,14 @@ _FEWEST_IN_COLUMN = 5  # bins with data for each knot: with fewer, a column reso
 _FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
 
 
-@dataclass(frozen=True, eq=False)
-class GlobalFit:
-    """Model and what the report says of it, see `dsbrdf.FitReport`."""
-
-    model: DSBRDF
-    knots: KnotReport
-    growth: list[GrowthStep]
-    mixture: Mixture
-
-
 def fit_global(
     data: Profiles,
     options: FitOptions,
     progress: Callable[[float], None],
     on_stage: Callable[[str], None],
     split: tuple[Profiles, Profiles] | None = None,
-) -> GlobalFit:
-    """Fit all rows at once.
+) -> tuple[FoundModel, Mixture]:
+    """Fit all rows at once, and return the model and the same as a mixture.
 
     `split` has what lobes are fitted to during the search, and what tells whether a lobe pays; without it, other rows
     and columns of the data tell.  `progress` is called with the share of the work done, `on_stage` with the name of
@@ -86,8 +77,15 @@ def fit_global(
     fitted, held_out = _search_data(data, weight, split)
     if held_out.signal == 0.0:
         held_out = fitted
-    counter = _TryCounter(progress, 0.5, _EXPECTED_TRIES)
-    mixture, growth = grow(fitted, held_out, coarse, options.n_lobes, options.ring_lobes, counter.count)
+    tries = itertools.count(1)  # their number is known roughly: each takes its share of half of the work
+    mixture, growth = grow(
+        fitted,
+        held_out,
+        coarse,
+        options.n_lobes,
+        options.ring_lobes,
+        lambda: progress(0.5 * min(next(tries) / _EXPECTED_TRIES, 1.0)),
+    )
     amplitude_knots, shape_knots, elongation_knots = _with_data(KNOTS[options.variation], weight)
     if options.knots is not None:
         amplitude_knots = np.asarray(options.knots)
@@ -99,32 +97,34 @@ def fit_global(
         _select(data, weight, FIT_ROWS, FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
     )
     on_stage("refine")
-    return _found(structure, solution, weight.sum(axis=(2, 3)) > 0, growth)
+    return _found(structure, solution, weight.sum(axis=(2, 3)) > 0, tuple(growth))
 
 
-def refine_at_samples(data: FitData, found: GlobalFit) -> GlobalFit:
+def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep, ...]) -> tuple[FoundModel, Mixture]:
     """Fit the mixture that was found in bins again, to values at the very points where they were measured.
 
     The data have a row for each whole degree of theta_diff that has samples.
     """
-    structure = found.mixture.structure
+    structure = mixture.structure
     # Fewer samples say less: parameters have to be smoother.
     pull = max(1.0, _MANY_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
-    solution = minimize(problem, found.mixture.unknowns, tolerance=TOLERANCE, iterations=MAX_ITERATIONS)
+    solution = minimize(problem, mixture.unknowns, tolerance=TOLERANCE, iterations=MAX_ITERATIONS)
     seen = np.isin(THETA_DIFF, data.theta_diff)
-    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), found.growth)
+    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), growth)
 
 
-def _found(structure: Structure, solution: Solution, seen: Mask, growth: list[GrowthStep]) -> GlobalFit:
+def _found(
+    structure: Structure, solution: Solution, seen: Mask, growth: tuple[GrowthStep, ...]
+) -> tuple[FoundModel, Mixture]:
     """Put a solution and what is reported of it together; `seen` says of each channel which rows had data."""
     model = _model(structure, solution.unknowns)
     knots = model.theta_diff
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
     bounds_hit = _bounds_hit(model)
     report = KnotReport.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, bounds_hit)
-    return GlobalFit(model, report, growth, Mixture(structure, solution.unknowns))
+    return FoundModel(model, report, growth), Mixture(structure, solution.unknowns)
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
@@ -278,14 +278,3 @@ def _bounds_hit(model: DSBRDF) -> bool:
     narrowest = width_of_reach(np.array(REACH_BOUNDS[0]), model.lobe) * (1 + 1e-9)
     width = half_width(model.kappa, model.gamma, model.lobe)
     return bool(np.any(model.kappa >= KAPPA_BOUNDS[1] * (1 - 1e-9)) or np.any(width <= narrowest))
-
-
-class _TryCounter:
-    """Progress of a search whose length is known roughly: each try takes its share of what is left."""
-
-    def __init__(self, progress: Callable[[float], None], end: float, expected: int) -> None:
-        self._progress, self._end, self._expected, self._done = progress, end, expected, 0
-
-    def count(self) -> None:
-        self._done += 1
-        self._progress(self._end * min(self._done / self._expected, 1.0))

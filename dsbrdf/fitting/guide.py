@@ -23,12 +23,13 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
 from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure
+from dsbrdf.fitting.weighting import PLAIN_SHARE, center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.lobes import half_width, lobe_values, reach_of_width
 from dsbrdf.model.reflectance import ReflectanceModel
-from dsbrdf.model.splines import roughness
+from dsbrdf.model.splines import smooth_control_values
 
 FAMILY = "student"
 AMPLITUDE_KNOTS = np.radians([0.0, 40.0, 65.0, 80.0, 89.0])
@@ -55,19 +56,17 @@ _USUAL_REACH = float(np.log(reach_of_width(np.radians(70.0), FAMILY)))
 _STARTS = ((0.6, 65.0), (2.0, 65.0), (8.0, 65.0))  # half widths [degrees]
 _START_OF_TWO = (1.0, 6.0, 65.0)
 _START_ELONGATION = 0.5
-_START_SMOOTHING, _FAINTEST_START = 3e-2, 0.02
+_FAINTEST_START = 0.02
 _TOLERANCE, _ITERATIONS = 1e-3, 60
 _PAYS = 0.7  # of the error with one specular lobe
 _APART = 3.0  # how many times as wide as the first lobe the second is
 _LEAST_LIGHT = 0.05  # of the specular light that each of two specular lobes holds
-_TYPICAL_ANGLES = np.radians(np.arange(0.0, 61.0, 15.0))
+TYPICAL_ANGLES = np.radians(np.arange(0.0, 61.0, 15.0))
+"""Angles theta_diff over which the median half width of a lobe is taken [rad]."""
 
 _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 9), np.linspace(1.73, 9.27, 29) ** 2]))
 _AZIMUTHS = np.radians(np.arange(9.0, 90.0, 18.0))
-_SEEN_POWER, _DARK = 1.2, 0.02  # as for the weighting "balanced"
-_PLAIN_SHARE = 1.0
-_TRUSTED, _TRUST_POWER = float(np.radians(80.0)), 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,7 @@ class Guide:
     @property
     def half_widths(self) -> Array:
         """Half width of each lobe [rad], shape (K,): the median over theta_diff from 0 to 60 degrees."""
-        _, shape, _ = _at(_TYPICAL_ANGLES, self.mixture)
+        _, shape, _ = _at(TYPICAL_ANGLES, self.mixture)
         kappa, gamma = np.split(np.exp(shape), 2, axis=1)
         return np.asarray(np.median(half_width(kappa, gamma, FAMILY), axis=0))
 
@@ -119,18 +118,16 @@ def guide_data(model: ReflectanceModel) -> FitData:
     level = np.cos(theta_diff) * np.cos(theta_half)
     swing = np.sin(theta_diff) * np.sin(theta_half) * np.cos(phi_diff)
     lowest = np.maximum(level - swing, 0.0)
-    trust = (
-        np.minimum(lowest / np.cos(_TRUSTED), 1.0) ** _TRUST_POWER * np.diff(_ends(_ROWS))[:, np.newaxis, np.newaxis]
-    )
-    solid_angle = -np.diff(np.cos(_ends(_COLUMNS)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
-    lit = trust * lowest * (level + swing) * solid_angle
+    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF) * np.diff(interval_ends(_ROWS))[:, np.newaxis, np.newaxis]
+    solid_angle = -np.diff(np.cos(interval_ends(_COLUMNS)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
+    lit = trusted * lowest * (level + swing) * solid_angle
     over_phi = (np.sum(lit * mean, axis=3) / np.maximum(lit.sum(axis=2), 1e-300))[..., np.newaxis]
     typical = np.sum(lit * mean) / (3.0 * lit.sum())
-    seen = lit / (over_phi + _DARK * typical + 1e-12) ** _SEEN_POWER
-    center = np.minimum((_COLUMNS / CENTER_CUTOFF) ** 1.5 + 1e-3, 1.0) * np.gradient(np.sqrt(_COLUMNS))
-    plain = np.broadcast_to(trust * center[:, np.newaxis], mean.shape)
+    seen = seen_weight(lit, over_phi, typical)
+    center = center_share(_COLUMNS) * np.gradient(np.sqrt(_COLUMNS))
+    plain = np.broadcast_to(trusted * center[:, np.newaxis], mean.shape)
     weight = np.zeros(mean.shape)
-    for share, part in ((1.0, seen), (_PLAIN_SHARE, plain)):
+    for share, part in ((1.0, seen), (PLAIN_SHARE, plain)):
         weight += share / (np.sum(part * mean**2) or 1.0) * part
     return FitData(mean, weight, np.cos(phi_diff) ** 2, _ROWS, _COLUMNS)
 
@@ -177,19 +174,10 @@ def _start(problem: MixtureProblem, widths: tuple[float, ...]) -> Array:
         heights[row, channel] = nnls(curves[:, row].T * root[:, np.newaxis], data.mean[channel, row].ravel() * root)[0]
     level = np.sqrt(np.mean(heights**2, axis=(0, 1)))
     logs = np.log(np.maximum(heights, _FAINTEST_START * level + 1e-9)).reshape(n_rows, -1)
-    basis = problem.bases[0]
-    ridge = _START_SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
-    amplitude[...] = np.linalg.solve(basis.T @ basis + ridge, basis.T @ logs)
+    amplitude[...] = smooth_control_values(problem.bases[0], logs)
     return unknowns
 
 
 def _at(theta_diff: Array, mixture: Mixture) -> tuple[Array, Array, Array]:
     """Amplitude, log kappa and log gamma, and elongation at angles (R,)."""
-    empty = np.zeros((3, theta_diff.size, 1, 1))
-    rows = MixtureProblem(FitData(empty, empty, empty[0], theta_diff, np.zeros(1)), mixture.structure)
-    return rows.row_parameters(mixture.unknowns)
-
-
-def _ends(nodes: Array) -> Array:
-    """Ends of the intervals that ascending angles stand for, from 0 to pi/2."""
-    return np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [np.pi / 2]])
+    return mixture.structure.row_parameters(mixture.structure.bases(theta_diff), mixture.unknowns)

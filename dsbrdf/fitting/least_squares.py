@@ -30,14 +30,8 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 from dsbrdf.fitting.structure import Structure
-from dsbrdf.model.lobes import (
-    Stretch,
-    lobe_derivatives,
-    lobe_values,
-    log_cosine,
-    stretch,
-)
-from dsbrdf.model.splines import roughness, spline_basis
+from dsbrdf.model.lobes import Stretch, lobe_derivatives, lobe_values, log_cosine, stretch
+from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
@@ -120,8 +114,7 @@ class MixtureProblem:
         prior: Prior | None = None,
     ) -> None:
         self.data, self.structure = data, structure
-        knots = (structure.amplitude_knots, structure.shape_knots, structure.elongation_knots)
-        self.bases = tuple(spline_basis(k, data.theta_diff) for k in knots)
+        self.bases = structure.bases(data.theta_diff)
         self._squared = np.tan(data.theta_half)[..., None] ** 2
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._signal = data.signal
@@ -149,11 +142,7 @@ class MixtureProblem:
 
     def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
-        amplitude, _, elongation = self.structure.split(unknowns)
-        shape = self.structure.lobe_shapes(unknowns)
-        k = self.structure.n_lobes
-        logs = (self.bases[0] @ amplitude).reshape(-1, 3, k).transpose(1, 0, 2)
-        return np.exp(logs), self.bases[1] @ shape, self.bases[2] @ elongation
+        return self.structure.row_parameters(self.bases, unknowns)
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""
@@ -171,7 +160,8 @@ class MixtureProblem:
         k, n_rows = self.structure.n_lobes, self.data.theta_diff.size
         rings = np.flatnonzero(self.structure.rings)
         lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
-        within, across, shared = _empty_blocks(n_rows, k, lobe_of.size)
+        within, across = np.zeros((n_rows, 3, k, 3, k)), np.zeros((n_rows, 3, k, lobe_of.size))
+        shared = np.zeros((n_rows, lobe_of.size, lobe_of.size))
         by_amplitude, by_shared = np.zeros((n_rows, 3, k)), np.zeros((n_rows, lobe_of.size))
         for channel in range(3):
             height, scale = at.amplitude[channel], at.amplitude[channel][:, lobe_of]
@@ -183,7 +173,9 @@ class MixtureProblem:
             shared += product[:, k:, k:] * scale[:, :, None] * scale[:, None, :]
             by_amplitude[:, channel] = slope[:, :k] * height
             by_shared += slope[:, k:] * scale
-        rows = _join_rows(within.reshape(n_rows, 3 * k, 3 * k), across.reshape(n_rows, 3 * k, -1), shared)
+        own, mixed = within.reshape(n_rows, 3 * k, 3 * k), across.reshape(n_rows, 3 * k, -1)
+        upper, lower = ((own, mixed), (mixed.transpose(0, 2, 1), shared))
+        rows = np.concatenate([np.concatenate(upper, axis=2), np.concatenate(lower, axis=2)], axis=1)
         gradient_rows = np.concatenate([by_amplitude.reshape(n_rows, -1), by_shared], axis=1)
         matrix, gradient = self._assemble(rows, gradient_rows)
         self.structure.chain(at.unknowns, matrix, gradient)
@@ -328,15 +320,6 @@ def _step(
         solved = unlimited + response @ np.linalg.solve(response[places], held - unlimited[places])
         solved[places] = held  # to the last bit: an unknown at its bound stays there
     return step
-
-
-def _empty_blocks(n_rows: int, k: int, n_shared: int) -> tuple[Array, Array, Array]:
-    return np.zeros((n_rows, 3, k, 3, k)), np.zeros((n_rows, 3, k, n_shared)), np.zeros((n_rows, n_shared, n_shared))
-
-
-def _join_rows(within: Array, across: Array, shared: Array) -> Array:
-    upper, lower = np.concatenate([within, across], axis=2), np.concatenate([across.transpose(0, 2, 1), shared], axis=2)
-    return np.concatenate([upper, lower], axis=1)
 
 
 def _spread(first: Array, second: Array, rows: Array) -> Array:

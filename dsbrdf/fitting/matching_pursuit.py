@@ -23,7 +23,7 @@ from dsbrdf.fitting.guide import fit_single_highlight
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
-from dsbrdf.model.splines import roughness
+from dsbrdf.model.splines import smooth_control_values
 
 MAX_GROWN_LOBES = 7
 """Most lobes of a mixture whose number is found."""
@@ -46,7 +46,6 @@ _START_KAPPA = 1.0
 _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the lobes of the guide
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
-_START_SMOOTHING = 3e-2
 _FIRST_TWO, _LAST_TWO = 2, 5  # numbers of lobes between which a near and a far one are tried
 _FAR = 20.0 * _DEGREE
 _RIDGE, _TINY = 1e-3, 1e-300
@@ -308,27 +307,16 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     target = np.log(np.maximum(amplitude, _FAINTEST_START * level + 1e-9))
-    ridge = _START_SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
-    control = np.linalg.solve(basis.T @ basis + ridge, basis.T @ target.T)  # (D, 3)
-    unknowns = np.zeros(structure.n_unknowns)
-    amplitudes, shapes, elongations = structure.split(unknowns)
-    k = structure.n_lobes
-    others = [lobe for lobe in range(k) if lobe != place]
-    heights = amplitudes.reshape(-1, 3, k)
-    heights[:, :, place] = control
-    if others:
-        old_amplitudes, old_shapes, old_elongations = old.split(mixture.unknowns)
-        n = old.n_lobes
-        heights[:, :, others] = old_amplitudes.reshape(-1, 3, n)
-        shapes[:, others], shapes[:, [k + lobe for lobe in others]] = old_shapes[:, :n], old_shapes[:, n : 2 * n]
-        shapes[:, 2 * k : 2 * k + old.n_rings] = old_shapes[:, 2 * n :]
-        elongations[:, others] = old_elongations
-    shapes[:, place] = np.log(_START_KAPPA)
-    shapes[:, k + place] = np.log(reach_of_width(np.array(candidate.width), old.family))
-    elongations[:, place] = _START_ELONGATION * candidate.elongation
-    if candidate.is_ring:
-        shapes[:, -1] = candidate.center
-    return Mixture(structure, unknowns)
+    amplitudes, shapes, elongations = old.split(mixture.unknowns)
+    n, reach = old.n_lobes, reach_of_width(np.array(candidate.width), old.family)
+    heights = amplitudes.reshape(len(amplitudes), 3, n)
+    heights = np.insert(heights, place, smooth_control_values(basis, target.T), axis=2)
+    kappas = np.insert(shapes[:, :n], place, np.log(_START_KAPPA), axis=1)
+    reaches = np.insert(shapes[:, n : 2 * n], place, np.log(reach), axis=1)
+    centers = np.full((len(shapes), int(candidate.is_ring)), candidate.center)
+    elongations = np.insert(elongations, place, _START_ELONGATION * candidate.elongation, axis=1)
+    parts = (heights, np.hstack([kappas, reaches, shapes[:, 2 * n :], centers]), elongations)
+    return Mixture(structure, np.concatenate([part.ravel() for part in parts]))
 
 
 def _error(data: FitData, mixture: Mixture) -> float:

@@ -20,7 +20,8 @@ from dsbrdf.fitting.em import lobe
 from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, SelectionStep, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import KnotReport
+from dsbrdf.fitting.report import FoundModel, KnotReport
+from dsbrdf.fitting.weighting import interval_ends
 from dsbrdf.model.dsbrdf import DSBRDF
 
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
@@ -29,16 +30,7 @@ _ANGLES = THETA_HALF[OUTSIDE_CENTER]
 _SEARCH_SHARE = 0.8  # of the work, where the number of lobes is chosen
 
 
-@dataclass(frozen=True, eq=False)
-class PaperFit:
-    """Model and what the report says of it, see `dsbrdf.FitReport`."""
-
-    model: DSBRDF
-    knots: KnotReport
-    selection: tuple[SelectionStep, ...]
-
-
-def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> PaperFit:
+def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
     """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
 
     `progress` is called with the share of the work done.  Raises FitError if the options leave no data to fit.
@@ -65,7 +57,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
     bounds_hit = _bounds_hit(slices, data_slices.largest_kappa[fitted])
     found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
-    return PaperFit(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection)
+    return FoundModel(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection=selection)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +141,8 @@ def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
     Never negative: a term that is taken away somewhere would make the model negative between the nodes.
     """
     center = np.flatnonzero(~OUTSIDE_CENTER)
-    ends = np.concatenate([[0.0], 0.5 * (THETA_HALF[center][1:] + THETA_HALF[center][:-1]), [CENTER_CUTOFF]])
-    weight = data.weight[:, rows][:, :, center] * np.diff(-np.cos(ends))
+    solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
+    weight = data.weight[:, rows][:, :, center] * solid_angle
     lobes = lobe(THETA_HALF[center], kappa[..., None], gamma[..., None]).sum(axis=2)
     total = weight.sum(-1)
     residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)

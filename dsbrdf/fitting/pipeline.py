@@ -18,11 +18,11 @@ from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
-from dsbrdf.fitting.global_method import GlobalFit, fit_global, refine_at_samples
+from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.paper_method import PaperFit, fit_slicewise
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, KnotReport
+from dsbrdf.fitting.paper_method import fit_slicewise
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel, KnotReport
 from dsbrdf.fitting.report_warnings import (
     accuracy_warnings,
     convergence_sentence,
@@ -84,7 +84,7 @@ def fit(
     """
     options = _options(options, choices)
     measurement = _read(measurement)
-    report_progress = progress if progress is not None else _ignore
+    report_progress = progress or (lambda _: None)
     clock = _Clock()
     report_progress(0.0)
     if isinstance(measurement, ScatteredSamples):
@@ -108,13 +108,14 @@ def fit(
 def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: _Clock) -> FitResult:
     """Fit a model and report what the profiles can tell."""
     if options.method == "paper":
-        papers = fit_slicewise(data, options, progress)
+        found = fit_slicewise(data, options, progress)
         clock.lap("em")
-        return _result(papers, data, options, clock)
-    return _result(fit_global(data, options, progress, clock.lap), data, options, clock)
+    else:
+        found, _ = fit_global(data, options, progress, clock.lap)
+    return _result(found, data, options, clock)
 
 
-def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, clock: _Clock) -> FitResult:
+def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock) -> FitResult:
     """Model and report, without the metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
@@ -125,8 +126,8 @@ def _result(found: GlobalFit | PaperFit, data: Profiles, options: FitOptions, cl
         by_channel=(),
         by_theta_diff=(),
         knots=knots,
-        growth=tuple(found.growth) if isinstance(found, GlobalFit) else (),
-        selection=found.selection if isinstance(found, PaperFit) else (),
+        growth=found.growth,
+        selection=found.selection,
         albedo=albedo,
         n_numbers=model.n_numbers,
         timings=clock.laps,
@@ -159,11 +160,13 @@ def _fit_samples(
         data = sample_profiles(samples, options, model)
         fitted, held_out = (sample_profiles(part, options, model) for part in parts)
         clock.lap("profiles")
-        found = fit_global(data, options, partial(_report_round, progress, number), clock.lap, (fitted, held_out))
+        found, mixture = fit_global(
+            data, options, partial(_report_round, progress, number), clock.lap, (fitted, held_out)
+        )
         model = found.model
     exact = samples.take(order < _MOST_EXACT)
     for _ in range(0 if options.robust else _EXACT_ROUNDS):
-        found = refine_at_samples(sample_rows(exact, data, options, found.model), found)
+        found, mixture = refine_at_samples(sample_rows(exact, data, options, found.model), mixture, found.growth)
         clock.lap("refine")
     is_usual = typical_error(usual.model, measured) < typical_error(found.model, measured)
     if is_usual:
@@ -174,9 +177,9 @@ def _fit_samples(
     sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual))
     if not (is_usual or options.robust):
         rest = samples.take((order < _MOST_EXACT) & ~left_out)
-        without = refine_at_samples(sample_rows(rest, data, options, found.model), found).model
+        without, _ = refine_at_samples(sample_rows(rest, data, options, found.model), mixture, found.growth)
         judged = measured.take(left_out[: len(measured.values)])
-        sentences += error_warnings(metrics, scattered_metrics(without, judged, options.horizon_cutoff))
+        sentences += error_warnings(metrics, scattered_metrics(without.model, judged, options.horizon_cutoff))
         clock.lap("left out")
     sentences += result.report.warnings
     return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
@@ -214,28 +217,20 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
 
     Raises InvalidArgumentError if profiles are given that were made with other options.
     """
-    if isinstance(measurement, Measurement):
-        return profiles(
-            measurement,
-            horizon_cutoff=options.horizon_cutoff,
-            weighting=_profile_weighting(options),
-            robust=options.robust,
-        )
-    asked_of = {
+    # The method "global" weighs the folded bins, which are never weighted before.
+    weighting = options.resolved_weighting if options.method == "paper" else "plain"
+    wanted: dict[str, Any] = {
         "horizon_cutoff": options.horizon_cutoff,
-        "weighting": _profile_weighting(options),
+        "weighting": weighting,
         "robust": options.robust,
     }
-    for name, asked in asked_of.items():
+    if isinstance(measurement, Measurement):
+        return profiles(measurement, **wanted)
+    for name, asked in wanted.items():
         made = getattr(measurement, name)
         if made != asked:
             raise InvalidArgumentError(f"the profiles were made with {name} {made!r}, the options ask for {asked!r}")
     return measurement
-
-
-def _profile_weighting(options: FitOptions) -> str:
-    """Weighting of the profiles; the method "global" weighs the folded bins, which are never weighted before."""
-    return options.resolved_weighting if options.method == "paper" else "plain"
 
 
 def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
@@ -257,10 +252,6 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
         timings=report.timings | clock.laps,
     )
     return FitResult(model, complete)
-
-
-def _ignore(_: float) -> None:
-    """No one wants to know the progress."""
 
 
 class _Clock:

@@ -63,6 +63,16 @@ class KnotReport:
         return cls(tuple(knots.tolist()), *(tuple(map(tuple, table.tolist())) for table in tables))
 
 
+@dataclass(frozen=True, eq=False)
+class FoundModel:
+    """What a method of fitting found: the model, and what the report says of the search, see `FitReport`."""
+
+    model: DSBRDF
+    knots: KnotReport
+    growth: tuple[GrowthStep, ...] = ()
+    selection: tuple[SelectionStep, ...] = ()
+
+
 @dataclass(frozen=True)
 class DirectionalAlbedo:
     """Share of the light from some directions that a model reflects.

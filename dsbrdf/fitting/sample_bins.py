@@ -36,7 +36,8 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
         weight[channel][*cells] = total
         mean[channel][*cells] = np.bincount(cell, samples.weight * values[:, channel]) / total
     cos2_phi = np.zeros(shape)
-    cos2_phi[*cells] = _cos2_in_cells(cells)
+    count = _nodes_in_cells(cells)
+    cos2_phi[*cells] = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / count.sum(axis=1)
     return _profiles(samples, options, FoldedProfiles(mean, weight, cos2_phi))
 
 
@@ -96,8 +97,8 @@ def _nearest(axis: Array, angles: Array) -> Indices:
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
 
 
-def _nodes_in_cells(cells: Indices) -> tuple[Indices, Array]:
-    """Nodes of phi_diff, from 0 to 90 degrees, and what each counts in each cell, shape (cells, 91).
+def _nodes_in_cells(cells: Indices) -> Array:
+    """What each node of phi_diff, from 0 to 90 degrees, counts in each cell, shape (cells, 91).
 
     Those above the horizon count, as in a measurement on the grid, or all where none is.
     """
@@ -105,20 +106,15 @@ def _nodes_in_cells(cells: Indices) -> tuple[Indices, Array]:
     members = SAMPLES_IN_BIN.T[bin_of]
     above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
     counted = members * above
-    return np.arange(QUARTER), np.where(counted.any(axis=1, keepdims=True), counted, members)
-
-
-def _cos2_in_cells(cells: Indices) -> Array:
-    nodes, count = _nodes_in_cells(cells)
-    return np.asarray(count @ np.cos(PHI_DIFF[nodes]) ** 2 / count.sum(axis=1))
+    return np.where(counted.any(axis=1, keepdims=True), counted, members)
 
 
 def _mean_in_cells(model: DSBRDF, cells: Indices) -> Array:
     """Mean of the model over the nodes of each cell, shape (cells, 3)."""
-    nodes, count = _nodes_in_cells(cells)
+    count = _nodes_in_cells(cells)
     at, node = np.nonzero(count)
     row, column, _ = cells[:, at]
-    values = model.evaluate_unmasked(THETA_HALF[column], THETA_DIFF[row], PHI_DIFF[nodes[node]])
+    values = model.evaluate_unmasked(THETA_HALF[column], THETA_DIFF[row], PHI_DIFF[node])
     weighted = values * count[at, node, np.newaxis]
     sums = np.stack([np.bincount(at, weighted[:, channel], len(count)) for channel in range(3)], axis=1)
     return np.asarray(sums / count.sum(axis=1, keepdims=True))

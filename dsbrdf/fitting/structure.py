@@ -146,6 +146,17 @@ class Structure:
         shape[:, 2 * k :] = np.maximum(offset, 0.0) + limit * np.expm1(np.minimum(offset, 0.0) / limit)
         return shape
 
+    def bases(self, theta_diff: Array) -> tuple[Array, Array, Array]:
+        """Weights of the control values of amplitudes, shapes and elongations at angles (R,), see `spline_basis`."""
+        amplitude, shape = (spline_basis(knots, theta_diff) for knots in (self.amplitude_knots, self.shape_knots))
+        return amplitude, shape, spline_basis(self.elongation_knots, theta_diff)
+
+    def row_parameters(self, bases: tuple[Array, Array, Array], unknowns: Array) -> tuple[Array, Array, Array]:
+        """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
+        amplitude, _, elongation = self.split(unknowns)
+        logs = (bases[0] @ amplitude).reshape(-1, 3, self.n_lobes).transpose(1, 0, 2)
+        return np.exp(logs), bases[1] @ self.lobe_shapes(unknowns), bases[2] @ elongation
+
     def join(self, amplitude: Array, lobe_shapes: Array, elongation: Array) -> Array:
         """Unknowns of control values; the inverse of `split` and `lobe_shapes`."""
         shape, k = lobe_shapes.copy(), self.n_lobes

@@ -12,7 +12,6 @@ where there are samples they outweigh them, elsewhere nothing else says what the
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,6 +26,8 @@ from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure, mixture_mo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import reach_of_width
 
+STORED = files("dsbrdf.fitting") / "usual_materials.npz"
+"""The file of the unknowns of `guides`, and of the names of their materials."""
 N_PAIRS = 800
 """Pairs of directions at which the usual material completes the samples."""
 FAR = np.radians(10.0)
@@ -57,17 +58,8 @@ class UsualMaterial:
 @cache
 def guides() -> Array:
     """Unknowns of the readable lobes of measured materials, shape (71, 70)."""
-    return np.asarray(_stored("unknowns"), dtype=np.float64)
-
-
-def names() -> list[str]:
-    """Return the names of the materials of `guides`."""
-    return list(map(str, _stored("names")))
-
-
-def _stored(name: str) -> np.ndarray[Any, Any]:
-    with (files("dsbrdf.fitting") / "usual_materials.npz").open("rb") as file, np.load(file) as stored:
-        return np.asarray(stored[name])
+    with STORED.open("rb") as file, np.load(file) as stored:
+        return np.asarray(stored["unknowns"], dtype=np.float64)
 
 
 def usual_material(samples: ScatteredSamples) -> UsualMaterial:
@@ -118,15 +110,12 @@ def typical_error(model: DSBRDF, samples: ScatteredSamples) -> float:
 def _pairs(model: DSBRDF) -> tuple[Array, Array]:
     """Pairs of directions up to 80 degrees from the normal: half of them where a model reflects, half anywhere."""
     generator = np.random.default_rng(5)
-    omega_in, omega_out = (_within_last(generator) for _ in range(2))
+    cosines = (np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)) for _ in range(2))
+    omega_in, omega_out = (random_directions(generator, cosine) for cosine in cosines)
     reflected = model.sample(omega_out[: N_PAIRS // 2], generator).omega_in
     used = np.flatnonzero(reflected[:, 2] > _LAST_COSINE)
     omega_in[used] = reflected[used]
     return omega_in, omega_out
-
-
-def _within_last(generator: np.random.Generator) -> Array:
-    return random_directions(generator, np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, N_PAIRS)))
 
 
 def _places(omega_in: Array, omega_out: Array) -> Array:

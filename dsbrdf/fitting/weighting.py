@@ -38,23 +38,26 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
     Beyond the cutoff, an angle to the normal [rad], samples count less; None trusts all of them.
     """
-    plain = folded.weight * _trust(folded, horizon_cutoff) * _center_share()[:, None]
+    # Both cosines to the normal are level -/+ swing cos(phi_diff).
+    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
+    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
+    lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
+    plain = folded.weight * trust(lowest, horizon_cutoff) * center_share(THETA_HALF)[:, None]
     center = THETA_HALF < CENTER_CUTOFF
     signal = np.sum(plain * folded.mean**2, axis=(0, 1, 3))
     plain[:, :, center] *= min(float(signal[~center].sum() / max(signal[center].sum(), _TINY)), 1.0)
     if weighting == "plain":
         return plain
-    cosines = np.maximum(_cosine_product(folded), 0.0)
+    cosines = np.maximum(level**2 - swing**2 * folded.cos2_phi, 0.0)
     mean = _over_phi(folded.mean, folded.weight)[..., None]
     if weighting == "cosine":
         return plain * cosines
     if weighting == "log":
         return plain * cosines / (1.0 + mean) ** 2
-    across = np.maximum(np.sin(2.0 * THETA_DIFF), 0.0) + 0.1
-    solid_angle = across[:, None, None] * _solid_angles()[:, None]
+    across, cosine = np.maximum(np.sin(2.0 * THETA_DIFF), 0.0) + 0.1, np.cos(interval_ends(THETA_HALF))
+    solid_angle = across[:, None, None] * (cosine[:-1] - cosine[1:])[:, None]
     lit = folded.weight * cosines * solid_angle
-    level = float(np.sum(lit * folded.mean)) / (float(np.sum(lit)) or 1.0)
-    seen = lit / (mean + _DARK * level + 1e-12) ** SEEN_POWER
+    seen = seen_weight(lit, mean, float(np.sum(lit * folded.mean)) / (float(np.sum(lit)) or 1.0))
     return PLAIN_SHARE * plain / _floor(folded, plain) + seen / _floor(folded, seen)
 
 
@@ -71,33 +74,23 @@ def _over_phi(values: Array, weight: Array) -> Array:
     return np.asarray(np.sum(weight * values, axis=3) / np.where(total > 0.0, total, 1.0))
 
 
-def _cosine_product(folded: FoldedProfiles) -> Array:
-    level, swing = _level_and_swing()
-    return np.asarray(level**2 - swing**2 * folded.cos2_phi)
-
-
-def _trust(folded: FoldedProfiles, horizon_cutoff: float | None) -> Array:
+def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
+    """1 within the cutoff, falling to 0 at the horizon, of the smaller cosine to the normal; 1 without a cutoff."""
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
-        return np.ones_like(folded.cos2_phi)
-    level, swing = _level_and_swing()
-    lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
+        return np.ones_like(lowest)
     return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
 
 
-def _level_and_swing() -> tuple[Array, Array]:
-    """Both cosines are level -/+ swing cos(phi_diff); each of shape (90, 90, 1)."""
-    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
-    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
-    return level, swing
+def seen_weight(lit: Array, mean: Array, typical: float) -> Array:
+    """Weights of errors as a screen shows them, of those of radiance, the mean over phi_diff and a typical value."""
+    return np.asarray(lit / (mean + _DARK * typical + 1e-12) ** SEEN_POWER)
 
 
-def _center_share() -> Array:
-    """1 from 1 degree on; below, the solid angle of a node in units of that at 1 degree, shape (90,)."""
-    return np.asarray(np.minimum((THETA_HALF / CENTER_CUTOFF) ** 1.5 + _SMALLEST_SHARE, 1.0))
+def center_share(theta_half: Array) -> Array:
+    """1 from 1 degree on; below, the solid angle of a node in units of that at 1 degree."""
+    return np.asarray(np.minimum((theta_half / CENTER_CUTOFF) ** 1.5 + _SMALLEST_SHARE, 1.0))
 
 
-def _solid_angles() -> Array:
-    """Share of the hemisphere of half vectors that each theta_half node stands for, shape (90,)."""
-    middle = 0.5 * (THETA_HALF[1:] + THETA_HALF[:-1])
-    ends = np.concatenate([[0.0], middle, [np.pi / 2]])
-    return np.asarray(np.cos(ends[:-1]) - np.cos(ends[1:]))
+def interval_ends(nodes: Array, last: float = np.pi / 2) -> Array:
+    """Ends of the intervals that ascending angles (n,) stand for, from 0 to the last, shape (n + 1,)."""
+    return np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])

@@ -41,13 +41,9 @@ def directional_albedo(
     hundredth of a degree, and ring lobes than a degree.
     """
     width = float(np.clip(narrowest, *_WIDTHS))
-    rows = [_albedo_at(evaluate, float(angle), knots, width) for angle in theta_out.ravel()]
+    rules = (half_vector_rule(float(angle), knots, width) for angle in theta_out.ravel())
+    rows = [rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff) for rule in rules]
     return np.array(rows).reshape(*theta_out.shape, 3)
-
-
-def _albedo_at(evaluate: Evaluate, theta_out: float, knots: Array, width: float) -> Array:
-    rule = half_vector_rule(theta_out, knots, width)
-    return np.asarray(rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff))
 
 
 class HalfVectorRule(NamedTuple):

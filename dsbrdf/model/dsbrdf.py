@@ -26,7 +26,7 @@ from dsbrdf.data.geometry import check_directions
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.evaluation import Evaluator, ParameterCurves, ParameterPieces
+from dsbrdf.model.evaluation import Evaluator
 from dsbrdf.model.parameter_checks import check_parameters
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
@@ -186,8 +186,13 @@ class DSBRDF(ReflectanceModel):
         return {name: part.reshape(theta_diff.shape + part.shape[1:]) for name, part in zip(names, parts, strict=True)}
 
     @property
-    def pieces(self) -> ParameterPieces:
-        """The parameters as polynomials in theta_diff, without the delta term."""
+    def pieces(self) -> tuple[Array, Array]:
+        """The parameters as P polynomials in theta_diff, without the delta term, for programs that evaluate a model.
+
+        The breaks (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.
+        The terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``; their R rows are those of
+        `dsbrdf.model.evaluation.Evaluator`.
+        """
         return self._evaluator.pieces
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
@@ -282,9 +287,9 @@ class DSBRDF(ReflectanceModel):
         scaled = [np.log(part) if spline else part for part in shape]
         rows = [part.transpose(1, 0, 2).reshape(part.shape[1], -1) for part in (amplitude, *scaled, self.center)]
         return Evaluator(
-            ParameterCurves(self.theta_diff, rows[0]),
-            ParameterCurves(self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
-            ParameterCurves(self.elongation_theta_diff, self.elongation),
+            (self.theta_diff, rows[0]),
+            (self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
+            (self.elongation_theta_diff, self.elongation),
             n_lobes=self.n_lobes,
             n_shapes=self.kappa.shape[0],
             is_ring=self.is_ring,

@@ -9,7 +9,6 @@ every point.
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,39 +21,20 @@ _BLOCK = 65536  # points sorted at a time
 _LARGEST_TANGENT = 1e15  # of theta_half = pi/2
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterCurves:
-    """Control values of one group of parameters, on the scale that runs as a spline or a line, such as a logarithm."""
-
-    knots: Array  # (B,)
-    values: Array  # (D, R)
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterPieces:
-    """Parameters as P polynomials in theta_diff, for programs that evaluate a model themselves.
-
-    `breaks` (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.  `terms`
-    (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``, in rows as `Evaluator` has them.
-    """
-
-    breaks: Array
-    terms: Array
-
-
 class Evaluator:
     """The lobes of a model, made ready to be evaluated; safe to use from several threads.
 
-    Rows of the curves are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation
-    (lobe); amplitude, kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma.  There is one
-    shape if the channels share them, else 3; `is_ring` says which of the K lobes have a center.
+    Each group of parameters has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
+    Rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation (lobe); amplitude,
+    kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma.  There is one shape if the
+    channels share them, else 3; `is_ring` says which of the K lobes have a center.
     """
 
     def __init__(
         self,
-        amplitude: ParameterCurves,
-        shape: ParameterCurves,
-        elongation: ParameterCurves,
+        amplitude: tuple[Array, Array],
+        shape: tuple[Array, Array],
+        elongation: tuple[Array, Array],
         *,
         n_lobes: int,
         n_shapes: int,
@@ -63,11 +43,11 @@ class Evaluator:
         spline: bool,
     ) -> None:
         groups = (amplitude, shape, elongation)
-        breaks = np.unique(np.concatenate([group.knots for group in groups]))
+        breaks = np.unique(np.concatenate([knots for knots, _ in groups]))
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
         pieces = pieces_of_spline if spline else pieces_of_line
-        rows = np.concatenate([pieces(group.knots, group.values, breaks) for group in groups], axis=2)
+        rows = np.concatenate([pieces(*group, breaks) for group in groups], axis=2)
         self._breaks = breaks
         self._terms = np.ascontiguousarray(rows.transpose(0, 2, 1))  # (4, R, pieces)
         self._n_lobes, self._n_shapes, self._family, self._spline = n_lobes, n_shapes, family, spline
@@ -75,16 +55,16 @@ class Evaluator:
         starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]
         self._runs = [slice(start, stop) for start, stop in itertools.pairwise([*starts, n_lobes])]
         self._single_lobes = [slice(lobe, lobe + 1) for lobe in range(n_lobes)]
-        self._round = not elongation.values.any()
+        self._round = not elongation[1].any()
         kc = n_lobes * n_shapes
         ends = np.cumsum([0, 3 * n_lobes, kc, kc, kc, n_lobes]).tolist()
         self._parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
         self._n_logarithms = ends[3 if spline else 1]
 
     @property
-    def pieces(self) -> ParameterPieces:
-        """The polynomials that are evaluated."""
-        return ParameterPieces(self._breaks, self._terms)
+    def pieces(self) -> tuple[Array, Array]:
+        """The P polynomials that are evaluated, see `dsbrdf.DSBRDF.pieces`."""
+        return self._breaks, self._terms
 
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""

@@ -12,7 +12,6 @@ Where f is needed depends on the lighting and the size only.  It is found once, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -76,7 +75,9 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     elif lighting == "environment":
         lights, around = (SUN,), _map_of_sky(size)
     if lights:
-        image[mask] = _lit(size, lights).radiance(evaluate)
+        angles, gather = _lit(size, lights)
+        values = evaluate(*angles)
+        image[mask] = np.stack([part @ values[:, channel] for channel, part in enumerate(gather)], axis=-1)
     if around is not None:
         image[mask] += _rings(size).radiance(evaluate, around)
     return image
@@ -116,20 +117,9 @@ def _evaluator(source: Source) -> Evaluate:
     return evaluate
 
 
-@dataclass(frozen=True, eq=False)
-class _Lit:
-    """N pixels under distant lights: ``gather[channel]`` adds the values at the points to the pixels."""
-
-    angles: tuple[Array, Array, Array]
-    gather: tuple[sparse.csr_array, ...]
-
-    def radiance(self, evaluate: Evaluate) -> Array:
-        values = evaluate(*self.angles)
-        return np.stack([gather @ values[:, c] for c, gather in enumerate(self.gather)], axis=-1)
-
-
 @lru_cache(maxsize=4)
-def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
+def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Array], list[sparse.csr_array]]:
+    """Angles at which distant lights reach the sphere, and by channel what adds the values there to the N pixels."""
     normals, _ = sphere_normals(size)
     parts = [_light_angles(normals, light) for light in lights]
     pixel = np.concatenate([lit for lit, _, _ in parts])
@@ -137,7 +127,7 @@ def _lit(size: int, lights: tuple[Light, ...]) -> _Lit:
     irradiance = np.concatenate([received for _, _, received in parts])
     point = np.arange(pixel.size)
     gather = [sparse.csr_array((irradiance[:, c], (pixel, point)), (len(normals), point.size)) for c in range(3)]
-    return _Lit((angles[0], angles[1], angles[2]), tuple(gather))
+    return (angles[0], angles[1], angles[2]), gather
 
 
 def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:

@@ -10,6 +10,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 
 DEGREE = 3
+_SMOOTHING = 3e-2  # of squared second differences, beside squared errors
 
 
 def n_control_values(n_knots: int) -> int:
@@ -73,6 +74,12 @@ def roughness(n_values: int) -> Array:
     """Quadratic form of the squared second differences of control values, shape (D, D)."""
     second = np.diff(np.eye(n_values), 2, axis=0) if n_values > 2 else np.zeros((0, n_values))
     return np.asarray(second.T @ second)
+
+
+def smooth_control_values(basis: Array, values: Array) -> Array:
+    """Control values (D, n) of smooth splines near values (R, n), the basis being that of their R rows."""
+    ridge = _SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
+    return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
 
 
 def _constant(values: Array, n_pieces: int) -> Array:

@@ -16,8 +16,8 @@ from dsbrdf.arrays import Array
 from dsbrdf.extras import require
 from dsbrdf.fitting.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import half_width
 from dsbrdf.model.reflectance import ReflectanceModel
+from dsbrdf.output.report_text import lobes_in_channel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -146,11 +146,8 @@ def component_parts(model: DSBRDF) -> list[FigurePart]:
 
 def lobe_parts(model: DSBRDF, channel: int) -> list[FigurePart]:
     """The lobes of a model, rings and cusps dashed, with their width at theta_diff = 0, and the delta term."""
-    at = model.parameters_at(0.0)
-    kappa, gamma, center = (
-        at[name][channel if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
-    )
-    widths, centers = np.degrees(half_width(kappa, gamma, model.lobe)), np.degrees(center)
+    at = lobes_in_channel(model, 0.0, channel)
+    widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
     parts = []
     for lobe, is_ring in enumerate(model.is_ring):
         name = f"lobe {lobe}"

@@ -22,11 +22,12 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.figure_layout import (
     ROW_HEIGHT,
     SPHERES_HEIGHT,
     component_parts,
+    empty_figure,
     figure_of_rows,
     finish_row,
     lobe_parts,
@@ -53,6 +54,8 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
+_LARGEST_PERCENT = 100.0  # larger residuals have the colour of this one
+_RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
 _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
 
 
@@ -127,13 +130,48 @@ def overview_figure(
     return figure
 
 
+def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
+    """Relative difference of fit and measurement, means over phi_diff, for each channel, theta_half and theta_diff.
+
+    Where there is no measurement, the figure is grey.  The axis of theta_half is that of the grid, dense at the peak.
+    """
+    figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT)
+    fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
+    measured = np.moveaxis(profiles.mean, 0, -1)
+    used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
+    percent = np.where(used, 100.0 * (fitted / np.where(used, measured, 1.0) - 1.0), np.nan)
+    axes = figure.subplots(1, len(CHANNELS), sharey=True)
+    for ax, channel, values in zip(axes, CHANNELS, np.moveaxis(percent, -1, 0), strict=True):
+        image = ax.imshow(
+            values,
+            cmap="RdBu_r",
+            vmin=-_LARGEST_PERCENT,
+            vmax=_LARGEST_PERCENT,
+            origin="lower",
+            aspect="auto",
+            interpolation="nearest",
+        )
+        ax.set_facecolor("0.85")
+        ax.set_xticks(
+            np.interp(np.radians(_RESIDUAL_TICKS), THETA_HALF, np.arange(THETA_HALF.size)), map(str, _RESIDUAL_TICKS)
+        )
+        ax.set_yticks(range(0, 91, 15))
+        ax.set_title(channel, fontsize=9)
+        ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
+        ax.tick_params(labelsize=8)
+    axes[0].set_ylabel(r"$\theta_\mathrm{diff}$ [degrees]")
+    bar = figure.colorbar(image, ax=axes, label="(fit - measured) / measured [%]", extend="both")
+    bar.ax.tick_params(labelsize=8)
+    return figure
+
+
 def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
     """Return the content of an image file, one of `IMAGE_FORMATS`, with a figure; `dpi` is the resolution of a png.
 
     Raises InvalidArgumentError if the format is unknown.
     """
     if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(f"the image format must be {_one_of(IMAGE_FORMATS)}, not {image_format!r}")
+        raise InvalidArgumentError(f"the image format must be {one_of(IMAGE_FORMATS)}, not {image_format!r}")
     buffer = BytesIO()
     figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
@@ -271,9 +309,5 @@ def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
 
 def _channel_index(channel: str) -> int:
     if channel not in CHANNELS:
-        raise InvalidArgumentError(f"channel must be {_one_of(CHANNELS)}, not {channel!r}")
+        raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
     return CHANNELS.index(channel)
-
-
-def _one_of(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} or {names[-1]}"

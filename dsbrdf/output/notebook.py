@@ -83,7 +83,7 @@ def _card(source: DSBRDF | Measurement, *parts: str) -> str:
     """Return a sphere, with nothing drawn around it, and parts to its right."""
     sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
     shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))
-    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{_base64(shown)}">'
+    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{b64encode(shown).decode()}">'
     beside = "".join(f"<div>{part}</div>" for part in (image, *parts))
     return f'<div style="display: flex; flex-wrap: wrap; gap: 1em; align-items: flex-start">{beside}</div>'
 
@@ -91,7 +91,3 @@ def _card(source: DSBRDF | Measurement, *parts: str) -> str:
 def _table(rows: dict[str, str]) -> str:
     cells: Iterable[str] = (f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
     return f"<table>{''.join(cells)}</table>" if rows else ""
-
-
-def _base64(content: bytes) -> str:
-    return b64encode(content).decode("ascii")

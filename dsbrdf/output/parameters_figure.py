@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.fitting.decomposition import LobeParameters, decompose
-from dsbrdf.model.lobes import half_width
 from dsbrdf.output.figure_layout import (
     COMPONENT_COLOURS,
     LOBE_COLOURS,
@@ -17,6 +16,7 @@ from dsbrdf.output.figure_layout import (
     set_ticks,
 )
 from dsbrdf.output.figures import CHANNEL_COLOURS
+from dsbrdf.output.report_text import lobes_in_channel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,15 +67,12 @@ def _own_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
 
 def _model_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
     """Label, colour and parameters of each lobe of a model."""
-    at = model.parameters_at(_ANGLES)
-    channel = 1 if model.kappa.shape[0] == 3 else 0
-    kappa, gamma = at["kappa"][:, channel], at["gamma"][:, channel]
-    widths = half_width(kappa, gamma, model.lobe)
+    heights, at = model.parameters_at(_ANGLES)["amplitude"], lobes_in_channel(model, _ANGLES, 1)
     return [
         (
             f"{'ring lobe' if is_ring else 'lobe'} {k}",
             LOBE_COLOURS[k % len(LOBE_COLOURS)],
-            LobeParameters(at["amplitude"][..., k], widths[:, k], kappa[:, k], at["elongation"][:, k]),
+            LobeParameters(heights[..., k], at["half_width"][:, k], at["kappa"][:, k], at["elongation"][:, k]),
         )
         for k, is_ring in enumerate(model.is_ring)
     ]

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
@@ -36,14 +38,10 @@ _VERDICTS = (
 _NO_COMPONENTS = "The model has no light, and so no components."
 
 
-def metrics_line(metrics: Metrics) -> str:
-    """Return one line with the metrics that have a value."""
-    return ", ".join(f"{name} {value:.4g}" for name, value in asdict(metrics).items() if value is not None)
-
-
-def wrapped_metrics(metrics: Metrics, width: int = _WIDTH) -> list[str]:
-    """Return the same on lines that end after a value."""
-    together = ", ".join(part.replace(" ", "\N{NO-BREAK SPACE}") for part in metrics_line(metrics).split(", "))
+def metrics_lines(metrics: Metrics, width: int = _WIDTH) -> list[str]:
+    """Return the metrics that have a value, on lines that end after one."""
+    known = {name: value for name, value in asdict(metrics).items() if value is not None}
+    together = ", ".join(f"{name}\N{NO-BREAK SPACE}{value:.4g}" for name, value in known.items())
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(together, width)]
 
 
@@ -89,23 +87,26 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
 
     The half width of a ring lobe is counted from its center.
     """
-    parameters = model.parameters_at(np.radians(SHOWN_THETA_DIFF))
-    column = CHANNELS.index(channel)
-    kappa, gamma, center = (
-        parameters[name][:, column if model.kappa.shape[0] == 3 else 0] for name in ("kappa", "gamma", "center")
-    )
-    widths = np.degrees(half_width(kappa, gamma, model.lobe))
+    at = lobes_in_channel(model, np.radians(SHOWN_THETA_DIFF), CHANNELS.index(channel))
     lines = _angles_head(f"lobes of the model, {channel} channel [1/sr]")
     for lobe, is_ring in enumerate(model.is_ring):
-        rows = [("height", parameters["amplitude"][:, column, lobe], ""), ("half width", widths[:, lobe], "°")]
+        rows = [("height", at["amplitude"], ""), ("half width", np.degrees(at["half_width"]), "°")]
         if is_ring:
-            rows.append(("center", np.degrees(center[:, lobe]), "°"))
-        rows += [("kappa", kappa[:, lobe], ""), ("gamma", gamma[:, lobe], "")]
+            rows.append(("center", np.degrees(at["center"]), "°"))
+        rows += [("kappa", at["kappa"], ""), ("gamma", at["gamma"], "")]
         if model.elongation[:, lobe].any():
-            rows.append(("elongation", parameters["elongation"][:, lobe], ""))
+            rows.append(("elongation", at["elongation"], ""))
         lines.append(f"{'ring lobe' if is_ring else 'lobe'} {lobe}")
-        lines += [_row(name, values, unit) for name, values, unit in rows]
+        lines += [_row(name, values[:, lobe], unit) for name, values, unit in rows]
     return lines
+
+
+def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
+    """Return parameters and half widths of the lobes at angles (...) [rad] in one channel, each of shape (..., K)."""
+    found, shape = model.parameters_at(theta_diff), channel if model.kappa.shape[0] == 3 else 0
+    at = {name: found[name][..., shape, :] for name in ("kappa", "gamma", "center")}
+    at |= {"amplitude": found["amplitude"][..., channel, :], "elongation": found["elongation"]}
+    return at | {"half_width": half_width(at["kappa"], at["gamma"], model.lobe)}
 
 
 def _angles_head(title: str) -> list[str]:
@@ -169,15 +170,8 @@ def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> l
 def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
     """Return the report of one fit: verdict, warnings, metrics, components, lobes tried, errors; lobes if asked for."""
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
-    metrics = wrapped_metrics(result.report.metrics)
-    lines = [
-        headline(file, result),
-        *warnings,
-        "",
-        *metrics,
-        "",
-        *model_text(result.model, lobes=lobes, channel=channel),
-    ]
+    lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
+    lines += model_text(result.model, lobes=lobes, channel=channel)
     for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
         lines += ["", *table] if table else []
     return [*lines, ""]
@@ -238,17 +232,7 @@ def component_document(component: Component) -> dict[str, Any]:
 
 
 _THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
-_COLUMNS = (
-    "lobe",
-    "channel",
-    "theta_diff_deg",
-    "amplitude",
-    "kappa",
-    "gamma",
-    "center_deg",
-    "elongation",
-    "half_width_deg",
-)
+_QUANTITIES = ("amplitude", "kappa", "gamma", "center_deg", "elongation", "half_width_deg")
 
 
 def parameters_csv(model: DSBRDF) -> str:
@@ -256,21 +240,14 @@ def parameters_csv(model: DSBRDF) -> str:
 
     The amplitude is in 1/sr, the half width is counted from the center.
     """
-    found = model.parameters_at(_THETA_DIFF)
-    widths = np.degrees(half_width(found["kappa"], found["gamma"], model.lobe))
-    lines = [",".join(_COLUMNS)]
+    lines = [",".join(("lobe", "channel", "theta_diff_deg", *_QUANTITIES))]
+    found = [lobes_in_channel(model, _THETA_DIFF, index) for index in range(len(CHANNELS))]
     for lobe in range(model.n_lobes):
-        for column, channel in enumerate(CHANNELS):
-            shape = column if found["kappa"].shape[1] == len(CHANNELS) else 0
-            table = (
-                np.degrees(_THETA_DIFF),
-                found["amplitude"][:, column, lobe],
-                found["kappa"][:, shape, lobe],
-                found["gamma"][:, shape, lobe],
-                np.degrees(found["center"][:, shape, lobe]),
-                found["elongation"][:, lobe],
-                widths[:, shape, lobe],
-            )
+        for channel, at in zip(CHANNELS, found, strict=True):
+            table = [np.degrees(_THETA_DIFF)]
+            for name in _QUANTITIES:
+                values = at[name.removesuffix("_deg")][:, lobe]
+                table.append(np.degrees(values) if name.endswith("_deg") else values)
             lead = f"{lobe},{channel},"
             lines += [lead + ",".join(f"{value:.9g}" for value in row) for row in np.stack(table, axis=1).tolist()]
     return "\n".join(lines) + "\n"

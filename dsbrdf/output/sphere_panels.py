@@ -34,10 +34,10 @@ _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 
 @dataclass(frozen=True, eq=False)
 class SphereComparison:
-    """Lit spheres of a measurement and its fit.
+    """Lit spheres of a measurement and its fit, or of any two materials.
 
-    `panels` has by title what a screen shows: measured, fit, difference, each component that the fit has.  PSNR and
-    SSIM are those of `dsbrdf.model.render.sphere_likeness`.
+    `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for.  PSNR
+    and SSIM are those of `dsbrdf.model.render.sphere_likeness`.
     """
 
     panels: dict[str, Array]  # (size, size, 3) each
@@ -54,23 +54,24 @@ class SphereComparison:
 
 def compare_spheres(
     measured: Measurement | DSBRDF,
-    fit: DSBRDF,
+    fit: Measurement | DSBRDF,
     *,
+    with_components: bool = True,
     lighting: str | EnvironmentMap = "three_lights",
     size: int = 256,
     factor: float | None = None,
 ) -> SphereComparison:
-    """Draw a measurement, or another model, beside a fit.
+    """Draw a measurement, or a model, beside a fit or another measurement.
 
-    Lighting and size are as for `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured
-    sphere.
+    With components, those of a fit that is a model are drawn too.  Lighting and size are as for
+    `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
     seen, compared = displayed(reference, factor), displayed(fitted, factor)
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
     panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
-    for component in decompose(fit):
+    for component in decompose(fit) if with_components and isinstance(fit, DSBRDF) else ():
         part = render_sphere(component, lighting=lighting, size=size)
         panels[component.label.replace("_", " ")] = displayed(part, factor)
     return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from dsbrdf.data.files import write_atomically
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -157,8 +157,8 @@ def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
     if encode is None:
         able = [name for name, kind in FORMATS.items() if kind.encode_component]
         raise InvalidArgumentError(
-            f"{file_format} cannot hold a component, whose values are a share of the model's: take "
-            f"{', '.join(able[:-1])} or {able[-1]}, or export the guide, which is the components' own lobes together"
+            f"{file_format} cannot hold a component, whose values are a share of the model's: take {one_of(able)}, or "
+            "export the guide, which is the components' own lobes together"
         )
     return encode
 

@@ -43,11 +43,12 @@ def parameter_rows(model: DSBRDF, table: str) -> tuple[str, int]:
     The rows are heights (channel, lobe), kappa and gamma (shape, lobe), elongation (lobe), then, where there are any,
     center (shape, lobe) and the delta term, all on the scale of the interpolation.
     """
-    pieces, k, sk = bernstein_pieces(model, "GLSL"), model.n_lobes, model.kappa.shape[0] * model.n_lobes
-    parts = np.split(pieces.coefficients, np.cumsum([3 * k, sk, sk, sk, k]))
+    (breaks, coefficients), k = bernstein_pieces(model, "GLSL"), model.n_lobes
+    sk = model.kappa.shape[0] * k
+    parts = np.split(coefficients, np.cumsum([3 * k, sk, sk, sk, k]))
     order = [parts[0], parts[1], parts[2], parts[4]]
     order += [part for part, used in ((parts[3], model.center.any()), (parts[5], model.delta.any())) if used]
-    coefficients, breaks = np.concatenate(order), pieces.breaks
+    coefficients = np.concatenate(order)
     later = " + ".join(f"int(held >= {number(at)})" for at in breaks[1:-1].tolist()) or "0"
     ends = {"FIRST": number(breaks[0]), "LAST": number(breaks[-1]), "LATER": later}
     functions = _filled(_ROWS, ends | {"PIECES": breaks.size - 1, "COUNT": len(coefficients)})

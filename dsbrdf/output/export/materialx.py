@@ -45,6 +45,9 @@ _STARTS = [
         (0.1, 0.8, 0.5 + 0.5 * roughness, 0.8, 0.6 * roughness),
     )
 ]
+_BOUNDS = np.zeros(6 + len(_NAMES)), np.ones(6 + len(_NAMES))
+_BOUNDS[0][[8, 10]] = _LEAST_ROUGHNESS
+_AWAY_FROM_THE_HIGHLIGHT = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
 _POLISHED = 2  # starts, the best ones, that least squares improves
 
 
@@ -85,12 +88,11 @@ def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
         surface = _surface(numbers)
         return np.concatenate([target.difference(surface.evaluate) for target in targets])
 
-    color = np.clip(np.median(evaluate(*_away_from_the_highlight()), axis=0) * np.pi, 0.02, 0.95)
+    color = np.clip(np.median(evaluate(*_AWAY_FROM_THE_HIGHLIGHT), axis=0) * np.pi, 0.02, 0.95)
     starts = [np.concatenate([color, np.full(3, 0.9), start]) for start in _STARTS]
     starts.sort(key=lambda numbers: float(np.sum(difference(numbers) ** 2)))
     ends = [
-        least_squares(difference, start, bounds=_bounds(), diff_step=_STEPS, max_nfev=30)
-        for start in starts[:_POLISHED]
+        least_squares(difference, start, bounds=_BOUNDS, diff_step=_STEPS, max_nfev=30) for start in starts[:_POLISHED]
     ]
     surface = _surface(min(ends, key=lambda end: end.cost).x)
     return FittedSurface(surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS})
@@ -125,17 +127,6 @@ def _surface(numbers: Array) -> OpenPBR:
     return OpenPBR(
         (red, green, blue), specular_color=(rest[0], rest[1], rest[2]), **dict(zip(_NAMES, rest[3:], strict=True))
     )
-
-
-def _bounds() -> tuple[Array, Array]:
-    low = np.zeros(6 + len(_NAMES))
-    low[[8, 10]] = _LEAST_ROUGHNESS
-    return low, np.ones_like(low)
-
-
-def _away_from_the_highlight() -> tuple[Array, Array, Array]:
-    angles = np.radians([[40.0, 10.0, 90.0], [50.0, 20.0, 90.0], [60.0, 5.0, 90.0]]).T
-    return angles[0], angles[1], angles[2]
 
 
 def _psnr(evaluate: Evaluate, surface: OpenPBR, lighting: str) -> float:

@@ -27,8 +27,7 @@ from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import LUMINANCE
-from dsbrdf.output.export.mitsuba_math import Number, Table
-from dsbrdf.output.export.mitsuba_model import MitsubaModel
+from dsbrdf.output.export.mitsuba_model import MitsubaModel, Number, Table
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from dsbrdf.output.serialize import load
 

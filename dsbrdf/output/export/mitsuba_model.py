@@ -1,7 +1,9 @@
 """Values, density and samples of a model on the numbers of a variant of Mitsuba.
 
-Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision.  In variants
-that differentiate, values have derivatives in the model's parameters, which are finite everywhere.
+Numbers are floats of Python or arrays of drjit, formulas and names those of `dsbrdf.model.evaluation` and
+`dsbrdf.model.sampling`, in single precision.  What that would lose is kept: ``expm1`` and ``log1p``, which drjit does
+not have, are series near 0.  In variants that differentiate, values have derivatives in the model's parameters, which
+are finite everywhere: also the branch that is not taken must not have an infinite one, for zero times it is not zero.
 """
 
 from dataclasses import replace
@@ -13,11 +15,13 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobe_families import FAMILIES, SeriesMath
 from dsbrdf.model.lobes import GRAZING_COSINE
-from dsbrdf.model.sampling import ANGLES, DirectionSampler
-from dsbrdf.output.export.mitsuba_math import Number, Table, expm1, lobe_value, log1p, safe_root
+from dsbrdf.model.sampling import ANGLES
 from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pieces
 
+Number = Any
+"""A float or int of Python, or an array of drjit."""
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
 """Parameters that can be changed, arrays of `DSBRDF`."""
 _LEAST = 1e-9  # of a parameter whose logarithm is taken
@@ -34,11 +38,54 @@ class _Angles(NamedTuple):
     log_cos: Number
 
 
-class _Place(NamedTuple):
-    """A piece of the polynomials, and where in it a point is, from 0 to 1."""
+class Table:
+    """Numbers of any shape that are looked up by their index in the flat array."""
 
-    piece: Number
-    at: Number
+    def __init__(self, values: Any) -> None:
+        self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
+        if self._drjit.is_array_v(values):
+            self._values = values
+        else:
+            flat = np.ravel(np.asarray(values, dtype=np.float32))
+            self._values = flat.tolist() if self._float is float else self._float(flat)
+
+    def __getitem__(self, index: Number) -> Number:
+        return self._values[index] if self._float is float else self._drjit.gather(self._float, self._values, index)
+
+
+def _log1p(x: Number) -> Number:
+    """Logarithm of 1 + x, x zero or positive."""
+    dr = import_module("drjit")
+    s = x / (2.0 + x)
+    t = s * s
+    series = 2.0 * s * (1.0 + t * (1.0 / 3.0 + t * (0.2 + t * (1.0 / 7.0 + t * (1.0 / 9.0)))))
+    return dr.select(x < 0.5, series, dr.log(1.0 + x))
+
+
+def _expm1(x: Number) -> Number:
+    """Exponential of x less 1."""
+    dr = import_module("drjit")
+    y = dr.clip(x, -0.3, 0.3)
+    series = y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))))
+    return dr.select(dr.abs(x) < 0.3, series, dr.exp(dr.clip(x, -80.0, 88.0)) - 1.0)
+
+
+def _safe_root(x: Number) -> Number:
+    """Square root of x, zero or positive, with a derivative that is 0 at 0."""
+    dr = import_module("drjit")
+    positive = x > 0.0
+    return dr.select(positive, dr.sqrt(dr.select(positive, x, 1.0)), 0.0)
+
+
+def _lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | None, family: str) -> Number:
+    """Value of a lobe of height 1; see `dsbrdf.model.lobes.lobe_values`."""
+    dr = import_module("drjit")
+    top_squared: Number = 0.0
+    if center is not None:
+        root, tan_center = _safe_root(squared), dr.tan(center)
+        tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
+        squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
+    return FAMILIES[family].value_of_squares(SeriesMath(dr.exp, _expm1, _log1p), squared, top_squared, kappa, gamma)
 
 
 class MitsubaModel:
@@ -50,16 +97,20 @@ class MitsubaModel:
 
     def __init__(self, model: DSBRDF) -> None:
         self._dr, self._mitsuba = import_module("drjit"), import_module("mitsuba")
-        pieces = bernstein_pieces(model, "Mitsuba")
+        breaks, coefficients = bernstein_pieces(model, "Mitsuba")
         self.parameters: dict[str, Any] = {
             name: self._mitsuba.TensorXf(getattr(model, name).astype(np.float32)) for name in PARAMETERS
         }
-        self._delta = pieces.coefficients[-3:]
+        self._delta = coefficients[-3:]
         self._model = model
-        self._n_rows, self._n_pieces = pieces.coefficients.shape[:2]
-        self._breaks = pieces.breaks.tolist()
-        self._starts, self._widths = Table(pieces.breaks), Table(np.diff(pieces.breaks))
-        self._mixture = _Mixture(model.sampler)
+        self._n_rows, self._n_pieces = coefficients.shape[:2]
+        self._breaks = breaks.tolist()
+        self._starts, self._widths = Table(breaks), Table(np.diff(breaks))
+        sampler = model.sampler
+        self._mixture_width = sampler.cumulative.shape[1]
+        self._mixture_along, self._mixture_across = Table(sampler.along), Table(sampler.across)
+        self._mixture_cumulative = Table(sampler.cumulative)
+        self._mixture_share = Table(np.diff(sampler.cumulative, axis=1, prepend=0.0))
         self.update()
 
     def changed_model(self) -> DSBRDF:
@@ -81,7 +132,7 @@ class MitsubaModel:
     def update(self) -> None:
         """Take the parameters as they are now, with their derivatives; the densities of samples stay as they were."""
         if self._mitsuba.Float is float:
-            self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba").coefficients)
+            self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba")[1])
             return
         rows = [self._rows_of(name, basis) for name, basis in bernstein_bases(self._model).items()]
         self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
@@ -95,7 +146,7 @@ class MitsubaModel:
             if self._model.interpolation == "spline":
                 values = dr.log(values)
             elif name == "amplitude":
-                values = log1p(values)
+                values = _log1p(values)
         shape = getattr(self._model, name).shape
         n_controls, n_lobes = shape[-2:]
         n_rows, size = int(np.prod(shape[:-2])) * n_lobes, basis[0].size
@@ -122,7 +173,7 @@ class MitsubaModel:
             values = [self._lobe(3 * k + c * k + lobe, n_shapes * k, lobe, place, squared) for c in range(n_shapes)]
             for channel in range(3):
                 height = self._row(channel * k + lobe, place)
-                amplitude = dr.exp(height) if spline else expm1(height)
+                amplitude = dr.exp(height) if spline else _expm1(height)
                 result[channel] = result[channel] + amplitude * values[channel % n_shapes]
         if model.delta.any():
             inside = angles.tan_half < float(np.tan(CENTER_CUTOFF))
@@ -132,39 +183,39 @@ class MitsubaModel:
 
     def pdf(self, omega_in: Number, omega_out: Number) -> Number:
         """Density per solid angle [1/sr] of omega_in, both directions being above the horizon."""
-        dr, mixture = self._dr, self._mixture
+        dr, width = self._dr, self._mixture_width
         total, row = omega_in + omega_out, self._row_of(omega_out)
         x, y = self._heading(omega_out)
         toward2, aside2 = (total.x * x + total.y * y) ** 2, (total.y * x - total.x * y) ** 2
         height2, length2 = total.z * total.z, dr.squared_norm(total)
         radius2 = omega_out.x * omega_out.x + omega_out.y * omega_out.y
-        result = mixture.share[row * mixture.width + mixture.width - 1] * omega_in.z / np.pi
-        for part in range(mixture.width - 1):
-            at = row * (mixture.width - 1) + part
-            along, across = mixture.along[at], mixture.across[at]
+        result = self._mixture_share[row * width + width - 1] * omega_in.z / np.pi
+        for part in range(width - 1):
+            at = row * (width - 1) + part
+            along, across = self._mixture_along[at], self._mixture_across[at]
             slopes = height2 + toward2 / (along * along) + aside2 / (across * across)
             visible = omega_out.z + dr.sqrt(omega_out.z * omega_out.z + along * along * radius2)
             density = (length2 / slopes) ** 2 / (2.0 * np.pi * along * across * visible)
-            result = result + mixture.share[row * mixture.width + part] * density
+            result = result + self._mixture_share[row * width + part] * density
         return result
 
     def sample(self, omega_out: Number, one: Number, two: Number) -> Number:
         """Direction omega_in, perhaps below the horizon, from one and from two uniform numbers."""
-        dr, mixture = self._dr, self._mixture
+        dr, width = self._dr, self._mixture_width
         row = self._row_of(omega_out)
         chosen = self._mitsuba.UInt32(0)
-        for part in range(mixture.width - 1):
-            chosen = dr.select(one >= mixture.cumulative[row * mixture.width + part], part + 1, chosen)
-        at = row * (mixture.width - 1) + dr.minimum(chosen, mixture.width - 2)
-        half = self._visible_normal(omega_out, mixture.along[at], mixture.across[at], two)
+        for part in range(width - 1):
+            chosen = dr.select(one >= self._mixture_cumulative[row * width + part], part + 1, chosen)
+        at = row * (width - 1) + dr.minimum(chosen, width - 2)
+        half = self._visible_normal(omega_out, self._mixture_along[at], self._mixture_across[at], two)
         mirrored = 2.0 * dr.dot(half, omega_out) * half - omega_out
         even = self._mitsuba.warp.square_to_cosine_hemisphere(two)
-        return dr.select(chosen == mixture.width - 1, even, mirrored)
+        return dr.select(chosen == width - 1, even, mirrored)
 
     def _visible_normal(self, omega_out: Number, along: Number, across: Number, two: Number) -> Number:
         dr = self._dr
         x, y = self._heading(omega_out)
-        radius = safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y)
+        radius = _safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y)
         seen = dr.normalize(self._mitsuba.Vector2f(along * radius, omega_out.z))
         z = (1.0 - two.x) * (1.0 + seen.y) - seen.y
         ring, turn = dr.sqrt(dr.maximum(1.0 - z * z, 0.0)), 2.0 * np.pi * two.y
@@ -176,7 +227,7 @@ class MitsubaModel:
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
-        radius, height = safe_root(radius2), dr.maximum(total.z, 1e-7)
+        radius, height = _safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
         # The difference along and across the heading of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
@@ -187,32 +238,33 @@ class MitsubaModel:
         cos2_diff = sum2 / (sum2 + difference2)
         fourth = GRAZING_COSINE**4
         log_cos = 0.25 * dr.log(fourth + (1.0 - fourth) * cos2_diff * cos2_diff)
-        theta_diff = dr.atan2(safe_root(difference2), dr.sqrt(sum2))
+        theta_diff = dr.atan2(_safe_root(difference2), dr.sqrt(sum2))
         squared = dr.minimum(radius2 / (height * height), 1e30)
         return _Angles(theta_diff, radius / height, squared, cos2_phi, log_cos)
 
-    def _place(self, theta_diff: Number) -> _Place:
+    def _place(self, theta_diff: Number) -> tuple[Number, Number]:
+        """A piece of the polynomials, and where in it a point is, from 0 to 1."""
         dr = self._dr
         held = dr.clip(theta_diff, self._breaks[0], self._breaks[-1])
         piece = self._mitsuba.UInt32(0)
         for index in range(1, self._n_pieces):
             piece = dr.select(held >= self._breaks[index], index, piece)
-        return _Place(piece, (held - self._starts[piece]) / self._widths[piece])
+        return piece, (held - self._starts[piece]) / self._widths[piece]
 
-    def _row(self, row: int, place: _Place) -> Number:
-        start = (row * self._n_pieces + place.piece) * 4
+    def _row(self, row: int, place: tuple[Number, Number]) -> Number:
+        piece, t = place
+        start = (row * self._n_pieces + piece) * 4
         first, second, third, last = (self._coefficients[start + i] for i in range(4))
-        t = place.at
         s = 1.0 - t
         return s * s * (s * first + 3.0 * t * second) + t * t * (3.0 * s * third + t * last)
 
-    def _lobe(self, row: int, step: int, lobe: int, place: _Place, squared: Number) -> Number:
+    def _lobe(self, row: int, step: int, lobe: int, place: tuple[Number, Number], squared: Number) -> Number:
         """Value of a lobe whose kappa is in a row, with gamma and center a step and two steps after it."""
         kappa, gamma = self._row(row, place), self._row(row + step, place)
         if self._model.interpolation == "spline":
             kappa, gamma = self._dr.exp(kappa), self._dr.exp(gamma)
         center = self._row(row + 2 * step, place) if self._model.is_ring[lobe] else None
-        return lobe_value(squared, kappa, gamma, center, self._model.lobe)
+        return _lobe_value(squared, kappa, gamma, center, self._model.lobe)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
         """Cosine and sine of the azimuth, 1 and 0 along the normal."""
@@ -224,16 +276,6 @@ class MitsubaModel:
     def _row_of(self, omega_out: Number) -> Number:
         """Index in `ANGLES` of the angle nearest to a direction."""
         dr = self._dr
-        theta = dr.atan2(safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
+        theta = dr.atan2(_safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
         nearest = dr.clip(dr.round(theta / float(ANGLES[1])), 0.0, float(ANGLES.size - 1))
         return self._mitsuba.UInt32(nearest)
-
-
-class _Mixture:
-    """The tables of a `DirectionSampler`."""
-
-    def __init__(self, sampler: DirectionSampler) -> None:
-        self.width = sampler.cumulative.shape[1]
-        self.along, self.across = Table(sampler.along), Table(sampler.across)
-        self.cumulative = Table(sampler.cumulative)
-        self.share = Table(np.diff(sampler.cumulative, axis=1, prepend=0.0))

@@ -57,19 +57,16 @@ class OpenPBR:
         """BRDF values (n, 3) [1/sr] at angles (n,) [rad]; 0 where a direction is below the horizon."""
         cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
         above = ((cos_in > 0.0) & (cos_out > 0.0))[:, None]
-        at = _Directions(
-            np.cos(theta_half)[:, None],
-            np.clip(np.cos(theta_diff), _LEAST, 1.0)[:, None],
-            np.clip(cos_in, _LEAST, 1.0)[:, None],
-            np.clip(cos_out, _LEAST, 1.0)[:, None],
-        )
+        half = np.cos(theta_half)[:, None]
+        others = (np.clip(cosine, _LEAST, 1.0)[:, None] for cosine in (np.cos(theta_diff), cos_in, cos_out))
+        cosines = (half, *others)
         color, tint = np.array(self.base_color), np.array(self.specular_color)
-        rough = at.facets(self._base_roughness**2)
+        rough = _Facets.of(self._base_roughness**2, *cosines)
         highlight, passed = rough.dielectric(self._base_index, 1.0)
         dielectric = highlight * tint + passed * color / np.pi
         metal = self.specular_weight * rough.metal(color, tint)
         base = self._darkening * (self.base_metalness * metal + (1.0 - self.base_metalness) * dielectric)
-        coat, passed = at.facets(self.coat_roughness**2).dielectric(self.coat_ior, self.coat_weight)
+        coat, passed = _Facets.of(self.coat_roughness**2, *cosines).dielectric(self.coat_ior, self.coat_weight)
         return np.where(above, coat + passed * base, 0.0)
 
     @property
@@ -98,30 +95,6 @@ class OpenPBR:
 
 
 @dataclass(frozen=True, eq=False)
-class _Directions:
-    """Cosines of pairs of directions, each of shape (n, 1)."""
-
-    half: Array
-    diff: Array
-    incident: Array
-    view: Array
-
-    def facets(self, alpha: float) -> "_Facets":
-        """Microfacets with the distribution GGX."""
-        alpha = max(alpha, _LEAST)
-        square = alpha**2
-        tangent2 = (1.0 - self.half**2) / square
-        distribution = 1.0 / (np.pi * square * (tangent2 + self.half**2) ** 2)
-        to_light = np.sqrt(square + (1.0 - square) * self.incident**2)
-        to_view = np.sqrt(square + (1.0 - square) * self.view**2)
-        value = 0.5 * distribution / (to_light * self.view + to_view * self.incident)
-        of_alpha = np.array([1.0, alpha, square])
-        constant, linear, quadratic = (of_alpha @ _ALBEDO[rows] for rows in ([0, 2, 5], [1, 3, 7], [4, 6, 8]))
-        first, second, below, under = ((constant + self.view * (linear + self.view * quadratic)).T)[..., None]
-        return _Facets(self.diff, value, np.clip(first / below, 0.0, 1.0), np.clip(second / under, 0.0, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
 class _Facets:
     """A rough boundary: cosine of theta_diff, value that Fresnel's term scales, shares of F0 and F90 in the albedo."""
 
@@ -129,6 +102,21 @@ class _Facets:
     value: Array
     to_normal: Array
     to_grazing: Array
+
+    @classmethod
+    def of(cls, alpha: float, half: Array, diff: Array, incident: Array, view: Array) -> "_Facets":
+        """Microfacets with the distribution GGX, for pairs of directions with these cosines, each (n, 1)."""
+        alpha = max(alpha, _LEAST)
+        square = alpha**2
+        tangent2 = (1.0 - half**2) / square
+        distribution = 1.0 / (np.pi * square * (tangent2 + half**2) ** 2)
+        to_light = np.sqrt(square + (1.0 - square) * incident**2)
+        to_view = np.sqrt(square + (1.0 - square) * view**2)
+        value = 0.5 * distribution / (to_light * view + to_view * incident)
+        of_alpha = np.array([1.0, alpha, square])
+        constant, linear, quadratic = (of_alpha @ _ALBEDO[rows] for rows in ([0, 2, 5], [1, 3, 7], [4, 6, 8]))
+        first, second, below, under = ((constant + view * (linear + view * quadratic)).T)[..., None]
+        return cls(diff, value, np.clip(first / below, 0.0, 1.0), np.clip(second / under, 0.0, 1.0))
 
     def dielectric(self, index: float, weight: float) -> tuple[Array, Array]:
         """Values of a dielectric boundary (n, 1), and the share of light that passes it."""

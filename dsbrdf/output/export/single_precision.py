@@ -3,8 +3,6 @@
 In that form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dsbrdf.arrays import Array
@@ -15,26 +13,18 @@ from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
 _LARGEST = 3e38  # in single precision
 
 
-@dataclass(frozen=True, eq=False)
-class BernsteinPieces:
-    """Parameters over theta_diff.
+def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
+    """Return the breaks (P + 1,) and coefficients (R, P, 4) of a model's parameters over theta_diff.
 
-    The pieces and rows are those of `dsbrdf.model.evaluation.ParameterPieces`, followed by rows for the three channels
-    of the delta term.
+    The pieces and rows are those of `dsbrdf.DSBRDF.pieces`, followed by rows for the three channels
+    of the delta term.  Raises InvalidArgumentError if a parameter is too large for a program's single precision.
     """
-
-    breaks: Array  # (P + 1,)
-    coefficients: Array  # (R, P, 4)
-
-
-def bernstein_pieces(model: DSBRDF, program: str) -> BernsteinPieces:
-    """Return the parameters of a model; InvalidArgumentError if one is too large for a program's single precision."""
-    pieces = model.pieces
-    rows = np.concatenate([pieces.terms, _delta_terms(model, pieces.breaks)], axis=1)
+    breaks, terms = model.pieces
+    rows = np.concatenate([terms, _delta_terms(model, breaks)], axis=1)
     largest = max(model.amplitude.max(initial=0.0), model.gamma.max(initial=0.0), np.abs(rows).max(initial=0.0))
     if largest > _LARGEST:
         raise InvalidArgumentError(f"a parameter of the model is too large for {program}, which has single precision")
-    return BernsteinPieces(pieces.breaks, _bernstein(rows, np.diff(pieces.breaks)))
+    return breaks, _bernstein(rows, np.diff(breaks))
 
 
 def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
@@ -43,7 +33,7 @@ def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
     The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these.
     """
     pieces = pieces_of_spline if model.interpolation == "spline" else pieces_of_line
-    breaks = model.pieces.breaks
+    breaks, _ = model.pieces
     knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
     knots |= {"amplitude": model.theta_diff, "elongation": model.elongation_theta_diff}
     bases = {}

@@ -13,7 +13,7 @@ import pytest
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Fault, FitLimits, FitTask
-from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_profiles, reduce_measurement
+from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_reduced, reduce_measurement
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.version import versions
 from tests.support.dask_cluster import DaskCluster, forked
@@ -190,7 +190,7 @@ def test_file_changed_during_its_fit_is_a_system_fault(plastic_file: Path, tmp_p
     shutil.copyfile(plastic_file, path)
     task = FitTask("one", path, QUICK)
     profiles, seconds = reduce_measurement(task, lambda _: None)
-    fitted = fit_profiles(profiles, task.options, lambda _: None)
+    fitted = fit_reduced(profiles, task.options, lambda _: None)
     assert isinstance(fitted, FitResult)
     with path.open("r+b") as file:
         file.seek(-8, os.SEEK_END)

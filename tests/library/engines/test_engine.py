@@ -10,6 +10,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dsbrdf
@@ -32,6 +33,7 @@ from tests.support.engines import (
     until,
     until_fitting,
 )
+from tests.support.mixtures import mixture, scattered_samples
 from tests.support.processes import alive, wait_until
 from tests.support.soak import SOAK
 
@@ -62,6 +64,19 @@ def test_result_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_fil
     assert said == [text for text in outcome.report.warnings if "before they converged" in text]
     assert shares == sorted(set(shares))
     assert shares[-1] == 1.0
+
+
+def test_scattered_samples_are_fitted_as_by_the_library(stage: Stage, tmp_path: Path) -> None:
+    samples, path = scattered_samples(mixture(1, 0), 400), tmp_path / "samples.csv"
+    head = ",".join(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
+    table = np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    np.savetxt(path, table, delimiter=",", header=f"{head},red,green,blue", comments="")
+    outcome, _ = run(stage, FitTask("one", path, FitOptions(n_lobes=1)))
+    assert isinstance(outcome, FitResult)
+    expected = dsbrdf.fit(path, n_lobes=1)
+    found, document = (to_json(result.model, result.report) for result in (outcome, expected))
+    assert content(found) == content(document)
+    assert list(outcome.report.timings) == list(expected.report.timings)
 
 
 @cache
