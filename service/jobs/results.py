@@ -25,7 +25,7 @@ from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from ..storage.schema import FitKey, FitRow
 from ..storage.store import Store
 from ..wire.fit_options import from_wire
-from .drawing import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
+from .steps import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
 
 Array = NDArray[np.float64]
 

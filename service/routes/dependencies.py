@@ -16,9 +16,9 @@ from ..access.keys import Keys
 from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..jobs.computations import Computations
-from ..jobs.drawing import StoredMeasurement
 from ..jobs.jobs import Jobs
 from ..jobs.results import FitViews, ModelCache
+from ..jobs.steps import StoredMeasurement
 from ..operations.metrics import Metrics
 from ..operations.readiness import Readiness
 from ..settings import Settings

@@ -11,7 +11,7 @@ from dsbrdf.extras import require
 
 from ..http import openapi
 from ..http.responses import is_current, tag_of
-from ..jobs.drawing import FIGURES, figure_step, sphere_step
+from ..jobs.steps import FIGURES, figure_step, sphere_step
 from ..wire.fit_options import from_wire
 from ..wire.schemas import FitSphere, Sphere
 from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit

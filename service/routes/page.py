@@ -31,8 +31,8 @@ from ..http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render,
 from ..http.problems import KINDS, problem_of
 from ..http.request_body import receive_body
 from ..http.responses import tagged_reply
-from ..jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..jobs.results import FitView
+from ..jobs.steps import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..storage.schema import FitKey, FitRow
 from ..wire.schemas import Page, Plain
 from ..wire.values import JSON

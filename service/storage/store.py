@@ -30,7 +30,7 @@ from .schema import (
     checksum,
     columns,
 )
-from .uploads import Convert, Received, UploadBody, Uploads, check_queue, check_storage, in_thread
+from .uploads import Received, Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
 
@@ -116,13 +116,6 @@ class Store:
             # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
             self.blobs.place(incoming, sha256)
         return MeasurementRow(*row), known is None
-
-    async def receive_measurement(
-        self, caller: Caller, body: UploadBody, name: str | None, convert: Convert | None = None
-    ) -> tuple[MeasurementRow, bool]:
-        """Receive and store an upload; returns as `add_measurement`, raises as that and as `Uploads.receive`."""
-        async with self.uploads.receive(caller, body, convert) as received:
-            return await in_thread(self.add_measurement, caller, received, name)
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
