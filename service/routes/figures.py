@@ -10,7 +10,7 @@ import dsbrdf
 from dsbrdf.extras import require
 
 from ..http import openapi
-from ..http.responses import is_current, tag_of
+from ..http.responses import check_wanted, tag_of
 from ..jobs.steps import FIGURES, figure_step, sphere_step
 from ..wire.fit_options import from_wire
 from ..wire.schemas import FitSphere, Sphere
@@ -114,8 +114,7 @@ async def drawn_reply(
     *arguments: Any,
 ) -> Response:
     """Return what `step` draws, unless the client has it; `key` determines it and names its owner."""
-    etag = tag_of(dsbrdf.__version__, *key)
-    if is_current(request, etag):
-        return Response(None, 304, {"ETag": etag})
-    headers = {"ETag": etag, "Content-Type": media_type}
+    headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+    check_wanted(request, headers)
+    headers["Content-Type"] = media_type
     return Response(await context.in_process(request, key, step, *arguments, head=headers), 200, headers)

@@ -14,7 +14,7 @@ from ..http.request_body import media_type_of
 from ..http.responses import (
     OpenFileResponse,
     check_range,
-    is_current,
+    check_wanted,
     json_reply,
     next_page,
     prefix_of,
@@ -119,8 +119,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     if _wants_document(request):
         return await _details(request, context, row)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    if is_current(request, headers["ETag"]):
-        return Response(None, 304, headers)
+    check_wanted(request, headers)
     if request.method != "HEAD":
         check_range(request, row.size)
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
