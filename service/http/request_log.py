@@ -10,9 +10,9 @@ import secrets
 from time import perf_counter
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from structlog.contextvars import bind_contextvars
 
 from ..errors import ProblemError
+from ..operations.logging import bind
 from ..operations.metrics import NO_ROUTE, Metrics
 from ..settings import Settings
 from .limits import BodyTimeout
@@ -43,7 +43,7 @@ class RequestLogMiddleware:
             await self._app(scope, receive, send)
             return
         exchange = _Exchange(scope, send)
-        bind_contextvars(request_id=exchange.request_id)
+        bind("request_id", exchange.request_id)
         if exchange.has_body:
             idle_timeout, least_rate = self._settings.idle_timeout, self._settings.least_upload_rate
             receive = exchange.body = BodyTimeout(receive, idle_timeout, least_rate)

@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
-from structlog.contextvars import bind_contextvars
 
 from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask, Outcome
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 
 from ..errors import MeasurementDamagedError
+from ..operations.logging import bind
 from ..operations.metrics import Metrics
 from ..settings import Settings
 from ..storage.database import in_write_thread
@@ -179,7 +179,7 @@ class Jobs:
         task.add_done_callback(forget)
 
     async def _run(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
-        bind_contextvars(fit=str(key))
+        bind("fit", str(key))
         if previous is not None:
             await _run_to_end(asyncio.wait([previous]))
             await _write(self._store.requeue_running, key)  # the previous task may have started the new row last
