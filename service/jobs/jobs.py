@@ -18,7 +18,7 @@ from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, Fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 
-from ..errors import MeasurementDamagedError
+from ..errors import FitNotFoundError, MeasurementDamagedError
 from ..operations.logging import bind
 from ..operations.metrics import Metrics
 from ..settings import Settings
@@ -113,8 +113,8 @@ class Jobs:
             self._begin(row.key)
         return row, new
 
-    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
-        """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
+    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
+        """Return the fit's row at its end, after `seconds` or at one of `ends`; raises as `Store.fit`."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + seconds
         ends = (self._stopping, *ends)
@@ -123,7 +123,7 @@ class Jobs:
             if running is not None and left > 0:
                 await asyncio.wait((running.task, *ends), timeout=left, return_when=asyncio.FIRST_COMPLETED)
             row = await run_in_threadpool(self._store.fit, key)
-            if row is None or row.ended or loop.time() >= deadline or any(end.done() for end in ends):
+            if row.ended or loop.time() >= deadline or any(end.done() for end in ends):
                 return row
             await asyncio.sleep(_MIN_POLL_INTERVAL)  # the fit was cancelled and sent again: it has another task
 
@@ -139,8 +139,9 @@ class Jobs:
         while True:
             running = self._running.get(key)
             changed = None if running is None else running.changed
-            row = await run_in_threadpool(self._store.fit, key)
-            if row is None:
+            try:
+                row = await run_in_threadpool(self._store.fit, key)
+            except FitNotFoundError:
                 return
             yield row
             if row.ended or self._stopping.done():

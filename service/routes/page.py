@@ -87,7 +87,7 @@ async def get_index(
     shown = rows[: page.limit]
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
-    measured = await run_in_threadpool(_stored_measurements, context, shown)
+    measured = await run_in_threadpool(lambda: {row.measurement for row in shown if _has_picture(context, row)})
     names = Counter(row.name for row in shown)
     items = [
         {
@@ -101,11 +101,6 @@ async def get_index(
     return _render(
         "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
     )
-
-
-def _stored_measurements(context: Context, rows: list[FitRow]) -> set[str]:
-    """Return the measurements of fits of which there are pictures."""
-    return {row.measurement for row in rows if _has_picture(context, row)}
 
 
 def _has_picture(context: Context, row: FitRow) -> bool:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import dsbrdf
 
-from ..errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
+from ..errors import DataFolderError, FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from .blobs import Blobs
 from .database import Database
 from .schema import (
@@ -189,7 +189,7 @@ class Store:
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
-        found = self.fit(key)
+        found = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
         if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
@@ -218,9 +218,12 @@ class Store:
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
-    def fit(self, key: FitKey) -> FitRow | None:
-        """Return a fit's row."""
-        return self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+    def fit(self, key: FitKey) -> FitRow:
+        """Return a fit's row; raise FitNotFoundError if there is no such fit."""
+        row = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+        if row is None:
+            raise FitNotFoundError(key.id)
+        return row
 
     def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
