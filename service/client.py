@@ -330,11 +330,11 @@ class ClientEngine:
     """
 
     def __init__(self, url: str, count: int) -> None:
-        self._url, self._count, self._closed = url, count, False
+        self._url, self._count = url, count
 
     async def start(self) -> None:
-        """Make the connection, which asks for nothing yet."""
-        self._slots, self._client = asyncio.Semaphore(self._count), Client(self._url)
+        """Make the client, which asks for nothing yet."""
+        self._slots, self._client = asyncio.Semaphore(self._count), AsyncClient(self._url)
 
     def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until one more fit may be asked for."""
@@ -346,24 +346,8 @@ class ClientEngine:
         Raises ConnectionError if the service cannot be reached, or fails for another reason than the measurement or
         the options. Raises InvalidArgumentError if it wants a key.
         """
-        return await asyncio.to_thread(self._fit, task, on_progress)
-
-    async def check(self) -> None:
-        """Do nothing: the first fit says whether the service answers."""
-
-    async def close(self) -> None:
-        """End the waiting for fits and the connections."""
-        self._closed = True
-        self._client.close()
-
-    def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        def report(share: float) -> None:
-            if self._closed:
-                raise InterruptedError("the command was interrupted")
-            on_progress(share)
-
         try:
-            return self._client.fit(task.path, task.options, progress=report)
+            return await self._client.fit(task.path, task.options, progress=on_progress)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except AccessError as error:
@@ -371,6 +355,13 @@ class ClientEngine:
             raise InvalidArgumentError(reason) from error
         except (ServiceError, httpx.TransportError) as error:
             raise ConnectionError(f"{self._url}: {error}") from error
+
+    async def check(self) -> None:
+        """Do nothing: the first fit says whether the service answers."""
+
+    async def close(self) -> None:
+        """Close the connections, with which the threads of calls that were cancelled end."""
+        await self._client.close()
 
 
 def _fit(document: Mapping[str, Any]) -> Fit:
