@@ -54,12 +54,12 @@ class _RunningFit:
 
     task: "asyncio.Task[None]"
     progress: float = 0.0
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
+    changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def notify(self) -> None:
         """Wake everyone who waits for a change."""
-        self.changed.set()
-        self.changed = asyncio.Event()
+        self.changed.set_result(None)
+        self.changed = asyncio.get_running_loop().create_future()
 
 
 class Jobs:
@@ -147,10 +147,7 @@ class Jobs:
             if row.ended or self._stopping.done():
                 return
             if changed is not None:
-                change = asyncio.create_task(changed.wait())
-                events: list[asyncio.Future[Any]] = [change, *ends]
-                await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
-                change.cancel()
+                await asyncio.wait((changed, *ends), return_when=asyncio.FIRST_COMPLETED)
                 if any(end.done() for end in ends):
                     return
             else:  # the row is ahead of, or behind, this process by one step

@@ -6,6 +6,7 @@ wrong with it.
 
 import asyncio
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ async def receive_upload(
                 valid_nodes = await _write_merl(request, incoming, at_once=at_once)
                 received = Received(incoming, await in_thread(incoming.close), valid_nodes)
             else:
-                await _write_any(request, incoming, at_once=at_once)
+                await _write(request, partial(_write_convertible, incoming), at_once=at_once)
                 await in_thread(incoming.close)
                 received = await _converted(request, context, incoming, kind)
             return await in_thread(context.store.add_measurement, caller, received, name)
@@ -127,14 +128,10 @@ async def _write_merl(request: Request, incoming: Incoming, *, at_once: bool) ->
     return await in_thread(finish)
 
 
-async def _write_any(request: Request, incoming: Incoming, *, at_once: bool) -> None:
-    """Write what the body decodes to, of which nothing is known but its largest length."""
-
-    def write(data: bytes) -> None:
-        _check_convertible(incoming.size + len(data))
-        incoming.write(data)
-
-    await _write(request, write, at_once=at_once)
+def _write_convertible(incoming: Incoming, data: bytes) -> None:
+    """Write a part of a file of which nothing is known but its largest length."""
+    _check_convertible(incoming.size + len(data))
+    incoming.write(data)
 
 
 async def _write(request: Request, write: Sink, *, at_once: bool) -> None:
