@@ -93,15 +93,11 @@ class Blobs:
         A file in its place that has other bytes is moved to ``lost``: they may be those of another measurement.
         """
         target = self.path(sha256)
-        if not target.parent.exists():
-            target.parent.mkdir()
-            _sync_folder(self._blobs)
         if os.path.lexists(target) and self.damage(sha256) is not None:
             self.set_aside(sha256)
         self.take_back(sha256)
-        incoming.path.replace(target)
+        self._move_to_place(incoming.path, sha256)
         self._verified[sha256] = _fingerprint(target.stat())
-        _sync_folder(target.parent)
 
     def damage(self, sha256: str) -> str | None:
         """Return what is wrong with a measurement's file; None if it has the bytes that it is named by.
@@ -195,7 +191,9 @@ class Blobs:
 
     def _move_to_place(self, path: Path, sha256: str) -> None:
         target = self.path(sha256)
-        target.parent.mkdir(exist_ok=True)
+        if not target.parent.exists():
+            target.parent.mkdir()
+            _sync_folder(self._blobs)
         path.replace(target)
         _sync_folder(target.parent)
 
