@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from time import perf_counter
@@ -179,13 +178,14 @@ async def _reply(
     request: Request, context: Context, model: ReflectanceModel, points: Points, media_type: str
 ) -> Response:
     """Return the values of a model: a few at once, many in a turn, very many in parts."""
-    reply = _ValuesReply(model, media_type, context.metrics)
-    head = reply.headers(points)
+    head, parts = {"Content-Type": media_type}, _parts(model, points, media_type, context.metrics)
+    if media_type == NPY:  # all numbers take equal room
+        head["Content-Length"] = str(len(_npy_head(len(points))) + 24 * len(points))
     if len(points) > BLOCK:
-        return StreamingResponse(context.computations.stream(request, reply.parts(points), head), 200, head)
+        return StreamingResponse(context.computations.stream(request, parts, head), 200, head)
     if len(points) <= _MAX_INLINE and request.method != "HEAD":
-        return Response(b"".join(reply.parts(points)), 200, head)
-    content = await context.computations.run(request, object(), lambda: b"".join(reply.parts(points)), head)
+        return Response(b"".join(parts), 200, head)
+    content = await context.computations.run(request, object(), partial(b"".join, parts), head)
     return Response(content, 200, head)
 
 
@@ -214,9 +214,9 @@ def _from_json(body: bytes, max_points: int) -> Points:
         raise ProblemError("too-large", f"A JSON body may have {max_points} points; send more of them as {NPY}.")
     if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
         rest, lists = values.take_lists(body, 2)
-        return values.from_directions(**{**dict(parse_document(DirectionsRequest, rest, strict=True)), **lists})
+        return values.from_directions(**dict(parse_document(DirectionsRequest, rest, strict=True)) | lists)
     rest, lists = values.take_lists(body, 1)
-    return values.from_angles(**{**dict(parse_document(AnglesRequest, rest, strict=True)), **lists})
+    return values.from_angles(**dict(parse_document(AnglesRequest, rest, strict=True)) | lists)
 
 
 def _accepted_type(request: Request) -> str:
@@ -254,33 +254,17 @@ def _json_triples(values: Array) -> bytes:
     return to_json(values.tolist())[1:-1]
 
 
-@dataclass(frozen=True)
-class _ValuesReply:
-    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; records the time it takes."""
-
-    model: ReflectanceModel
-    media_type: str
-    metrics: Metrics
-
-    def headers(self, points: Points) -> dict[str, str]:
-        """Return the headers of an answer; its length is known beforehand where all numbers take equal room."""
-        if self.media_type != NPY:
-            return {"Content-Type": self.media_type}
-        return {"Content-Type": NPY, "Content-Length": str(len(_npy_head(len(points))) + 24 * len(points))}
-
-    def parts(self, points: Points) -> Iterator[bytes]:
-        """Yield the parts of an answer, one for each block of points, computed when it is asked for, and its end."""
-        if self.media_type == NPY:
-            head, between, tail = _npy_head(len(points)), b"", b""
-        else:
-            head, between, tail = b'{"values":[', b",", b"]}"
-        seconds = 0.0
-        for block in points.blocks():
-            begin = perf_counter()
-            values = block.values(self.model)
-            part = head + (values.tobytes() if self.media_type == NPY else _json_triples(values))
-            seconds += perf_counter() - begin
-            yield part
-            head = between
-        self.metrics.record_time("evaluating", seconds)
-        yield tail
+def _parts(model: ReflectanceModel, points: Points, media_type: str, metrics: Metrics) -> Iterator[bytes]:
+    """Yield a model's values in parts: one for each block of points, computed when it is asked for, and the end."""
+    npy = media_type == NPY
+    head, between, tail = (_npy_head(len(points)), b"", b"") if npy else (b'{"values":[', b",", b"]}")
+    seconds = 0.0
+    for block in points.blocks():
+        begin = perf_counter()
+        found = block.values(model)
+        part = head + (found.tobytes() if npy else _json_triples(found))
+        seconds += perf_counter() - begin
+        yield part
+        head = between
+    metrics.record_time("evaluating", seconds)
+    yield tail
