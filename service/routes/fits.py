@@ -190,10 +190,9 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
     computations, folder = context.computations, context.store.blobs.temporary
-    if wanted.format == "merl":
-        headers["Content-Length"] = str(FILE_SIZE)
     model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
     if wanted.format == "merl":
+        headers["Content-Length"] = str(FILE_SIZE)
         return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
     key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
