@@ -20,7 +20,7 @@ from .problems import problem_response
 from .responses import with_security_headers
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-_SAFE_METHODS = ("GET", "HEAD")
+SAFE_METHODS = ("GET", "HEAD")
 HEALTH = "/health/"
 """Prefix of the paths that are answered even when the service is overloaded."""
 
@@ -84,7 +84,7 @@ class RequestLogMiddleware:
             self._metrics.uploaded_bytes.inc(exchange.body.n_bytes)
         if status >= 500:
             level = logging.ERROR if status == 500 else logging.WARNING
-        elif status < 400 and method in _SAFE_METHODS:
+        elif status < 400 and method in SAFE_METHODS:
             level = self._level_of_success
         else:
             level = logging.INFO

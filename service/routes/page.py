@@ -37,7 +37,7 @@ from ..storage.schema import FitKey, FitRow
 from ..wire.schemas import Page, Plain
 from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
-from .figures import drawn_reply
+from .figures import PNG, drawn_reply
 from .page_text import (
     COMPONENT_MEANINGS,
     FIGURES,
@@ -48,7 +48,6 @@ from .page_text import (
     verdict,
 )
 
-_PNG = "image/png"
 _MAX_FORM = 1 << 12
 _FORM_SECONDS = 5.0  # anyone may send one
 _PANORAMA = (128, 256)  # rows and columns, as `panorama.js` sends it
@@ -155,11 +154,11 @@ async def get_view(request: Request, context: TheContext, fit: TheFit) -> Respon
 @router.get("/fits/{fit_id}/spheres/{name}.png")
 async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await _view(request, context, fit, _PNG)
+    view = await _view(request, context, fit, PNG)
     pictures = view.drawn.pictures
     if name not in pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
-    return tagged_reply(request, pictures[name], _PNG)
+    return tagged_reply(request, pictures[name], PNG)
 
 
 @router.get("/fits/{fit_id}/measured.bin")
