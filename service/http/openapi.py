@@ -15,8 +15,8 @@ from dsbrdf import DSBRDF
 
 from ..wire.fit_options import DEFAULTS
 from ..wire.model_document import model_document
+from ..wire.points import JSON
 from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
-from ..wire.values import JSON
 from . import problems as table
 from .request_log import HEALTH
 

@@ -18,8 +18,8 @@ from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import KnownAnswerError, ProblemError
 from ..storage.schema import FitRow, MeasurementRow
+from ..wire.points import JSON, number_of
 from ..wire.schemas import Page
-from ..wire.values import JSON, number_of
 
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),

@@ -28,9 +28,23 @@ from ..jobs.computations import Place
 from ..jobs.results import LoadedFit
 from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
-from ..wire import values
+from ..wire.points import (
+    ANGLES,
+    BLOCK,
+    DIRECTIONS,
+    JSON,
+    NPY,
+    PHI_DIFF,
+    Array,
+    Points,
+    from_angles,
+    from_directions,
+    from_query,
+    kept,
+    npy_blocks,
+    take_lists,
+)
 from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
-from ..wire.values import ANGLES, BLOCK, DIRECTIONS, JSON, NPY, PHI_DIFF, Array, Points
 from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 
 
@@ -151,7 +165,7 @@ async def get_components(request: Request, context: TheContext, fit: TheFit) -> 
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     loaded = await _loaded(context, fit, label)
-    points = values.from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
+    points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
     return await _reply(request, context, loaded.part(label), points, JSON)
 
 
@@ -200,8 +214,8 @@ async def _batch(request: Request, context: Context) -> Points:
 
     def convert() -> Points:
         if npy:
-            return values.kept(values.npy_blocks(body), folder)
-        return values.kept(_from_json(bytes(body), max_points).blocks(), folder)
+            return kept(npy_blocks(body), folder)
+        return kept(_from_json(bytes(body), max_points).blocks(), folder)
 
     # What is read of a long body takes memory: of one at a time.
     place: Place = "medium" if len(body) > IN_MEMORY else "short"
@@ -213,10 +227,10 @@ def _from_json(body: bytes, max_points: int) -> Points:
     if sum(body.count(b",", begin, begin + PIECE) for begin in pieces) > 6 * max_points:
         raise ProblemError("too-large", f"A JSON body may have {max_points} points; send more of them as {NPY}.")
     if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
-        rest, lists = values.take_lists(body, 2)
-        return values.from_directions(**dict(parse_document(DirectionsRequest, rest, strict=True)) | lists)
-    rest, lists = values.take_lists(body, 1)
-    return values.from_angles(**dict(parse_document(AnglesRequest, rest, strict=True)) | lists)
+        rest, lists = take_lists(body, 2)
+        return from_directions(**dict(parse_document(DirectionsRequest, rest, strict=True)) | lists)
+    rest, lists = take_lists(body, 1)
+    return from_angles(**dict(parse_document(AnglesRequest, rest, strict=True)) | lists)
 
 
 def _accepted_type(request: Request) -> str:

@@ -32,7 +32,7 @@ from ..wire import schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.model_document import model_document
 from ..wire.names import content_disposition
-from ..wire.values import JSON
+from ..wire.points import JSON
 from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
 

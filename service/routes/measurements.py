@@ -14,8 +14,8 @@ from ..http.request_body import media_type_of
 from ..http.responses import OpenFileResponse, check_range, check_wanted, json_reply, next_page, prefix_of, tagged_reply
 from ..storage.database import in_write_thread
 from ..wire.names import content_disposition
+from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
-from ..wire.values import JSON
 from .dependencies import (
     NO_QUERY,
     NO_REPETITION,

@@ -34,8 +34,8 @@ from ..http.responses import tagged_reply
 from ..jobs.results import FitView
 from ..jobs.steps import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..storage.schema import FitKey, FitRow
+from ..wire.points import JSON
 from ..wire.schemas import Page, Plain
-from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from .figures import PNG, drawn_reply
 from .page_text import (

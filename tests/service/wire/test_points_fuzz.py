@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.wire.values import Points, from_query, npy_blocks, take_lists
+from service.wire.points import Points, from_query, npy_blocks, take_lists
 from tests.support.strategies import MODEL, arrays, examples
 
 # Points
