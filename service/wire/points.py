@@ -161,8 +161,10 @@ def _numbers(text: bytes, n_dimensions: int) -> Array | None:
         cut = text.find(between, begin + _PIECE)
         end = len(text) if cut < 0 else cut + len(between) - 1
         piece = text[begin:end]
+        if piece.translate(None, _OF_NUMBERS):
+            return None
         part = np.array(from_json(b"[%b]" % piece), dtype=float)
-        if piece.translate(None, _OF_NUMBERS) or part.shape != (len(part), 3)[:n_dimensions] or not part.size:
+        if part.shape != (len(part), 3)[:n_dimensions] or not part.size:
             return None
         parts.append(part)
         begin = end + 1
