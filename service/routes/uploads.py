@@ -23,7 +23,7 @@ from ..http.request_body import Sink, decoder, encoding_of
 from ..jobs.steps import Kind, conversion_step
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
-from ..storage.uploads import Received, in_thread, threads_are_busy
+from ..storage.uploads import in_thread, threads_are_busy
 from ..wire.names import MAX_LENGTH
 from .dependencies import Context, name_of
 
@@ -77,25 +77,24 @@ async def receive_upload(
         async with context.store.uploads.incoming(caller) as incoming:
             at_once = context.store.uploads.few
             if kind is None:
-                valid_nodes = await _write_merl(request, incoming, at_once=at_once)
-                received = Received(incoming, await in_thread(incoming.close), valid_nodes)
+                incoming.valid_nodes = await _write_merl(request, incoming, at_once=at_once)
+                await in_thread(incoming.close)
             else:
                 await _write(request, partial(_write_convertible, incoming), at_once=at_once)
                 await in_thread(incoming.close)
-                received = await _converted(request, context, incoming, kind)
-            return await in_thread(context.store.add_measurement, caller, received, name)
+                await _convert(request, context, incoming, kind)
+            return await in_thread(context.store.add_measurement, caller, incoming, name)
 
 
-async def _converted(request: Request, context: Context, incoming: Incoming, kind: Kind) -> Received:
+async def _convert(request: Request, context: Context, incoming: Incoming, kind: Kind) -> None:
     """Check a file that is no MERL file, and replace its content by what is stored of it."""
     key = ("upload", incoming.path)
     try:
-        sha256, incoming.size, valid_nodes = await context.computations.run_in_process(
+        incoming.sha256, incoming.size, incoming.valid_nodes = await context.computations.run_in_process(
             request, key, conversion_step, incoming.path, kind, head={}, place="long"
         )
     except InvalidArgumentError as error:  # as every fault of a step's arguments
         raise MeasurementFormatError(str(error)) from None
-    return Received(incoming, sha256, valid_nodes)
 
 
 async def _write_merl(request: Request, incoming: Incoming, *, at_once: bool) -> int:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import dsbrdf
 
 from ..errors import DataFolderError, FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
-from .blobs import Blobs
+from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import (
     IS_UNFINISHED,
@@ -30,7 +30,7 @@ from .schema import (
     checksum,
     columns,
 )
-from .uploads import Received, Uploads, check_queue, check_storage
+from .uploads import Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
 
@@ -93,13 +93,13 @@ class Store:
         self.database.close()
 
     def add_measurement(
-        self, caller: Caller, received: Received, name: str | None = None
+        self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
-        """Store a received file; the flag says whether it is new to the caller. A known one gets the new name, if any.
+        """Store a closed file; the flag says whether it is new to the caller. A known one gets the new name, if any.
 
         Raises ProblemError if the caller would have stored more than it may.
         """
-        incoming, sha256, valid_nodes = received
+        sha256 = incoming.sha256
         found = self.measurement(caller.owner, sha256)
         renamed = name is not None and found is not None and name != found.name
         if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
@@ -109,12 +109,12 @@ class Store:
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is None:
                 check_storage(db, caller, incoming.size)
-                values = (caller.owner, caller.owner, sha256, name, incoming.size, valid_nodes, time.time())
+                values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
                 (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
             else:
                 (row,) = db.execute(_RENAME_MEASUREMENT, (name, caller.owner, sha256)).fetchall()
             # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
-            self.blobs.place(incoming, sha256)
+            self.blobs.place(incoming)
         return MeasurementRow(*row), known is None
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:

@@ -5,7 +5,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 
@@ -27,14 +27,6 @@ _STORED = (
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
 )
 _REMEDY = "delete what is not needed any more."
-
-
-class Received(NamedTuple):
-    """A measurement that is complete and right, in a file that is not in its place yet."""
-
-    incoming: Incoming
-    sha256: str
-    valid_nodes: int
 
 
 class Uploads:

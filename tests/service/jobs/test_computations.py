@@ -14,7 +14,6 @@ from dsbrdf.fitting import decomposition
 from service.jobs import results, steps
 from service.routes import brdf, figures, fits
 from service.storage.schema import Caller
-from service.storage.uploads import Received
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
@@ -122,8 +121,9 @@ def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
             key = running.new_key()
             caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
             incoming.write(b"a measurement")
+            incoming.valid_nodes = 1
             sha256 = incoming.close()
-            running.store.add_measurement(caller, Received(incoming, sha256, 1))
+            running.store.add_measurement(caller, incoming)
 
             def delete_and_draw(*arguments: Any) -> bytes:
                 assert running.store.remove_measurement(caller.owner, sha256)

@@ -19,7 +19,6 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
 
@@ -86,9 +85,10 @@ class Race:
 
     def upload(self, caller: Caller) -> str:
         incoming = self.store.blobs.incoming()
-        sha256 = incoming.close()
-        self.store.add_measurement(caller, Received(incoming, sha256, 1))
-        return sha256
+        incoming.valid_nodes = 1
+        incoming.close()
+        self.store.add_measurement(caller, incoming)
+        return incoming.sha256
 
     async def break_off(self) -> None:
         """Leave the rows as a process does that is killed; another one is to start."""
