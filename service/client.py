@@ -8,12 +8,13 @@ async with AsyncClient("http://127.0.0.1:8000") as client:
     results = await asyncio.gather(client.fit("nickel.binary"), client.fit("brass.binary"))
 """
 
+import asyncio
 import hashlib
 import json
 import os
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
 from io import BytesIO
@@ -27,6 +28,8 @@ from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measur
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
+from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
 from .wire.fit_options import from_wire, to_wire
@@ -43,7 +46,6 @@ T = TypeVar("T")
 _POLL = 20.0  # seconds that one request waits for a fit
 _PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
 _PIECE = 1 << 20  # bytes of a file that are read at a time
-_REFUSED_FOR_NOW = (429, 503)
 _WITHOUT_DOCUMENT = {401: "The service wants a valid API key.", 429: "The API key has made too many requests."}
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
@@ -179,7 +181,10 @@ class Client:
                 progress(fit.progress)
             fit = self.get(fit.id, wait=_POLL if progress is None else _PROGRESS_POLL)
         if fit.status != "succeeded":
-            raise _error_of(fit)
+            error = fit.error or {"origin": "system", "type": "Cancelled", "message": "The fit was cancelled."}
+            if error["origin"] == "input":
+                raise FitError(error["message"])
+            raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
         if progress is not None:
             progress(1.0)
         return self.result(fit.id)
@@ -187,8 +192,8 @@ class Client:
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
         document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
-        asynchronous = {"Prefer": "respond-async"}
-        return _fit(self._call("POST", "/v1/fits", json=document, headers=asynchronous, params=_query(name)).json())
+        headers, params = {"Prefer": "respond-async"}, _given(name=name)
+        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, params=params).json())
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
@@ -200,7 +205,7 @@ class Client:
 
     def fits(self, *, name: str | None = None) -> Iterator[Fit]:
         """Yield the service's fits, or those of one name, newest first."""
-        url: str | None = str(httpx.URL("/v1/fits", params=_query(name)))
+        url: str | None = str(httpx.URL("/v1/fits", params=_given(name=name)))
         while url is not None:
             page = self._call("GET", url)
             yield from map(_fit, page.json()["items"])
@@ -211,28 +216,32 @@ class Client:
 
         With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
         """
-        params = {} if only is None else {"only": only}
-        return str(self._call("DELETE", f"/v1/fits/{fit_id}", params=params).json()["status"])
+        return str(self._call("DELETE", f"/v1/fits/{fit_id}", params=_given(only=only)).json()["status"])
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
 
         One that is sent gets the `name`, by default its own.
         """
-        suffix = "" if isinstance(measurement, bytes | Measurement) else Path(measurement).suffix.lower()
-        if suffix == ".bsdf" and not isinstance(measurement, bytes | Measurement):
-            measurement = read_rgl(measurement).measurement()
-        source = encode_merl(measurement) if isinstance(measurement, Measurement) else measurement
+        suffix, own_name, source = "", None, measurement
+        if isinstance(source, str | os.PathLike):
+            suffix, own_name = Path(source).suffix.lower(), Path(source).stem
+            if suffix == ".bsdf":
+                source = read_rgl(source).measurement()
+        if isinstance(source, Measurement):
+            own_name, source = source.name, encode_merl(source)
         digest, size = hashlib.sha256(), 0
         for piece in _pieces(source):
             digest.update(piece)
             size += len(piece)
         sha256 = digest.hexdigest()
         if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
+            if not name and own_name is not None:
+                with suppress(InvalidArgumentError):  # one that the service would not take
+                    name = check_name(own_name)
             media_type = "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"
             headers = {"Content-Type": media_type, "Content-Length": str(size)}
-            params = _query(name or _own_name(measurement))
-            self._call("POST", "/v1/measurements", body=source, headers=headers, params=params)
+            self._call("POST", "/v1/measurements", body=source, headers=headers, params=_given(name=name))
         return sha256
 
     def measurement(self, sha256: str) -> Measurement:
@@ -250,20 +259,20 @@ class Client:
         *,
         body: bytes | str | os.PathLike[str] | None = None,
         missing: bool = False,
-        **arguments: Any,
+        **more: Any,
     ) -> httpx.Response:
         """Return a response that is a success, or says that something is `missing`; repeat what is refused for now."""
         left = self._patience
         while True:
-            content = None if body is None else _pieces(body)
-            answer = self._http.request(method, url, content=content, **arguments)
+            answer = self._http.request(method, url, content=None if body is None else _pieces(body), **more)
             if answer.is_success or (missing and answer.status_code == 404):
                 return answer
-            seconds = _retry_after(answer)
-            if answer.status_code not in _REFUSED_FOR_NOW or seconds is None or seconds > left:
-                raise _error(answer)
-            left -= seconds
-            time.sleep(seconds)
+            seconds = answer.headers.get("retry-after", "")
+            retry_after = float(seconds) if seconds.isdecimal() else None
+            if answer.status_code not in (429, 503) or retry_after is None or retry_after > left:
+                raise _error(answer, retry_after)
+            left -= retry_after
+            time.sleep(retry_after)
 
 
 def _in_thread(
@@ -314,12 +323,45 @@ class AsyncClient:
             yield fit
 
 
-def _error_of(fit: Fit) -> Exception:
-    """Return the exception for a fit that has failed or was cancelled."""
-    error = fit.error or {"origin": "system", "type": "Cancelled", "message": "The fit was cancelled."}
-    if error["origin"] == "input":
-        return FitError(error["message"])
-    return ServiceError({**error, "title": error["type"], "detail": error["message"]})
+class ClientEngine:
+    """The engine behind ``dsbrdf fit --url``: asks the service at `url` for at most `count` fits at once.
+
+    The environment variable ``DSBRDF_KEY`` has the key, if one is needed.
+    """
+
+    def __init__(self, url: str, count: int) -> None:
+        self._url, self._count = url, count
+
+    async def start(self) -> None:
+        """Make the client, which asks for nothing yet."""
+        self._slots, self._client = asyncio.Semaphore(self._count), AsyncClient(self._url)
+
+    def slot(self) -> AbstractAsyncContextManager[object]:
+        """Wait until one more fit may be asked for."""
+        return self._slots
+
+    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        """Ask for a fit and wait for it.
+
+        Raises ConnectionError if the service cannot be reached, or fails for another reason than the measurement or
+        the options. Raises InvalidArgumentError if it wants a key.
+        """
+        try:
+            return await self._client.fit(task.path, task.options, progress=on_progress)
+        except DSBRDFError as error:
+            return Fault("input", type(error).__name__, str(error))
+        except AccessError as error:
+            reason = f"{self._url}: {error}; the environment variable DSBRDF_KEY gives the key"
+            raise InvalidArgumentError(reason) from error
+        except (ServiceError, httpx.TransportError) as error:
+            raise ConnectionError(f"{self._url}: {error}") from error
+
+    async def check(self) -> None:
+        """Do nothing: the first fit says whether the service answers."""
+
+    async def close(self) -> None:
+        """Close the connections, with which the threads of calls that were cancelled end."""
+        await self._client.close()
 
 
 def _fit(document: Mapping[str, Any]) -> Fit:
@@ -334,7 +376,7 @@ def _pieces(source: bytes | str | os.PathLike[str]) -> Iterator[bytes]:
             yield piece
 
 
-def _error(answer: httpx.Response) -> Exception:
+def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
     """Return the exception for a response that is no success."""
     try:
         problem = answer.json()
@@ -347,25 +389,9 @@ def _error(answer: httpx.Response) -> Exception:
     if answer.status_code == 401:
         return AccessError(problem)
     if answer.status_code == 429 or problem.get("type") == "urn:dsbrdf:problem:storage-quota":
-        return LimitError(problem, _retry_after(answer))
+        return LimitError(problem, retry_after)
     return ServiceError(problem)
 
 
-def _retry_after(answer: httpx.Response) -> float | None:
-    """Return the time after which the service wants to be asked again, if it names one [s]."""
-    seconds = answer.headers.get("retry-after", "")
-    return float(seconds) if seconds.isdecimal() else None
-
-
-def _own_name(measurement: Source) -> str | None:
-    """Return the name of a measurement or of its file, if the service would take it."""
-    if isinstance(measurement, bytes):
-        return None
-    name = measurement.name if isinstance(measurement, Measurement) else Path(measurement).stem
-    with suppress(InvalidArgumentError):
-        return check_name(name)
-    return None
-
-
-def _query(name: str | None) -> dict[str, str]:
-    return {} if name is None else {"name": name}
+def _given(**parameters: str | None) -> dict[str, str]:
+    return {name: value for name, value in parameters.items() if value is not None}

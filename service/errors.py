@@ -6,7 +6,7 @@ DSBRDFServiceError
 ├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
 ├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
 ├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
-├── HeadOnlyError                    the answer to HEAD is known, and nothing has to be computed
+├── KnownAnswerError                 the client needs the head only, and nothing has to be computed
 └── ProblemError                     answered with the problem document of its kind
     ├── FitNotFoundError
     ├── MeasurementNotFoundError
@@ -46,12 +46,12 @@ class CheckFailedError(DSBRDFServiceError):
     """A check of `dsbrdf doctor` has found a fault; the message says which, and what would help."""
 
 
-class HeadOnlyError(DSBRDFServiceError):
-    """A HEAD request is answered with 200 and these `headers`, so that what GET would send is not computed."""
+class KnownAnswerError(DSBRDFServiceError):
+    """A request is answered with these `headers` alone: 200 to HEAD, or 304 as the client has what GET would send."""
 
-    def __init__(self, headers: Mapping[str, str]) -> None:
+    def __init__(self, status: int, headers: Mapping[str, str]) -> None:
         super().__init__("only the head is wanted")
-        self.headers = dict(headers)
+        self.status, self.headers = status, dict(headers)
 
 
 class ProblemError(DSBRDFServiceError):

@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from ..errors import ProblemError
 from ..http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from ..http.problems import problem_response
-from ..http.request_log import HEALTH
+from ..http.request_log import HEALTH, SAFE_METHODS
 from ..settings import Settings
 from ..storage.schema import Caller
 from .keys import ActiveKey, Keys
@@ -31,7 +31,6 @@ OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign
 
 COOKIE = "dsbrdf_key"
 _KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")
-_SAFE_METHODS = ("GET", "HEAD")
 
 CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
 CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
@@ -137,7 +136,7 @@ class AuthenticationMiddleware:
             if key is None:
                 self._check_local(scope)
                 return None
-            if scope["method"] not in _SAFE_METHODS and not same_origin(headers):
+            if scope["method"] not in SAFE_METHODS and not same_origin(headers):
                 detail = "A key in a cookie changes something only from the pages of the service itself."
                 raise ProblemError("foreign-origin", detail)
             return _counted(key)

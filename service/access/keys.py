@@ -136,7 +136,9 @@ class Keys:
 
     def load(self, database: Database) -> None:
         """Read the keys again; the requests that a key has made still count."""
-        rows = database.rows(f"SELECT id, secret_sha256, {_LIMITS}, metrics FROM keys WHERE revoked IS NULL")  # noqa: S608
+        usual = self._settings.key_requests_per_second, self._settings.key_stored_mb, self._settings.key_queued_fits
+        limits = ", ".join(f"coalesce({limit}, ?)" for limit in _LIMITS.split(", "))
+        rows = database.rows(f"SELECT id, secret_sha256, {limits}, metrics FROM keys WHERE revoked IS NULL", *usual)  # noqa: S608
         self._active = {row[0]: self._key(*row) for row in rows}
 
     def find(self, text: bytes) -> ActiveKey | None:
@@ -169,13 +171,7 @@ class Keys:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""
         return not caller.owner or caller.owner in self._active
 
-    def _key(
-        self, key_id: str, digest: str, rate: float | None, stored_mb: int | None, queued_fits: int | None, metrics: int
-    ) -> ActiveKey:
-        settings = self._settings
-        rate = settings.key_requests_per_second if rate is None else rate
-        stored_mb = settings.key_stored_mb if stored_mb is None else stored_mb
-        queued_fits = settings.key_queued_fits if queued_fits is None else queued_fits
+    def _key(self, key_id: str, digest: str, rate: float, stored_mb: int, queued_fits: int, metrics: int) -> ActiveKey:
         known = self._active.get(key_id)
         rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
         return ActiveKey(bytes.fromhex(digest), Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), rate_limit)

@@ -15,9 +15,10 @@ from dsbrdf import DSBRDF
 
 from ..wire.fit_options import DEFAULTS
 from ..wire.model_document import model_document
+from ..wire.points import JSON
 from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
-from ..wire.values import JSON
 from . import problems as table
+from .request_log import HEALTH
 
 BINARY = "application/octet-stream"
 Responses = dict[int | str, dict[str, Any]]
@@ -25,7 +26,6 @@ Responses = dict[int | str, dict[str, Any]]
 _REFERENCE = "#/components/schemas/{model}"
 # FastAPI does not find these itself.
 _REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
-_WITHOUT_KEY = "/health/"
 _KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -180,7 +180,7 @@ def document_of(app: FastAPI) -> dict[str, Any]:
     components["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
         for operation in methods.values():
-            operation["security"] = [] if path.startswith(_WITHOUT_KEY) else [{}, {"key": []}]
+            operation["security"] = [] if path.startswith(HEALTH) else [{}, {"key": []}]
             _complete(operation)
     return document
 

@@ -6,7 +6,7 @@ A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one 
 import errno
 import logging
 import sqlite3
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -18,7 +18,7 @@ from starlette.routing import Match
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
 from dsbrdf.extras import MissingExtraError
 
-from ..errors import HeadOnlyError, ProblemError, validation_sentence
+from ..errors import KnownAnswerError, ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
@@ -101,11 +101,11 @@ def install(app: FastAPI) -> None:
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
         app.add_exception_handler(expected, _answer_exception)
-    app.add_exception_handler(HeadOnlyError, _answer_head)
+    app.add_exception_handler(KnownAnswerError, _answer_head)
 
 
-async def _answer_head(_: Request, error: Exception) -> Response:
-    return Response(None, 200, error.headers if isinstance(error, HeadOnlyError) else None)
+async def _answer_head(_: Request, error: Any) -> Response:
+    return Response(None, error.status, error.headers)
 
 
 async def _answer_exception(request: Request, error: Exception) -> Response:

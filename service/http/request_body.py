@@ -17,7 +17,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from ..errors import ProblemError
-from ..storage.uploads import Sink, UploadBody
+
+Sink = Callable[[bytes], None]
 
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
@@ -42,16 +43,6 @@ def media_type_of(request: Request, *supported: str) -> str:
             )
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": ", ".join(supported)})
     return media_type
-
-
-def upload_body(request: Request) -> UploadBody:
-    """Return the body of `request` as `Uploads` takes it.
-
-    Raises ProblemError if its encoding is unknown.
-    """
-    encoding, declared = _encoding(request), request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() and not encoding else None
-    return UploadBody(request.stream(), length, partial(decoder, encoding))
 
 
 async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mmap.mmap:
@@ -79,7 +70,7 @@ async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[byt
             raise too_large
         file.write(data)
 
-    encoded = decoder(_encoding(request), keep)
+    encoded = decoder(encoding_of(request), keep)
     declared = request.headers.get("content-length", "")
     if declared.isdecimal() and int(declared) > limit:
         raise too_large
@@ -189,5 +180,6 @@ def _reason(error: Exception) -> str:
     return "it needs a dictionary" if "ictionary" in str(error) else "it is damaged"
 
 
-def _encoding(request: Request) -> str:
+def encoding_of(request: Request) -> str:
+    """Return the ``Content-Encoding`` of the body, for `decoder`."""
     return ", ".join(request.headers.getlist("content-encoding"))

@@ -10,9 +10,9 @@ import secrets
 from time import perf_counter
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from structlog.contextvars import bind_contextvars
 
 from ..errors import ProblemError
+from ..operations.logging import bind
 from ..operations.metrics import NO_ROUTE, Metrics
 from ..settings import Settings
 from .limits import BodyTimeout
@@ -20,7 +20,7 @@ from .problems import problem_response
 from .responses import with_security_headers
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-_SAFE_METHODS = ("GET", "HEAD")
+SAFE_METHODS = ("GET", "HEAD")
 HEALTH = "/health/"
 """Prefix of the paths that are answered even when the service is overloaded."""
 
@@ -43,7 +43,7 @@ class RequestLogMiddleware:
             await self._app(scope, receive, send)
             return
         exchange = _Exchange(scope, send)
-        bind_contextvars(request_id=exchange.request_id)
+        bind("request_id", exchange.request_id)
         if exchange.has_body:
             idle_timeout, least_rate = self._settings.idle_timeout, self._settings.least_upload_rate
             receive = exchange.body = BodyTimeout(receive, idle_timeout, least_rate)
@@ -84,7 +84,7 @@ class RequestLogMiddleware:
             self._metrics.uploaded_bytes.inc(exchange.body.n_bytes)
         if status >= 500:
             level = logging.ERROR if status == 500 else logging.WARNING
-        elif status < 400 and method in _SAFE_METHODS:
+        elif status < 400 and method in SAFE_METHODS:
             level = self._level_of_success
         else:
             level = logging.INFO

@@ -16,10 +16,10 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
-from ..errors import ProblemError
+from ..errors import KnownAnswerError, ProblemError
 from ..storage.schema import FitRow, MeasurementRow
+from ..wire.points import JSON, number_of
 from ..wire.schemas import Page
-from ..wire.values import JSON, number_of
 
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -71,27 +71,26 @@ def tagged_reply(
     media_type: str = JSON,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return bytes, a document or JSON's types with their hash as a strong ETag, or 304 if the client has them."""
+    """Return bytes, a document or JSON's types with their hash as a strong ETag; raises as `check_wanted`."""
     if isinstance(content, BaseModel):
         content = content.model_dump_json().encode()
     elif isinstance(content, dict):
         content = json.dumps(content, allow_nan=False).encode()
-    etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-    tagged = {**(headers or {}), "ETag": etag}
-    if is_current(request, etag):
-        return Response(None, 304, tagged)
+    tagged = {**(headers or {}), "ETag": tag_of(content)}
+    check_wanted(request, tagged)
     return Response(content, 200, tagged, media_type)
 
 
-def tag_of(*parts: object) -> str:
-    """Return the strong ETag of what these `parts` determine, so that it need not be made to be compared."""
-    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
+def tag_of(content: bytes) -> str:
+    """Return the strong ETag of bytes: those of an answer, or of what determines it."""
+    return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
-def is_current(request: Request, etag: str) -> bool:
-    """Return whether `etag` is among those of the request's ``If-None-Match``: what the client has is current."""
+def check_wanted(request: Request, headers: Mapping[str, str]) -> None:
+    """Raise KnownAnswerError, 304, if ``If-None-Match`` has the ETag of `headers`: what the client has is current."""
     given = [part.strip() for part in ",".join(request.headers.getlist("if-none-match")).split(",")]
-    return given == ["*"] or etag in (part.removeprefix("W/") for part in given)
+    if given == ["*"] or headers["ETag"] in (part.removeprefix("W/") for part in given):
+        raise KnownAnswerError(304, headers)
 
 
 class OpenFileResponse(FileResponse):

@@ -20,7 +20,7 @@ from dsbrdf.engines.local import WorkerProcesses
 from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER_NAME
-from ..errors import HeadOnlyError, ProblemError
+from ..errors import KnownAnswerError, ProblemError
 
 T = TypeVar("T")
 
@@ -93,12 +93,12 @@ class Computations:
         Requests with one `key` that come together get one result; it names the owner too. The body of the `request`
         must have been read; `head` has the headers of the answer, for a HEAD request.
 
-        Raises HeadOnlyError if the request is HEAD: nothing has to be computed. Raises ClientDisconnect if the client
-        has closed the connection.
+        Raises KnownAnswerError if the request is HEAD: nothing has to be computed. Raises ClientDisconnect if the
+        client has closed the connection.
         """
 
         async def in_thread() -> T:
-            async with self._turns[place].turn(caller_of(request)):
+            async with self._turns[place].turn(turn_owner(request)):
                 self._in_progress[key].can_stop = False
                 return await run_in_threadpool(compute)
 
@@ -120,7 +120,7 @@ class Computations:
         """
 
         async def in_process() -> Any:
-            async with self._turns[place].turn(caller_of(request)):
+            async with self._turns[place].turn(turn_owner(request)):
                 return await self._processes.run(step, *arguments, on_progress=lambda _: None)
 
         found = await self._wait(request, key, in_process, head)
@@ -131,11 +131,11 @@ class Computations:
     def stream(self, request: Request, parts: Iterator[T], head: Mapping[str, str]) -> AsyncIterator[T]:
         """Return the parts of a long answer, each computed in a turn of its own; who reads slowly holds up nobody.
 
-        Raises HeadOnlyError as `run` does.
+        Raises KnownAnswerError as `run` does.
         """
         if request.method == "HEAD":
-            raise HeadOnlyError(head)
-        return self._parts(caller_of(request), parts)
+            raise KnownAnswerError(200, head)
+        return self._parts(turn_owner(request), parts)
 
     async def _parts(self, caller: str, parts: Iterator[T]) -> AsyncIterator[T]:
         while True:
@@ -158,7 +158,7 @@ class Computations:
     ) -> T:
         """Return the result of `compute`, or of what is being computed with this key already."""
         if request.method == "HEAD":
-            raise HeadOnlyError(head)
+            raise KnownAnswerError(200, head)
         computation = self._in_progress.get(key)
         if computation is None:
             computation = self._in_progress[key] = _Computation(asyncio.create_task(compute()))
@@ -185,7 +185,7 @@ class Computations:
             task.exception()  # perhaps nobody waits for it any more
 
 
-def caller_of(request: Request) -> str:
+def turn_owner(request: Request) -> str:
     """Return who takes turns: the key of a request, or its address."""
     name: str = request.scope[CALLER_NAME]
     return name

@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
 from starlette.concurrency import run_in_threadpool
-from structlog.contextvars import bind_contextvars
 
 from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask, Outcome
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 
-from ..errors import MeasurementDamagedError
+from ..errors import FitNotFoundError, MeasurementDamagedError
+from ..operations.logging import bind
 from ..operations.metrics import Metrics
 from ..settings import Settings
 from ..storage.database import in_write_thread
@@ -54,12 +54,12 @@ class _RunningFit:
 
     task: "asyncio.Task[None]"
     progress: float = 0.0
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
+    changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def notify(self) -> None:
         """Wake everyone who waits for a change."""
-        self.changed.set()
-        self.changed = asyncio.Event()
+        self.changed.set_result(None)
+        self.changed = asyncio.get_running_loop().create_future()
 
 
 class Jobs:
@@ -113,8 +113,8 @@ class Jobs:
             self._begin(row.key)
         return row, new
 
-    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow | None:
-        """Return the fit's row at its end, after `seconds` or at one of `ends`; None if there is no such fit."""
+    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
+        """Return the fit's row at its end, after `seconds` or at one of `ends`; raises as `Store.fit`."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + seconds
         ends = (self._stopping, *ends)
@@ -123,7 +123,7 @@ class Jobs:
             if running is not None and left > 0:
                 await asyncio.wait((running.task, *ends), timeout=left, return_when=asyncio.FIRST_COMPLETED)
             row = await run_in_threadpool(self._store.fit, key)
-            if row is None or row.ended or loop.time() >= deadline or any(end.done() for end in ends):
+            if row.ended or loop.time() >= deadline or any(end.done() for end in ends):
                 return row
             await asyncio.sleep(_MIN_POLL_INTERVAL)  # the fit was cancelled and sent again: it has another task
 
@@ -139,17 +139,15 @@ class Jobs:
         while True:
             running = self._running.get(key)
             changed = None if running is None else running.changed
-            row = await run_in_threadpool(self._store.fit, key)
-            if row is None:
+            try:
+                row = await run_in_threadpool(self._store.fit, key)
+            except FitNotFoundError:
                 return
             yield row
             if row.ended or self._stopping.done():
                 return
             if changed is not None:
-                change = asyncio.create_task(changed.wait())
-                events: list[asyncio.Future[Any]] = [change, *ends]
-                await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
-                change.cancel()
+                await asyncio.wait((changed, *ends), return_when=asyncio.FIRST_COMPLETED)
                 if any(end.done() for end in ends):
                     return
             else:  # the row is ahead of, or behind, this process by one step
@@ -179,7 +177,7 @@ class Jobs:
         task.add_done_callback(forget)
 
     async def _run(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
-        bind_contextvars(fit=str(key))
+        bind("fit", str(key))
         if previous is not None:
             await _run_to_end(asyncio.wait([previous]))
             await _write(self._store.requeue_running, key)  # the previous task may have started the new row last

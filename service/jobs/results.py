@@ -21,11 +21,11 @@ from dsbrdf.output.figures import slice_means
 from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import decomposition_from_json, from_json
 
-from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from ..errors import ProblemError
 from ..storage.schema import FitKey, FitRow
 from ..storage.store import Store
 from ..wire.fit_options import from_wire
-from .drawing import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
+from .steps import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane, view_step
 
 Array = NDArray[np.float64]
 
@@ -98,8 +98,6 @@ class ModelCache:
             components = [component_document(component) for component in decomposition]
             return LoadedFit(decomposition, from_json(document)[1], components)
         row = self._store.fit(key)
-        if row is None:
-            raise FitNotFoundError(key.id)
         if not row.ended:
             raise ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")
         raise ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")
@@ -169,12 +167,11 @@ class FitViews:
 
     def _measurement(self, row: FitRow) -> StoredMeasurement | None:
         """Return the fit's measurement, unless it has been deleted or is none on a grid."""
-        found = self._store.measurement(row.owner, row.measurement)
-        if found is None or not found.on_grid:
-            return None
         try:
-            return StoredMeasurement(self._store.measurement_file(row.owner, row.measurement), row.measurement)
-        except MeasurementNotFoundError:
+            return StoredMeasurement(self._store.measured_grid(row.owner, row.measurement), row.measurement)
+        except ProblemError as error:
+            if error.kind != "not-found":
+                raise
             return None
 
 

@@ -1,9 +1,8 @@
 """The service's log: every line of this process, whoever writes it, in one form on stderr.
 
-JSON lines, or text for a person at a terminal. A line carries the id of the request that caused it, and what was
-bound besides (structlog's context variables), also in the tasks and threads that the request has started. Keys
-never reach it: whatever looks like one is cut out of every line. A line stays one line and short, whatever a client
-sends.
+JSON lines, or text for a person at a terminal. A line carries the id of the request that caused it, and what else was
+bound, also in the tasks and threads that the request has started. Keys never reach it: whatever looks like one is cut
+out of every line. A line stays one line and short, whatever a client sends.
 """
 
 import logging
@@ -11,12 +10,12 @@ import math
 import re
 import sys
 import time
+from collections.abc import Mapping
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from json import JSONEncoder
+from types import MappingProxyType
 from typing import Any
-
-from structlog.contextvars import get_contextvars
-from structlog.dev import ConsoleRenderer
 
 from ..settings import Settings
 
@@ -29,8 +28,14 @@ _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", 
 _LONGEST = 500  # characters of one value in a line
 _LONGEST_TRACEBACK = 20_000
 _encode = JSONEncoder(default=str).encode
+_bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
+
+
+def bind(name: str, value: str) -> None:
+    """Add a value to what this task logs from now on, and the tasks and threads that it starts."""
+    _bound.set({**_bound.get(), name: value})
 
 
 def configure(settings: Settings) -> None:
@@ -48,7 +53,11 @@ class LineFormatter(logging.Formatter):
 
     def __init__(self, *, text: bool, colors: bool = False) -> None:
         super().__init__()
-        self._console = ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0) if text else None
+        self._console = None
+        if text:
+            from structlog.dev import ConsoleRenderer  # takes a tenth of the service's start
+
+            self._console = ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0)
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line; as text, a traceback adds lines to it."""
@@ -57,7 +66,7 @@ class LineFormatter(logging.Formatter):
             "level": record.levelname.lower(),
             "event": record.getMessage(),
             "logger": record.name,
-            **get_contextvars(),
+            **_bound.get(),
         }
         line |= {name: value for name, value in vars(record).items() if name not in _NOT_SHOWN}
         line = {name: _cut(value, _LONGEST) for name, value in line.items()}

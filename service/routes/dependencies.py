@@ -13,16 +13,16 @@ from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER
 from ..access.keys import Keys
-from ..errors import FitNotFoundError, MeasurementNotFoundError, ProblemError
+from ..errors import ProblemError
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..jobs.computations import Computations
-from ..jobs.drawing import StoredMeasurement
 from ..jobs.jobs import Jobs
 from ..jobs.results import FitViews, ModelCache
+from ..jobs.steps import StoredMeasurement
 from ..operations.metrics import Metrics
 from ..operations.readiness import Readiness
 from ..settings import Settings
-from ..storage.schema import Caller, FitKey, FitRow, MeasurementRow
+from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
 from ..wire.names import given_name
 from ..wire.schemas import FIT_ID, SHA256
@@ -45,11 +45,8 @@ class Context:
     computations: Computations
 
     async def fit_row(self, fit: FitKey) -> FitRow:
-        """Return a fit's row; raise FitNotFoundError if there is no such fit."""
-        row = await run_in_threadpool(self.store.fit, fit)
-        if row is None:
-            raise FitNotFoundError(fit.id)
-        return row
+        """Return a fit's row; raises as `Store.fit`."""
+        return await run_in_threadpool(self.store.fit, fit)
 
     async def in_process(
         self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, **named: Any
@@ -68,13 +65,6 @@ class Context:
         """Return a measurement to be drawn; raises as `Store.measured_grid`."""
         path = await run_in_threadpool(self.store.measured_grid, owner, sha256)
         return StoredMeasurement(path, sha256, name)
-
-    async def measurement_row(self, owner: str, sha256: str) -> MeasurementRow:
-        """Return the row of an owner's measurement; raise MeasurementNotFoundError if there is none."""
-        row = await run_in_threadpool(self.store.measurement, owner, sha256)
-        if row is None:
-            raise MeasurementNotFoundError(sha256)
-        return row
 
 
 async def context_of(request: Request) -> Context:
@@ -105,7 +95,7 @@ TheFit = Annotated[FitKey, Depends(fit_key)]
 
 def name_of(request: Request) -> str | None:
     """Return the name that a request gives to what it sends."""
-    return given_name(request.query_params.getlist("name"), request.headers.get("content-disposition", ""))
+    return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
 
 
 async def no_query(request: Request, *known: str) -> None:

@@ -10,8 +10,8 @@ import dsbrdf
 from dsbrdf.extras import require
 
 from ..http import openapi
-from ..http.responses import is_current, tag_of
-from ..jobs.drawing import FIGURES, figure_step, sphere_step
+from ..http.responses import check_wanted, tag_of
+from ..jobs.steps import FIGURES, figure_step, sphere_step
 from ..wire.fit_options import from_wire
 from ..wire.schemas import FitSphere, Sphere
 from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
@@ -19,8 +19,8 @@ from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, T
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
-_PNG = _MEDIA_TYPES["png"]
-_PICTURE = openapi.response("The picture.", {_PNG: openapi.file(_PNG)}) | openapi.NOT_MODIFIED
+PNG = _MEDIA_TYPES["png"]
+_PICTURE = openapi.response("The picture.", {PNG: openapi.file(PNG)}) | openapi.NOT_MODIFIED
 _FIGURE = openapi.response("The figure.", {kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()})
 _Figure = Annotated[
     str,
@@ -50,7 +50,7 @@ async def draw_sphere(
     loaded = await context.models.get(fit)
     part = None if wanted.component is None else loaded.part(wanted.component)
     step = sphere_step, loaded.model, part, wanted.lighting, wanted.size
-    return await drawn_reply(request, context, _PNG, ("sphere", fit, wanted.model_dump_json()), *step)
+    return await drawn_reply(request, context, PNG, ("sphere", fit, wanted.model_dump_json()), *step)
 
 
 @router.get(
@@ -100,9 +100,7 @@ async def draw_measurement(
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
     stored = await context.stored_measurement(caller.owner, sha256)
     step = sphere_step, stored, None, wanted.lighting, wanted.size
-    return await drawn_reply(
-        request, context, _PNG, ("measured", caller.owner, sha256, wanted.model_dump_json()), *step
-    )
+    return await drawn_reply(request, context, PNG, ("measured", caller.owner, sha256, wanted.model_dump_json()), *step)
 
 
 async def drawn_reply(
@@ -114,8 +112,7 @@ async def drawn_reply(
     *arguments: Any,
 ) -> Response:
     """Return what `step` draws, unless the client has it; `key` determines it and names its owner."""
-    etag = tag_of(dsbrdf.__version__, *key)
-    if is_current(request, etag):
-        return Response(None, 304, {"ETag": etag})
-    headers = {"ETag": etag, "Content-Type": media_type}
+    headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+    check_wanted(request, headers)
+    headers["Content-Type"] = media_type
     return Response(await context.in_process(request, key, step, *arguments, head=headers), 200, headers)

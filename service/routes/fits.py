@@ -20,7 +20,7 @@ from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, check_sh
 from dsbrdf.output.export.merl import merl_parts
 
 from ..access.authentication import invalid_key
-from ..errors import FitNotFoundError, ProblemError
+from ..errors import ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import PIECE, media_type_of, receive_body
@@ -32,17 +32,8 @@ from ..wire import schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.model_document import model_document
 from ..wire.names import content_disposition
-from ..wire.values import JSON
-from .dependencies import (
-    NO_QUERY,
-    NO_REPETITION,
-    Context,
-    TheCaller,
-    TheContext,
-    TheFit,
-    name_of,
-    revocation,
-)
+from ..wire.points import JSON
+from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
@@ -199,10 +190,9 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
     computations, folder = context.computations, context.store.blobs.temporary
-    if wanted.format == "merl":
-        headers["Content-Length"] = str(FILE_SIZE)
     model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
     if wanted.format == "merl":
+        headers["Content-Length"] = str(FILE_SIZE)
         return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
     key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
@@ -265,18 +255,12 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
     The wait ends early when the client goes, which frees its place, and when its key is revoked.
     """
     if not seconds:
-        row = await context.jobs.wait(fit, 0)
-    else:
-        async with (
-            _task_of(departure(request)) as gone,
-            _task_of(revocation(context.keys, caller)) as revoked,
-        ):
-            row = await context.jobs.wait(fit, seconds, gone, revoked)
-            if revoked.done():
-                raise invalid_key()
-    if row is None:
-        raise FitNotFoundError(fit.id)
-    return row
+        return await context.fit_row(fit)
+    async with _task_of(departure(request)) as gone, _task_of(revocation(context.keys, caller)) as revoked:
+        row = await context.jobs.wait(fit, seconds, gone, revoked)
+        if revoked.done():
+            raise invalid_key()
+        return row
 
 
 @asynccontextmanager

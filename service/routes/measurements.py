@@ -11,24 +11,14 @@ from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
-from ..http.responses import (
-    OpenFileResponse,
-    check_range,
-    is_current,
-    json_reply,
-    next_page,
-    prefix_of,
-    tagged_reply,
-)
+from ..http.responses import OpenFileResponse, check_range, check_wanted, json_reply, next_page, prefix_of, tagged_reply
 from ..storage.database import in_write_thread
-from ..storage.schema import MeasurementRow
 from ..wire.names import content_disposition
+from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
-from ..wire.values import JSON
 from .dependencies import (
     NO_QUERY,
     NO_REPETITION,
-    Context,
     Sha256,
     TheCaller,
     TheContext,
@@ -115,12 +105,14 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
 
     With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
     """
-    row = await context.measurement_row(caller.owner, sha256)
+    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
+    if row is None:
+        raise MeasurementNotFoundError(sha256)
     if _wants_document(request):
-        return await _details(request, context, row)
+        fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
+        return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    if is_current(request, headers["ETag"]):
-        return Response(None, 304, headers)
+    check_wanted(request, headers)
     if request.method != "HEAD":
         check_range(request, row.size)
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
@@ -139,11 +131,6 @@ def _wants_document(request: Request) -> bool:
     accepted = ",".join(request.headers.getlist("accept")).lower().split(",")
     named = {entry.partition(";")[0].strip() for entry in accepted}
     return JSON in named and BINARY not in named
-
-
-async def _details(request: Request, context: Context, row: MeasurementRow) -> Response:
-    fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
-    return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
 
 
 @router.delete(

@@ -31,13 +31,13 @@ from ..http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render,
 from ..http.problems import KINDS, problem_of
 from ..http.request_body import receive_body
 from ..http.responses import tagged_reply
-from ..jobs.drawing import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..jobs.results import FitView
+from ..jobs.steps import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..storage.schema import FitKey, FitRow
+from ..wire.points import JSON
 from ..wire.schemas import Page, Plain
-from ..wire.values import JSON
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
-from .figures import drawn_reply
+from .figures import PNG, drawn_reply
 from .page_text import (
     COMPONENT_MEANINGS,
     FIGURES,
@@ -48,7 +48,6 @@ from .page_text import (
     verdict,
 )
 
-_PNG = "image/png"
 _MAX_FORM = 1 << 12
 _FORM_SECONDS = 5.0  # anyone may send one
 _PANORAMA = (128, 256)  # rows and columns, as `panorama.js` sends it
@@ -87,7 +86,7 @@ async def get_index(
     shown = rows[: page.limit]
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
-    measured = await run_in_threadpool(_stored_measurements, context, shown)
+    measured = await run_in_threadpool(lambda: {row.measurement for row in shown if _has_picture(context, row)})
     names = Counter(row.name for row in shown)
     items = [
         {
@@ -101,11 +100,6 @@ async def get_index(
     return _render(
         "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
     )
-
-
-def _stored_measurements(context: Context, rows: list[FitRow]) -> set[str]:
-    """Return the measurements of fits of which there are pictures."""
-    return {row.measurement for row in rows if _has_picture(context, row)}
 
 
 def _has_picture(context: Context, row: FitRow) -> bool:
@@ -160,11 +154,11 @@ async def get_view(request: Request, context: TheContext, fit: TheFit) -> Respon
 @router.get("/fits/{fit_id}/spheres/{name}.png")
 async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await _view(request, context, fit, _PNG)
+    view = await _view(request, context, fit, PNG)
     pictures = view.drawn.pictures
     if name not in pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
-    return tagged_reply(request, pictures[name], _PNG)
+    return tagged_reply(request, pictures[name], PNG)
 
 
 @router.get("/fits/{fit_id}/measured.bin")

@@ -31,12 +31,16 @@ logger = logging.getLogger(__name__)
 
 
 class Incoming:
-    """A file that is being received, of `size` bytes so far; it is either placed by `Blobs.place` or discarded."""
+    """A file that is being received, of `size` bytes so far; it is either placed by `Blobs.place` or discarded.
+
+    Once it is closed it has its `sha256`, and who has checked it sets the number of `valid_nodes`, 0 of samples.
+    """
 
     def __init__(self, folder: Path) -> None:
         descriptor, name = tempfile.mkstemp(prefix=_UPLOAD, dir=folder)
         self.path = Path(name)
-        self.size = 0
+        self.size = self.valid_nodes = 0
+        self.sha256 = ""
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
         self._digest = hashlib.sha256()
 
@@ -56,7 +60,8 @@ class Incoming:
         """Make the content durable and return its sha256."""
         os.fsync(self._file.fileno())
         self._file.close()
-        return self._digest.hexdigest()
+        self.sha256 = self._digest.hexdigest()
+        return self.sha256
 
     def discard(self) -> None:
         """Remove the file, unless it has been placed."""
@@ -87,21 +92,17 @@ class Blobs:
         """Return a new temporary file."""
         return Incoming(self.temporary)
 
-    def place(self, incoming: Incoming, sha256: str) -> None:
+    def place(self, incoming: Incoming) -> None:
         """Move a closed incoming file to its place; durable when this returns.
 
         A file in its place that has other bytes is moved to ``lost``: they may be those of another measurement.
         """
-        target = self.path(sha256)
-        if not target.parent.exists():
-            target.parent.mkdir()
-            _sync_folder(self._blobs)
+        sha256, target = incoming.sha256, self.path(incoming.sha256)
         if os.path.lexists(target) and self.damage(sha256) is not None:
             self.set_aside(sha256)
         self.take_back(sha256)
-        incoming.path.replace(target)
+        self._move_to_place(incoming.path, sha256)
         self._verified[sha256] = _fingerprint(target.stat())
-        _sync_folder(target.parent)
 
     def damage(self, sha256: str) -> str | None:
         """Return what is wrong with a measurement's file; None if it has the bytes that it is named by.
@@ -195,7 +196,9 @@ class Blobs:
 
     def _move_to_place(self, path: Path, sha256: str) -> None:
         target = self.path(sha256)
-        target.parent.mkdir(exist_ok=True)
+        if not target.parent.exists():
+            target.parent.mkdir()
+            _sync_folder(self._blobs)
         path.replace(target)
         _sync_folder(target.parent)
 

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 import dsbrdf
 
-from ..errors import DataFolderError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
-from .blobs import Blobs
+from ..errors import DataFolderError, FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
+from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import (
     IS_UNFINISHED,
@@ -30,7 +30,7 @@ from .schema import (
     checksum,
     columns,
 )
-from .uploads import Convert, Received, UploadBody, Uploads, check_queue, check_storage, in_thread
+from .uploads import Uploads, check_queue, check_storage
 
 _Row = TypeVar("_Row")
 
@@ -93,13 +93,13 @@ class Store:
         self.database.close()
 
     def add_measurement(
-        self, caller: Caller, received: Received, name: str | None = None
+        self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
-        """Store a received file; the flag says whether it is new to the caller. A known one gets the new name, if any.
+        """Store a closed file; the flag says whether it is new to the caller. A known one gets the new name, if any.
 
         Raises ProblemError if the caller would have stored more than it may.
         """
-        incoming, sha256, valid_nodes = received
+        sha256 = incoming.sha256
         found = self.measurement(caller.owner, sha256)
         renamed = name is not None and found is not None and name != found.name
         if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
@@ -109,20 +109,13 @@ class Store:
             known = db.execute(query, (caller.owner, sha256)).fetchone()
             if known is None:
                 check_storage(db, caller, incoming.size)
-                values = (caller.owner, caller.owner, sha256, name, incoming.size, valid_nodes, time.time())
+                values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
                 (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
             else:
                 (row,) = db.execute(_RENAME_MEASUREMENT, (name, caller.owner, sha256)).fetchall()
             # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
-            self.blobs.place(incoming, sha256)
+            self.blobs.place(incoming)
         return MeasurementRow(*row), known is None
-
-    async def receive_measurement(
-        self, caller: Caller, body: UploadBody, name: str | None, convert: Convert | None = None
-    ) -> tuple[MeasurementRow, bool]:
-        """Receive and store an upload; returns as `add_measurement`, raises as that and as `Uploads.receive`."""
-        async with self.uploads.receive(caller, body, convert) as received:
-            return await in_thread(self.add_measurement, caller, received, name)
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
@@ -196,7 +189,7 @@ class Store:
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
-        found = self.fit(key)
+        found = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
         if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
         versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
@@ -225,9 +218,12 @@ class Store:
             (row,) = db.execute(_INSERT_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
-    def fit(self, key: FitKey) -> FitRow | None:
-        """Return a fit's row."""
-        return self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+    def fit(self, key: FitKey) -> FitRow:
+        """Return a fit's row; raise FitNotFoundError if there is no such fit."""
+        row = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+        if row is None:
+            raise FitNotFoundError(key.id)
+        return row
 
     def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""

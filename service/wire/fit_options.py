@@ -47,14 +47,13 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     """Return the options for the parameters of a query; commas separate the items of a list, ``none`` means null.
 
-    Raises InvalidArgumentError: as `from_wire`, or if an option is given twice.
+    Raises InvalidArgumentError as `from_wire`.
     """
-    values: dict[str, Any] = {}
-    for name, text in items:
-        if name in values:
-            raise InvalidArgumentError(f"The option {name[:60]!r} is given more than once; give it once.")
-        values[name] = [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
-    return from_wire(values)
+
+    def value(text: str) -> Any:
+        return [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
+
+    return from_wire({name: value(text) for name, text in items})
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:

@@ -4,7 +4,6 @@ A name is no part of an identity: the same measurement or fit sent with another 
 """
 
 import re
-from collections.abc import Sequence
 from email.message import Message
 from email.utils import collapse_rfc2231_value
 from urllib.parse import quote
@@ -25,15 +24,13 @@ def check_name(text: str) -> str:
     return text
 
 
-def given_name(given: Sequence[str], content_disposition: str) -> str | None:
+def given_name(given: str | None, content_disposition: str) -> str | None:
     """Return the name that a query gives, or the file name of a ``Content-Disposition``; None without either.
 
-    Raises InvalidArgumentError if it is no name, or the query has two.
+    Raises InvalidArgumentError if it is no name.
     """
-    if len(given) > 1:
-        raise InvalidArgumentError("The name is given more than once; give it once.")
-    if given:
-        return check_name(given[0])
+    if given is not None:
+        return check_name(given)
     file_name = _file_name(content_disposition) if content_disposition else None
     if file_name is None:
         return None

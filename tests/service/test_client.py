@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from service.client import AccessError, AsyncClient, Client, LimitError, ServiceError, Source
-from service.client_engine import ClientEngine
+from service.client import AccessError, AsyncClient, Client, ClientEngine, LimitError, ServiceError, Source
 from service.wire.fit_options import canonical, from_wire, to_wire
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, scattered_samples

@@ -1,22 +1,24 @@
 """Measurements put into a store without a service."""
 
+from service.storage.blobs import Incoming
 from service.storage.schema import Caller
 from service.storage.store import Store
-from service.storage.uploads import Received
 
 LOCAL = Caller()
 
 
-def receive(store: Store, content: bytes = b"content") -> Received:
+def receive(store: Store, content: bytes = b"content") -> Incoming:
     incoming = store.blobs.incoming()
     incoming.write(content)
-    return Received(incoming, incoming.close(), 1)
+    incoming.valid_nodes = 1
+    incoming.close()
+    return incoming
 
 
 def add(store: Store, content: bytes = b"content", caller: Caller = LOCAL) -> str:
     """Store bytes as a measurement and return their sha256."""
-    received = receive(store, content)
-    row, new = store.add_measurement(caller, received)
-    received.incoming.discard()
+    incoming = receive(store, content)
+    row, new = store.add_measurement(caller, incoming)
+    incoming.discard()
     assert (new, row.owner) == (True, caller.owner)
     return row.sha256

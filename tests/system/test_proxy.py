@@ -19,7 +19,7 @@ import pytest
 
 from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
-from service.wire.values import NPY
+from service.wire.points import NPY
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 

@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from dsbrdf.fitting import decomposition
-from service.jobs import drawing, results
+from service.jobs import results, steps
 from service.routes import brdf, figures, fits
 from service.storage.schema import Caller
-from service.storage.uploads import Received
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
@@ -72,7 +71,7 @@ def test_what_nobody_waits_for_is_not_computed(
 
 def test_view_of_a_page_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
-        blocked = Blocked(drawing.view_step)
+        blocked = Blocked(steps.view_step)
         monkeypatch.setattr(results, "view_step", blocked)
         async with application(tmp_path, monkeypatch) as running:
             key = running.new_key()
@@ -99,7 +98,7 @@ def test_components_come_with_the_fit(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def check() -> None:
-        blocked = Blocked(drawing.sphere_step)
+        blocked = Blocked(steps.sphere_step)
         monkeypatch.setattr(figures, "sphere_step", blocked)
         async with application(tmp_path, monkeypatch) as running:
             alice, bob = running.new_key(), running.new_key()
@@ -122,12 +121,13 @@ def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
             key = running.new_key()
             caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
             incoming.write(b"a measurement")
+            incoming.valid_nodes = 1
             sha256 = incoming.close()
-            running.store.add_measurement(caller, Received(incoming, sha256, 1))
+            running.store.add_measurement(caller, incoming)
 
             def delete_and_draw(*arguments: Any) -> bytes:
                 assert running.store.remove_measurement(caller.owner, sha256)
-                return drawing.sphere_step(*arguments)
+                return steps.sphere_step(*arguments)
 
             monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
             answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()

@@ -19,7 +19,6 @@ from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
-from service.storage.uploads import Received
 from service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
 
@@ -86,9 +85,10 @@ class Race:
 
     def upload(self, caller: Caller) -> str:
         incoming = self.store.blobs.incoming()
-        sha256 = incoming.close()
-        self.store.add_measurement(caller, Received(incoming, sha256, 1))
-        return sha256
+        incoming.valid_nodes = 1
+        incoming.close()
+        self.store.add_measurement(caller, incoming)
+        return incoming.sha256
 
     async def break_off(self) -> None:
         """Leave the rows as a process does that is killed; another one is to start."""
@@ -178,7 +178,7 @@ def test_cancelled_attempt_cannot_overwrite_the_next_one(
         place.engine.go_on.clear()
         runs = place.engine.runs
         cancelling = asyncio.create_task(place.jobs.cancel(key))
-        while (cancelled := place.store.fit(key)) is None or cancelled.status != "cancelled":
+        while place.store.fit(key).status != "cancelled":
             await asyncio.sleep(0.001)
         assert await place.submit() == key  # while the first attempt is still ending
         assert (await cancelling) is not None

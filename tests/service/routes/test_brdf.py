@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.output.serialize import from_json
-from service.wire.values import NPY
+from service.wire.points import NPY
 from tests.support.server import Server, assert_problem
 
 FROM_NPY = {"Content-Type": NPY}

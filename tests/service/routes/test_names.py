@@ -87,4 +87,4 @@ def test_a_second_name_is_refused(server: Server) -> None:
     ],
 )
 def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
-    assert given_name([], header) == name
+    assert given_name(None, header) == name

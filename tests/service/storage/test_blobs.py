@@ -26,7 +26,7 @@ def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> Non
     dropped.discard()
     kept.write(b"b")
     sha256 = kept.close()
-    blobs.place(kept, sha256)
+    blobs.place(kept)
     kept.discard()
     assert list(blobs.all()) == [sha256]
     assert blobs.path(sha256).read_bytes() == b"b"
@@ -54,7 +54,7 @@ def test_file_is_durable_before_it_is_placed_and_its_name_after(
     monkeypatch.setattr(os, "fsync", record_fsync)
     monkeypatch.setattr(Path, "replace", record_replace)
     sha256 = incoming.close()
-    blobs.place(incoming, sha256)
+    blobs.place(incoming)
     folder = blobs.path(sha256).parent
     written = str(incoming.path)
     assert steps == [

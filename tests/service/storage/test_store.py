@@ -12,6 +12,7 @@ from service.errors import (
     DatabaseLostError,
     DataFolderError,
     DataFolderInUseError,
+    FitNotFoundError,
     MeasurementNotFoundError,
     ProblemError,
 )
@@ -42,7 +43,8 @@ def test_finished_fit_cannot_change(store: Store) -> None:
     row, new = store.add_fit(LOCAL, *arguments)
     assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
     assert store.remove_fit(key)
-    assert store.fit(key) is None
+    with pytest.raises(FitNotFoundError):
+        store.fit(key)
 
 
 @pytest.mark.parametrize(("origin", "repeats"), [("input", False), ("compute", True), ("system", True)])
@@ -70,7 +72,6 @@ def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     assert store.start_fit(keys[1]) is not None
     assert store.complete_fit(keys[1], "of b", {}) is not None
     fit = store.fit(keys[0])
-    assert fit is not None
     assert (fit.status, store.result(keys[0])) == ("accepted", None)
     assert store.remove_measurement("b", sha256)  # a's fit of it is unfinished, b's is not
     assert store.blobs.path(sha256).exists()

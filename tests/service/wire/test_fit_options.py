@@ -136,8 +136,6 @@ def test_options_survive_the_wire_format() -> None:
     assert from_query([("knots_deg", "0,30,60.0")]).knots == tuple(np.radians([0.0, 30.0, 60.0]).tolist())
     with pytest.raises(dsbrdf.InvalidArgumentError, match="increasing"):
         from_query([("knots_deg", "30,20")])
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="more than once"):
-        from_query([("n_lobes", "2"), ("n_lobes", "2")])
 
 
 def test_fit_identity_depends_on_measurement_options_and_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,16 @@
 """Bytes and queries from strangers as points: they are points, or refused."""
 
 import io
+import json
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.wire.values import Points, from_query, npy_blocks
+from service.wire.points import Points, from_query, npy_blocks, take_lists
 from tests.support.strategies import MODEL, arrays, examples
 
 # Points
@@ -70,3 +73,26 @@ def test_queries_are_points_or_refused(items: list[tuple[str, str]]) -> None:
     except InvalidArgumentError:
         return
     check_points(points)
+
+
+def test_lists_of_numbers_are_taken_from_a_document_as_json_reads_them() -> None:
+    rng = np.random.default_rng(0)
+    for n in (1, 3, 2000, 5000):
+        angles: dict[str, Any] = {name: rng.normal(size=n).tolist() for name in ("first", "second")}
+        for indent in (None, 1):
+            rest, taken = take_lists(json.dumps(angles, indent=indent).encode(), 1)
+            assert json.loads(rest) == {"first": [], "second": []}
+            assert {name: numbers.tolist() for name, numbers in taken.items()} == angles
+        vectors = {"omega": rng.normal(size=(n, 3)).tolist()}
+        rest, taken = take_lists(json.dumps(vectors).encode(), 2)
+        assert (json.loads(rest), taken["omega"].tolist()) == ({"omega": []}, vectors["omega"])
+
+
+@pytest.mark.parametrize(
+    "wrong", ["", ",", "true", '"1"', "[1]", "1e999", "01", "1 2", "null", "9" * 400, "NaN", "{}", "}", "]"]
+)
+def test_document_with_anything_else_stays_whole(wrong: str) -> None:
+    for before in ("", "1," * 20_000):  # in the first piece, or in the last
+        for after in ("", ",1"):
+            body = f'{{"angles": [{before}{wrong}{after}]}}'.encode()
+            assert take_lists(body, 1) == take_lists(body, 2) == (body, {})

@@ -1,15 +1,17 @@
-"""What is drawn for requests, each picture in a process of its own: steps for `Computations.run_in_process`.
+"""What is computed for requests in a process of its own: steps for `Computations.run_in_process`.
 
-A process imports this module for every picture, so it imports nothing of the service. Files of measurements have been
+A process imports this module for every step, so it imports nothing of the service. Files of measurements have been
 checked by who gives their paths.
 """
 
+import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +19,10 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import map_merl
+from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.scattered_samples import parse_samples
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
@@ -33,6 +37,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+Kind = Literal["rgl", "samples"]
+"""Of uploads that are no MERL files."""
 
 FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "profiles": profiles_figure,
@@ -144,6 +150,27 @@ def figure_step(
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
     reduced = profiles(stored.mapped(), horizon_cutoff=horizon_cutoff)
     return encode_figure(FIGURES[figure](reduced, model), image_format)
+
+
+def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, int]:
+    """Check a file that is no MERL file, and replace its content by what is stored of it.
+
+    An RGL file becomes a MERL table, so that all that reads measurements can read it; a table of samples stays as it
+    is. Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
+
+    Raises MeasurementFormatError if the file is wrong.
+    """
+    if kind == "samples":
+        content, valid_nodes = path.read_bytes(), 0
+        parse_samples(content)
+    else:
+        measurement = read_rgl(path).measurement()
+        content, valid_nodes = encode_merl(measurement), int(measurement.valid.sum())
+        with path.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+    return hashlib.sha256(content).hexdigest(), len(content), valid_nodes
 
 
 def in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:

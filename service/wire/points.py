@@ -1,30 +1,27 @@
-"""Points at which a model is evaluated, and what is sent of its values.
+"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays.
 
-Points are half and difference angles, or pairs of directions, as text or arrays. Many points are kept in a temporary
-file, and their values leave as JSON or .npy block by block as the client reads them, so that memory stays small.
+Many points are kept in a temporary file.
 """
 
 import math
 import mmap
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from time import perf_counter
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from pydantic_core import to_json
+from pydantic_core import from_json
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
 from dsbrdf.model.reflectance import ReflectanceModel
-
-from ..operations.metrics import Metrics
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -39,6 +36,9 @@ _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
+_LIST = re.compile(rb'"(\w+)"\s*:\s*\[')
+_OF_NUMBERS = b"0123456789eE+-.,[] \t\r\n"
+_PIECE = 1 << 15  # bytes of JSON that are read while no other thread runs
 BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
 
 
@@ -129,6 +129,47 @@ def from_directions(
         below = np.minimum(first[:, 2], second[:, 2]) < 0.0
         angles[:, block] = np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second))
     return Points(*angles)
+
+
+def take_lists(body: bytes, n_dimensions: int) -> tuple[bytes, dict[str, Array]]:
+    """Return a JSON document with empty lists in place of its members' lists of numbers, and these lists.
+
+    A list is read piece by piece: while one is, no other thread runs, the one that answers requests neither. A document
+    with anything but such lists, of numbers or of three each by `n_dimensions`, is returned as it is.
+    """
+    rest, taken, begin = b"", dict[str, Array](), 0
+    while (quote := body.find(b'"', begin)) >= 0:
+        member, after = _LIST.match(body, quote), body.find(b'"', body.find(b"[", quote))
+        end = body.rfind(b"]", quote, after if after >= 0 else len(body))
+        try:
+            numbers = None if member is None else _numbers(body[member.end() : end], n_dimensions)
+        except (ValueError, OverflowError):
+            numbers = None
+        if member is None or numbers is None:
+            return body, {}
+        taken[member[1].decode()] = numbers
+        rest += body[begin : member.end()]
+        begin = end
+    return rest + body[begin:], taken
+
+
+def _numbers(text: bytes, n_dimensions: int) -> Array | None:
+    """Return the numbers of a list without its brackets; None if there is anything else, or nothing, in it."""
+    between = b"," if n_dimensions == 1 else b"],"
+    parts, begin = [], 0
+    while begin <= len(text):
+        cut = text.find(between, begin + _PIECE)
+        end = len(text) if cut < 0 else cut + len(between) - 1
+        piece = text[begin:end]
+        if piece.translate(None, _OF_NUMBERS):
+            return None
+        part = np.array(from_json(b"[%b]" % piece), dtype=float)
+        if part.shape != (len(part), 3)[:n_dimensions] or not part.size:
+            return None
+        parts.append(part)
+        begin = end + 1
+    numbers = np.concatenate(parts)
+    return numbers if np.isfinite(numbers).all() else None
 
 
 def npy_blocks(data: bytes | mmap.mmap) -> Iterator[Points]:
@@ -226,49 +267,3 @@ def check_plain(text: T) -> T:
     if isinstance(text, str) and ("_" in text or not text.isascii()):
         raise ValueError(f"{text[:40]!r} is no number")
     return text
-
-
-def _npy_head(n_points: int) -> bytes:
-    """Return the head of a .npy file of shape (n, 3)."""
-    header = BytesIO()
-    npy.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
-    return header.getvalue()
-
-
-def _json_triples(values: Array) -> bytes:
-    """Return triples as JSON; pydantic's encoder takes a ninth of the time of Python's, and all other threads wait."""
-    if not np.isfinite(values).all():
-        raise ValueError("JSON has no infinity, and no value of a model may be infinite")
-    return to_json(values.tolist())[1:-1]
-
-
-@dataclass(frozen=True)
-class ValuesReply:
-    """Writes the values of a model, as JSON or as a .npy array of shape (n, 3) [1/sr]; records the time it takes."""
-
-    model: ReflectanceModel
-    media_type: str
-    metrics: Metrics
-
-    def headers(self, points: Points) -> dict[str, str]:
-        """Return the headers of an answer; its length is known beforehand where all numbers take equal room."""
-        if self.media_type != NPY:
-            return {"Content-Type": self.media_type}
-        return {"Content-Type": NPY, "Content-Length": str(len(_npy_head(len(points))) + 24 * len(points))}
-
-    def parts(self, points: Points) -> Iterator[bytes]:
-        """Yield the parts of an answer, one for each block of points, computed when it is asked for, and its end."""
-        if self.media_type == NPY:
-            head, between, tail = _npy_head(len(points)), b"", b""
-        else:
-            head, between, tail = b'{"values":[', b",", b"]}"
-        seconds = 0.0
-        for block in points.blocks():
-            begin = perf_counter()
-            values = block.values(self.model)
-            part = head + (values.tobytes() if self.media_type == NPY else _json_triples(values))
-            seconds += perf_counter() - begin
-            yield part
-            head = between
-        self.metrics.record_time("evaluating", seconds)
-        yield tail
