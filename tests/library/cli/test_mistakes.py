@@ -129,7 +129,7 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory, coarse_sampling: None) -> Path:
     """Good files, and such that are not what their names or the commands say; tests must not change them."""
     path = tmp_path_factory.mktemp("mistakes")
     for name, content in FILES.items():

@@ -22,6 +22,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere
 from tests.support.soak import repeats
 
+EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
 
@@ -123,6 +124,11 @@ def test_errors_near_the_floor_are_no_misfit() -> None:
     assert accuracy_warnings(Metrics()) == ()
     for error, floor, count in ((0.09, 0.0, 0), (0.11, 0.0, 1), (0.14, 0.1, 0), (0.2, 0.1, 1), (0.32, 0.2, 2)):
         assert len(accuracy_warnings(Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=0.1))) == count
+
+
+def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
+    result = fit(EXAMPLE)
+    assert any("highlights have too few samples" in sentence for sentence in result.report.warnings)
 
 
 KNOTS = tuple(np.radians([0.0, 30.0, 60.0, 89.0]))
