@@ -118,7 +118,7 @@ async def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, 
     own_cluster.add_worker()
     stage = Stage(own_cluster)
     async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), lambda _: None))
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), lambda _: None))
         for _ in range(2):
             await until_fitting(stage)
             own_cluster.kill_scheduler()

@@ -78,7 +78,7 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
 async def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
     shares: list[float] = []
     async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), shares.append))
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), shares.append))
         await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
         fit.cancel()
         await asyncio.wait([fit])
