@@ -29,12 +29,6 @@ def two_lobe_fit(plastic: Measurement) -> FitResult:
     return fit(plastic, n_lobes=2, ring_lobes=0)
 
 
-@pytest.fixture(scope="session")
-def default_fits(plastic_fit: FitResult, metal: Measurement, matte: Measurement) -> tuple[FitResult, ...]:
-    """The default fits of the three synthetic materials."""
-    return plastic_fit, fit(metal), fit(matte)
-
-
 @pytest.fixture(scope="module")
 def coarse_sampling() -> Iterator[None]:
     """A table of densities for every 15th degree instead of 1.5, which a model makes before it draws a direction.
