@@ -19,6 +19,7 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import versions
+from tests.support.known_models import single_lobe
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
 from tests.support.models import curve_error
 from tests.support.soak import repeats
@@ -37,10 +38,7 @@ def test_number_and_parameters_of_known_mixtures_come_back(n_lobes: int, seed: i
 
 def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> None:
     """Without noise, the mean of a bin is the model at its mean of cos(phi_diff)**2 plus what the bin hides."""
-    truth = DSBRDF(
-        np.zeros(1), np.full((3, 1, 1), 30.0), np.ones((1, 1, 1)), np.full((1, 1, 1), 40.0), elongation=np.ones((1, 1))
-    )
-    folded = profiles(model_measurement(truth)).folded
+    folded = profiles(model_measurement(single_lobe(1.0, 40.0, 30.0, elongation=1.0))).folded
     rows, columns = np.array([0, 30, 60, 75]), np.arange(5, 60, 6)
     data = FitData.select(folded, folded.weight, rows, columns)
     knot = np.zeros(1)
@@ -168,10 +166,5 @@ def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
 
 
 def test_lobe_at_a_bound_is_said() -> None:
-    def hit(kappa: float, gamma: float) -> bool:
-        one = np.ones((1, 1, 1))
-        return global_method._bounds_hit(DSBRDF(np.zeros(1), np.ones((3, 1, 1)), kappa * one, gamma * one))
-
-    assert not hit(1.0, 50.0)
-    assert hit(KAPPA_BOUNDS[1], 50.0)
-    assert hit(1.0, 0.5 / REACH_BOUNDS[0])
+    for kappa, gamma, hit in ((1.0, 50.0, False), (KAPPA_BOUNDS[1], 50.0, True), (1.0, 0.5 / REACH_BOUNDS[0], True)):
+        assert global_method._bounds_hit(single_lobe(kappa, gamma, 1.0)) is hit

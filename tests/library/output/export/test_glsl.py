@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import export_model
 from dsbrdf.output.export.glsl import glsl_function
 from tests.support import known_models
@@ -143,10 +142,8 @@ def test_every_name_begins_with_that_of_the_function() -> None:
 
 
 def test_a_parameter_too_large_for_single_precision_is_refused() -> None:
-    one = np.ones((1, 1, 1))
-    model = DSBRDF(np.zeros(1), amplitude=np.full((3, 1, 1), 1e60), kappa=one, gamma=one)
     with pytest.raises(InvalidArgumentError, match="too large for GLSL"):
-        glsl_function(model)
+        glsl_function(known_models.single_lobe(1.0, 1.0, 1e60))
 
 
 def test_source_is_small() -> None:
