@@ -41,7 +41,7 @@ def lobes(*half_widths: float, heights: tuple[float, ...]) -> DSBRDF:
     )
 
 
-@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(2, 3)])
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
 def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
     if name not in reference_files:
         pytest.skip(f"{name} is not among the measured materials")
