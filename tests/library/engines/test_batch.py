@@ -144,13 +144,10 @@ def test_killed_fit_process_loses_only_its_file(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["three.json", "two.json"]
 
 
-@pytest.mark.parametrize("at_once", [True, False], ids=["while they start", "while they fit"])
-def test_interrupt_ends_the_command_and_its_processes(
-    command: "subprocess.Popen[str]", tmp_path: Path, *, at_once: bool
+def test_interrupt_while_processes_start_ends_the_command_and_them(
+    command: "subprocess.Popen[str]", tmp_path: Path
 ) -> None:
     workers = forked(command.pid)
-    if not at_once:
-        wait_until(lambda: all(map(works, workers)), PATIENCE)
     os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C does: all processes of the terminal get it
     out, err = command.communicate(timeout=PATIENCE)
     assert (command.returncode, out, err) == (130, "", "dsbrdf: interrupted\n")
@@ -180,9 +177,13 @@ def test_interrupted_command_resumes_where_it_stopped(
     command = [sys.executable, "-m", "dsbrdf.cli.main", *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     wait_until(lambda: (out / "one.json").exists(), PATIENCE)
+    workers = forked(process.pid)
     os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=PATIENCE)
+    _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
+    assert errors.endswith(b"\ndsbrdf: interrupted\n")  # after what is said of the first file
+    assert b"Traceback" not in errors
+    assert not any(map(alive, workers))
     before = (out / "one.json").read_bytes()
     assert not (out / "three.json").exists()
     assert cli.main(words) == 0
