@@ -42,11 +42,12 @@ docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-# Browsers, Dask, processes that are killed, folders that are damaged, slow clients, figures, fits of whole measurements.
-SLOW := $(addprefix tests/library/,engines cli/test_fit_command.py fitting/test_global_method.py \
-  fitting/test_global_method_data.py fitting/test_matching_pursuit.py fitting/test_lobe_selection.py \
-  fitting/test_paper_method.py fitting/test_report_warnings.py fitting/test_scattered_fit.py \
-  output/test_figures.py output/export/test_glsl.py output/export/test_materialx.py)
+# Browsers, renderers, Dask, processes that are killed, folders that are damaged, slow clients, figures, many samples,
+# fits of whole measurements.
+SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py model/test_sampling.py \
+  cli/test_convert_command.py cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
+  fitting/test_global_method_data.py fitting/test_paper_method.py fitting/test_report_warnings.py \
+  fitting/test_scattered_fit.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_content_encoding.py \
   http/test_limits.py http/test_openapi_conformance.py jobs/test_computations.py operations/test_readiness.py \
   operations/test_request_log.py routes/test_figures.py routes/test_lists.py routes/test_point_limits.py \

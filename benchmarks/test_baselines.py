@@ -11,14 +11,9 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from tests.support.materials import glossy_plastic, polished_metal
+from tests.support.materials import polished_metal
 
 CUTOFF = float(np.radians(80.0))
-
-
-@pytest.fixture(scope="module")
-def plastic() -> Measurement:
-    return glossy_plastic()
 
 
 @pytest.fixture(scope="module")

@@ -1,18 +1,11 @@
 """What the rendered spheres are compared with is what it says."""
 
 import numpy as np
-import pytest
 
 from benchmarks.paper.ggx import fit_ggx
 from benchmarks.rendered import phi_means
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
-from tests.support.materials import glossy_plastic
-
-
-@pytest.fixture(scope="module")
-def plastic() -> Measurement:
-    return glossy_plastic()
 
 
 def test_ggx_lobes_have_the_same_values_at_points_as_on_the_grid(plastic: Measurement) -> None:

@@ -63,12 +63,6 @@ def matte() -> Measurement:
 
 
 @pytest.fixture(scope="session")
-def measurements(plastic: Measurement, metal: Measurement, matte: Measurement) -> tuple[Measurement, ...]:
-    """The three synthetic materials."""
-    return plastic, metal, matte
-
-
-@pytest.fixture(scope="session")
 def plastic_file(plastic: Measurement, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The plastic as a MERL file; tests must not change it."""
     path = tmp_path_factory.mktemp("measurements") / "plastic.binary"

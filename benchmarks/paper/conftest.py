@@ -14,7 +14,6 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.figures import encode_figure
-from tests.support.materials import glossy_plastic
 
 
 @dataclass(frozen=True)
@@ -27,12 +26,6 @@ class FittedMaterial(Material):
         self, *, method: Literal["global", "paper"] = "global", n_lobes: int | Literal["auto"] = "auto"
     ) -> FitResult:
         return self.fits[f"{method}-{n_lobes}"]
-
-
-@pytest.fixture(scope="session")
-def plastic() -> Measurement:
-    """A glossy coloured plastic with 2 % noise."""
-    return glossy_plastic()
 
 
 @pytest.fixture(scope="session")

@@ -18,17 +18,14 @@ from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import fall_to_half
-
-ONE = np.ones((1, 1, 1))
+from tests.support.known_models import single_lobe
 
 
 def coordinates(height: float, gamma: float, elongation: float) -> Computed:
     """One lobe with kappa 1, the same at all theta_diff, as the figure describes it."""
     knots = interpolation._KNOTS
-    lobe = DSBRDF(np.zeros(1), height * np.ones((3, 1, 1)), ONE, gamma * ONE, elongation=np.full((1, 1), elongation))
-    at = lobe.parameters_at(knots)
+    at = single_lobe(1.0, gamma, height, elongation=elongation).parameters_at(knots)
     reach = fall_to_half(at["kappa"][:, 0], "hemi_epd") / at["gamma"][:, 0]
     numbers = {"log_amplitude": np.log(at["amplitude"]), "log_kappa": np.log(at["kappa"][:, 0])}
     numbers |= {"log_reach": np.log(reach), "elongation": np.broadcast_to(at["elongation"], reach.shape)}

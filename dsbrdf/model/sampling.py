@@ -92,9 +92,9 @@ class DirectionSampler:
         first, second = omega_in[above], omega_out[above]
         row = _row(second)
         share = np.diff(self.cumulative, axis=1, prepend=0.0)[row].T
-        density = share[-1] * first[:, 2] / np.pi
+        density, seen = share[-1] * first[:, 2] / np.pi, _in_plane_of_incidence(first, second)
         for part in range(self.along.shape[1]):
-            density += share[part] * _mirrored_density(first, second, self.along[row, part], self.across[row, part])
+            density += share[part] * _mirrored_density(seen, self.along[row, part], self.across[row, part])
         result[above] = density
         return result
 
@@ -119,15 +119,17 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
     half, omega_out = spherical(theta_half, azimuth), spherical([theta_out], 0.0)
     omega_in = 2.0 * (half @ omega_out[0])[:, None] * half - omega_out
     densities = np.empty((len(_CANDIDATES) + 1, cos_in.size))
+    seen = _in_plane_of_incidence(omega_in, omega_out)
     for density, (along, across) in zip(densities[:-1], _CANDIDATES, strict=True):
-        density[:] = _mirrored_density(omega_in, omega_out, along, across)
+        density[:] = _mirrored_density(seen, along, across)
     densities[-1] = cos_in / np.pi
     reflected = evaluate(theta_half, rule.theta_diff[used], rule.phi_diff[used]).mean(axis=1) * cos_in
     squared = reflected**2 * rule.weight[used] / cos_in
     parts, share = [len(_CANDIDATES)], np.ones(1)
     for _ in range(_N_PARTS):
-        tried = (1.0 - _FIRST_SHARE) * (share @ densities[parts]) + _FIRST_SHARE * densities
-        variance = (1.0 / tried) @ squared
+        rest = (1.0 - _FIRST_SHARE) * (share @ densities[parts])
+        # One density after the other stays in the cache of a processor, all of them at once do not.
+        variance = np.array([squared @ (1.0 / (rest + _FIRST_SHARE * density)) for density in densities])
         variance[parts] = np.inf
         parts.insert(0, int(np.argmin(variance)))
         share = np.append(_FIRST_SHARE, (1.0 - _FIRST_SHARE) * share)
@@ -145,16 +147,35 @@ def _improved(share: Array, densities: Array, squared: Array) -> Array:
     return share
 
 
-def _mirrored_density(omega_in: Array, omega_out: Array, along: Array, across: Array) -> Array:
-    """Density per solid angle of omega_in (n, 3) as omega_out mirrored at a visible normal, see the module."""
+class _Seen(NamedTuple):
+    """Sums T = omega_in + omega_out in the frame of the module's formula, and omega_out there; each of shape (n,)."""
+
+    toward: Array
+    aside: Array
+    squared_up: Array
+    squared_length: Array
+    height: Array  # o_z
+    radius: Array  # o_x
+
+
+def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> _Seen:
     total = omega_in + omega_out
     x, y = _heading(omega_out)
-    toward, aside = total[:, 0] * x + total[:, 1] * y, total[:, 1] * x - total[:, 0] * y
-    slopes = total[:, 2] ** 2 + (toward / along) ** 2 + (aside / across) ** 2
-    height, radius = omega_out[:, 2], np.hypot(omega_out[:, 0], omega_out[:, 1])
-    length2 = np.einsum("ni,ni->n", total, total)
-    visible = height + np.sqrt(height**2 + (along * radius) ** 2)
-    return np.asarray((length2 / slopes) ** 2 / (2.0 * np.pi * along * across * visible))
+    return _Seen(
+        total[:, 0] * x + total[:, 1] * y,
+        total[:, 1] * x - total[:, 0] * y,
+        total[:, 2] ** 2,
+        np.einsum("ni,ni->n", total, total),
+        omega_out[:, 2],
+        np.hypot(omega_out[:, 0], omega_out[:, 1]),
+    )
+
+
+def _mirrored_density(seen: _Seen, along: Array, across: Array) -> Array:
+    """Density per solid angle of omega_in as omega_out mirrored at a visible normal, see the module."""
+    slopes = seen.squared_up + (seen.toward / along) ** 2 + (seen.aside / across) ** 2
+    visible = seen.height + np.sqrt(seen.height**2 + (along * seen.radius) ** 2)
+    return np.asarray((seen.squared_length / slopes) ** 2 / (2.0 * np.pi * along * across * visible))
 
 
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:

@@ -1,11 +1,14 @@
 """Fits that tests of several rooms look at, each made once; tests must not change them."""
 
+from collections.abc import Iterator
+
 import pytest
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.model import sampling
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +29,12 @@ def two_lobe_fit(plastic: Measurement) -> FitResult:
     return fit(plastic, n_lobes=2, ring_lobes=0)
 
 
-@pytest.fixture(scope="session")
-def default_fits(plastic_fit: FitResult, metal: Measurement, matte: Measurement) -> tuple[FitResult, ...]:
-    """The default fits of the three synthetic materials."""
-    return plastic_fit, fit(metal), fit(matte)
+@pytest.fixture(scope="module")
+def coarse_sampling() -> Iterator[None]:
+    """A table of densities for every 15th degree instead of 1.5, which a model makes before it draws a direction.
+
+    For modules with models of their own: a table does not go with another number of angles.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sampling, "ANGLES", sampling.ANGLES[::10])
+        yield

@@ -1,11 +1,14 @@
-"""What a command printed, and how it ended."""
+"""The command ``dsbrdf``, called without a process of its own: what it prints, and how it ends."""
 
 import json
+from collections.abc import Sequence
+from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
 
 from dsbrdf.cli import main as cli
+from tests.support.commands import run_main
 
 Capture = pytest.CaptureFixture[str]
 
@@ -13,23 +16,35 @@ QUICK = ("--method", "paper", "--n-lobes", "1", "--em-iterations", "40")
 FEW_LOBES = ("--n-lobes", "2", "--ring-lobes", "0")
 
 
-def document(capture: Capture) -> Any:
-    out = capture.readouterr().out
+def run(*words: object, code: int = 0) -> "CompletedProcess[str]":
+    """Return what a command printed that has ended with a code."""
+    answer = run_main(_exit_code, *map(str, words))
+    assert answer.returncode == code, answer.stderr
+    return answer
+
+
+def printed(*words: object) -> str:
+    return run(*words).stdout
+
+
+def document(*words: object, code: int = 0) -> Any:
+    """The JSON document that a command printed in one line."""
+    out = run(*words, code=code).stdout
     assert out.count("\n") == 1
     return json.loads(out)
 
 
-def sentence(capture: Capture) -> str:
+def sentence(*words: object, code: int = 2) -> str:
     """The one line on stderr of a command that printed nothing else."""
-    captured = capture.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
+    answer = run(*words, code=code)
+    assert answer.stdout == ""
+    assert answer.stderr.count("\n") == 1
+    return answer.stderr
 
 
-def exit_code(argv: list[str]) -> int:
-    """What the process would end with, whether argparse ended it or the command returned."""
+def _exit_code(words: Sequence[str]) -> int:
+    """What the process would end with, whether the parser ended it or the command returned."""
     try:
-        return cli.main(argv)
+        return cli.main(list(words))
     except SystemExit as end:
         return int(end.code or 0)

@@ -3,10 +3,11 @@
 import asyncio
 import json
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import pytest
 
@@ -20,16 +21,12 @@ from tests.support.launcher import ForkedProcess
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
 
+P = ParamSpec("P")
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
-
 MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
-
 SLOW = FitOptions(n_lobes=8, ring_lobes=2)
-
 ENDLESS = endless_fit.OPTIONS
-
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
-
 PATIENCE = 120.0
 
 
@@ -91,6 +88,16 @@ async def until_busy(cluster: DaskCluster) -> ForkedProcess:
 
     worker: ForkedProcess = await until(busy, bool)
     return worker
+
+
+def in_event_loop(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
+    """Let pytest call a test that is a coroutine, in an event loop of its own."""
+
+    @wraps(test)
+    def run_it(*arguments: P.args, **named: P.kwargs) -> None:
+        asyncio.run(test(*arguments, **named))
+
+    return run_it
 
 
 def run(stage: Stage, task: FitTask, limits: FitLimits = LIMITS) -> tuple[Outcome, list[float]]:

@@ -4,56 +4,57 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.cli.main import main
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
 from dsbrdf.data.sample_columns import VECTORS
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.serialize import load_result
-from tests.support.command_line import Capture
+from tests.support.command_line import document, printed, run
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture, scattered_samples
+
+pytestmark = pytest.mark.usefixtures("coarse_sampling")
+TRUTH = mixture(1, 0)
 
 
 def test_a_measurement_becomes_a_bsdf_file_or_is_copied_bit_for_bit(plastic_file: Path, tmp_path: Path) -> None:
     output, copy = tmp_path / "plastic.bsdf", tmp_path / "copy.binary"
-    assert main(["convert", str(plastic_file), str(output)]) == 0
+    run("convert", plastic_file, output)
     fields = parse_tensors(output.read_bytes())
     assert fields["rgb"].shape[2] == 3
     assert fields["rgb"].min() >= 0.0
-    assert main(["convert", str(plastic_file), str(copy)]) == 0
+    run("convert", plastic_file, copy)
     assert copy.read_bytes() == plastic_file.read_bytes()
 
 
-def test_an_rgl_file_becomes_a_merl_file_and_loses_nothing_in_a_bsdf_file(tmp_path: Path) -> None:
-    source, output = tmp_path / "paint.bsdf", tmp_path / "paint.binary"
-    source.write_bytes(rgl_bsdf(mixture(2, 1)))
-    assert main(["convert", str(source), str(output)]) == 0
-    expected = mixture(2, 1).evaluate(THETA_HALF[20], THETA_DIFF[30], PHI_DIFF[90])
-    np.testing.assert_allclose(read_merl(output).values[:, 20, 30, 90], expected, rtol=0.02)
-    assert main(["convert", str(source), str(tmp_path / "copy.bsdf")]) == 0
+def test_an_rgl_file_loses_nothing_in_a_bsdf_file(tmp_path: Path) -> None:
+    source = tmp_path / "paint.bsdf"
+    source.write_bytes(rgl_bsdf(TRUTH))
+    run("convert", source, tmp_path / "copy.bsdf")
     assert (tmp_path / "copy.bsdf").read_bytes() == source.read_bytes()
-    assert main(["convert", str(source), str(tmp_path / "spectral.bsdf"), "--spectral"]) == 0
+    run("convert", source, tmp_path / "spectral.bsdf", "--spectral")
     assert "spectra" in parse_tensors((tmp_path / "spectral.bsdf").read_bytes())
 
 
-@pytest.mark.parametrize("growth", [0.0, 1.5])
-def test_what_a_merl_table_cannot_hold_of_a_bsdf_file_is_told(
-    growth: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_rgl_file_becomes_a_merl_file(tmp_path: Path) -> None:
+    source, output, model = tmp_path / "paint.bsdf", tmp_path / "paint.binary", single_lobe(1.0, 1.0, 0.2)
+    source.write_bytes(rgl_bsdf(model))
+    printed = run("convert", source, output)
+    assert ": non reciprocity 0.0%" in printed.stdout
+    assert printed.stderr == ""
+    expected = model.evaluate(THETA_HALF[20], THETA_DIFF[30], PHI_DIFF[90])
+    np.testing.assert_allclose(read_merl(output).values[:, 20, 30, 90], expected, rtol=0.02)
+
+
+def test_what_a_merl_table_cannot_hold_of_a_bsdf_file_is_told(tmp_path: Path) -> None:
     """One order of the directions is brighter than the other: by a factor that grows with the first angle."""
     fields = dict(parse_tensors(rgl_bsdf(single_lobe(1.0, 1.0, 0.2))))
-    fields["rgb"] = (fields["rgb"] * (1.0 + growth * fields["theta_i"])[:, None, None, None]).astype(np.float32)
+    fields["rgb"] = (fields["rgb"] * (1.0 + 1.5 * fields["theta_i"])[:, None, None, None]).astype(np.float32)
     (tmp_path / "one-way.bsdf").write_bytes(encode_tensors(fields))
-    command = ["convert", str(tmp_path / "one-way.bsdf"), str(tmp_path / "one-way.binary")]
-    assert main(command) == 0
-    printed = capsys.readouterr()
-    assert "non reciprocity " in printed.out
-    assert ("warning: " in printed.err) is (growth > 0.0)
-    assert main([*command, "--json"]) == 0
-    difference = json.loads(capsys.readouterr().out)["non_reciprocity"]
-    assert difference == pytest.approx(expected_difference(growth), abs=0.02)
+    printed = run("convert", tmp_path / "one-way.bsdf", tmp_path / "one-way.binary", "--json")
+    assert "warning: " in printed.stderr
+    assert json.loads(printed.stdout)["non_reciprocity"] == pytest.approx(expected_difference(1.5), abs=0.02)
 
 
 def expected_difference(growth: float) -> float:
@@ -65,25 +66,19 @@ def expected_difference(growth: float) -> float:
     return float(np.median(difference))
 
 
-TRUTH = mixture(1, 0)
-
-
-def test_a_table_is_fitted_and_stored_or_converted(tmp_path: Path, capsys: Capture) -> None:
-    samples, table = scattered_samples(TRUTH, 1500), tmp_path / "felt.csv"
+def test_a_table_is_fitted_and_stored_or_converted(tmp_path: Path) -> None:
+    samples, table = scattered_samples(TRUTH, 500), tmp_path / "felt.csv"
     head = ",".join((*VECTORS, "red", "green", "blue"))
     columns = [samples.omega_in, samples.omega_out, samples.values]
     np.savetxt(table, np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
     command = ["fit", str(table), "-o", str(tmp_path), "--n-lobes", "1", "--ring-lobes", "0"]
-    assert main([*command, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["metrics"]["relative_rms"] < 0.01
-    assert document["metrics"]["psnr"] is None
+    metrics = document(*command, "--json")["metrics"]
+    assert metrics["relative_rms"] < 0.01
+    assert metrics["psnr"] is None
     angles = np.radians(10.0), np.radians(30.0)
     found = load_result(tmp_path / "felt.json").model.evaluate(*angles)
     np.testing.assert_allclose(found, TRUTH.evaluate(*angles), rtol=0.02)
-    assert main(command) == 0
-    assert "(kept)" in capsys.readouterr().out
-    assert main(["convert", str(table), str(tmp_path / "felt.binary")]) == 0
-    assert "error of the fit " in capsys.readouterr().out
+    assert "(kept)" in printed(*command)
+    assert "error of the fit " in printed("convert", table, tmp_path / "felt.binary")
     at_node = read_merl(tmp_path / "felt.binary").values[:, 30, 30, 90]  # theta_half 10, theta_diff 30 degrees
     np.testing.assert_allclose(at_node, TRUTH.evaluate(*angles), rtol=0.05)

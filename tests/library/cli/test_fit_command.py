@@ -12,11 +12,10 @@ import pytest
 
 import dsbrdf
 from dsbrdf.cli import fit_command
-from dsbrdf.cli import main as cli
 from dsbrdf.engines import batch, local
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import from_json, load
-from tests.support.command_line import FEW_LOBES, QUICK, Capture, document, sentence
+from tests.support.command_line import FEW_LOBES, QUICK, document, printed, run, sentence
 from tests.support.random_models import random_model
 
 
@@ -28,9 +27,8 @@ def damaged_file(plastic_file: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_fit_prints_metrics_and_lobes(plastic_file: Path, two_lobe_fit: FitResult, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), *FEW_LOBES]) == 0
-    out = capsys.readouterr().out
+def test_fit_prints_metrics_and_lobes(plastic_file: Path, two_lobe_fit: FitResult) -> None:
+    out = printed("fit", plastic_file, *FEW_LOBES)
     result = two_lobe_fit
     assert re.match(r"plastic: (very )?close \(\d+\.\d dB\); 2 lobes; ", out)
     for name in ("relative_rms", "excess", "albedo_error", "psnr"):
@@ -47,9 +45,8 @@ def test_fit_prints_metrics_and_lobes(plastic_file: Path, two_lobe_fit: FitResul
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
-def test_fit_prints_the_lobes_tried_and_the_largest_errors(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--ring-lobes", "0", "-o", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
+def test_fit_prints_the_lobes_tried_and_the_largest_errors(plastic_file: Path, tmp_path: Path) -> None:
+    out = printed("fit", plastic_file, "--ring-lobes", "0", "-o", tmp_path)
     result = dsbrdf.load_result(tmp_path / "plastic.json")
     assert f" dB); {result.model.n_lobes} lobes; " in out.splitlines()[0]
     lines = out.splitlines()
@@ -66,98 +63,85 @@ def test_fit_prints_the_lobes_tried_and_the_largest_errors(plastic_file: Path, t
         assert line.split()[-3:] == [f"{band.relative_rms:.4f}", f"{band.floor:.4f}", f"{band.excess:.3f}"]
 
 
-def test_every_warning_is_shown_once(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_every_warning_is_shown_once(plastic_file: Path, tmp_path: Path) -> None:
     command = ["fit", str(plastic_file), "--method", "paper", "--n-lobes", "1", "--em-iterations", "1"]
-    assert cli.main([*command, "--json"]) == 0
-    captured = capsys.readouterr()
-    answer = json.loads(captured.out)
+    captured = run(*command, "--json")
+    answer = json.loads(captured.stdout)
     sentences = answer["warnings"]
     assert "stopped at the bound of 1 iterations" in sentences[0]
-    assert (sentences, captured.err) == (answer["report"]["warnings"], "")
+    assert (sentences, captured.stderr) == (answer["report"]["warnings"], "")
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"
     fit = [*command, "-o", str(tmp_path)]
     for words, last in ((fit, f"saved: {file}\n"), (fit, "plastic.json (kept)\n"), (["show", str(file)], "\n")):
-        assert cli.main(words) == 0
-        captured = capsys.readouterr()
-        assert captured.err == ""
-        assert captured.out.endswith(last)
-        assert captured.out.splitlines()[1 : len(shown) + 1] == shown
-        assert captured.out.count("warning: ") == len(shown)
+        captured = run(*words)
+        assert captured.stderr == ""
+        assert captured.stdout.endswith(last)
+        assert captured.stdout.splitlines()[1 : len(shown) + 1] == shown
+        assert captured.stdout.count("warning: ") == len(shown)
 
 
-def test_ring_lobe_is_printed_with_its_center(tmp_path: Path, capsys: Capture) -> None:
+def test_ring_lobe_is_printed_with_its_center(tmp_path: Path) -> None:
     dsbrdf.save(random_model(), tmp_path / "ring.json")
-    assert cli.main(["show", str(tmp_path / "ring.json"), "--lobes"]) == 0
-    out = capsys.readouterr().out
+    out = printed("show", tmp_path / "ring.json", "--lobes")
     assert out.startswith("ring: 4 lobes (1 ring)")
     (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
     assert line.count("°") == 4
 
 
-def test_fit_json_is_a_stored_model_or_a_list_of_them(
-    plastic_file: Path, damaged_file: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
-    answer = document(capsys)
+def test_fit_json_is_a_stored_model_or_a_list_of_them(plastic_file: Path, damaged_file: Path, tmp_path: Path) -> None:
+    answer = document("fit", plastic_file, "--json", *QUICK)
     stored = tmp_path / "stored.json"
     stored.write_text(json.dumps(answer))
     assert load(stored).n_lobes == 1
     assert answer["status"] == "succeeded"
     assert answer["metrics"] == answer["report"]["metrics"]
     assert [part["label"] for part in answer["components"]] == list(dsbrdf.decompose(load(stored)).labels)
-    assert cli.main(["fit", str(damaged_file), str(plastic_file), "--json", *QUICK]) == 2
-    bad, good = document(capsys)["items"]
+    bad, good = document("fit", damaged_file, plastic_file, "--json", *QUICK, code=2)["items"]
     assert (bad["file"], bad["status"], good["model"]) == (str(damaged_file), "failed", answer["model"])
     assert "1000" in bad["error"]
 
 
-def test_one_bad_file_does_not_stop_the_others(
-    plastic_file: Path, damaged_file: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_one_bad_file_does_not_stop_the_others(plastic_file: Path, damaged_file: Path, tmp_path: Path) -> None:
     files = [str(damaged_file), str(tmp_path / "none.binary"), str(plastic_file)]
-    assert cli.main(["fit", *files, "-o", str(tmp_path / "out"), *QUICK]) == 2
-    captured = capsys.readouterr()
-    first, second, *warnings = captured.err.splitlines()
+    captured = run("fit", *files, "-o", tmp_path / "out", *QUICK, code=2)
+    first, second, *warnings = captured.stderr.splitlines()
     with pytest.raises(dsbrdf.MeasurementFormatError) as refusal:
         dsbrdf.read_merl(damaged_file)
     assert first == f"dsbrdf: {damaged_file}: {refusal.value}"
     assert second == f"dsbrdf: {tmp_path / 'none.binary'}: No such file or directory"
     assert all(line.startswith(f"dsbrdf: {plastic_file}: ") for line in warnings)
-    assert re.match(r"plastic: strongly different \(.*\); 1 lobe; ", captured.out)
+    assert re.match(r"plastic: strongly different \(.*\); 1 lobe; ", captured.stdout)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
 
 
-def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[batch.FileFit]:
         yield batch.FileFit(files[0], error="the process died", lost=True)
         yield batch.FileFit(files[1], error="no measurement")
 
     monkeypatch.setattr(fit_command, "fit_files", lost)
-    assert cli.main(["fit", "a.binary", "b.binary"]) == 1
-    assert capsys.readouterr().err == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
+    captured = run("fit", "a.binary", "b.binary", code=1)
+    assert captured.stderr == "dsbrdf: a.binary: the process died\ndsbrdf: b.binary: no measurement\n"
 
 
-def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "materials"
     folder.mkdir()
-    assert cli.main(["fit", str(folder)]) == 2
-    assert "contains no .binary file" in sentence(capsys)
+    assert "contains no .binary file" in sentence("fit", folder)
     (folder / "a.binary").symlink_to(plastic_file)
     (folder / "notes.txt").write_text("not a measurement")
-    assert cli.main(["fit", str(folder), "--json", *QUICK]) == 0
-    assert [item["file"] for item in document(capsys)["items"]] == [str(folder / "a.binary")]
+    assert [item["file"] for item in document("fit", folder, "--json", *QUICK)["items"]] == [str(folder / "a.binary")]
 
 
 def test_interrupt_ends_a_fit_which_is_made_in_this_process(
-    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any) -> NoReturn:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(batch, "compute", interrupted)
-    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path / "out")]) == 130
-    assert sentence(capsys) == "dsbrdf: interrupted\n"
+    assert sentence("fit", plastic_file, "-o", tmp_path / "out", code=130) == "dsbrdf: interrupted\n"
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -170,14 +154,12 @@ def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
 
 
 def test_second_run_keeps_existing_results(
-    two_files: list[str], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    two_files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = ["fit", *two_files, "-o", str(tmp_path / "out"), "--json", *QUICK]
-    assert cli.main(command) == 0
-    first = document(capsys)["items"]
+    first = document(*command)["items"]
     monkeypatch.setattr(local.LocalEngine, "start", None)  # nothing is to be computed
-    assert cli.main(command) == 0
-    second = document(capsys)["items"]
+    second = document(*command)["items"]
     assert [item.pop("resumed") for item in first] == [False, False]
     assert [item.pop("resumed") for item in second] == [True, True]
     assert first == second
@@ -187,7 +169,7 @@ def test_second_run_keeps_existing_results(
 def stored_fit(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command stores for the plastic; tests must not change it."""
     folder = tmp_path_factory.mktemp("stored")
-    assert cli.main(["fit", str(plastic_file), "-o", str(folder), *QUICK]) == 0
+    run("fit", plastic_file, "-o", folder, *QUICK)
     return folder / "plastic.json"
 
 
@@ -197,16 +179,13 @@ def test_stored_fit_with_other_options_is_replaced(
     stored_fit: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
     reason: str,
 ) -> None:
     output = tmp_path / "out" / "one.json"
     output.parent.mkdir()
     shutil.copyfile(stored_fit, output)
     command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
-    capsys.readouterr()
-    assert cli.main(command) == 0
-    assert document(capsys)["resumed"] is True
+    assert document(*command)["resumed"] is True
     if reason == "options":
         command += ["--weighting", "cosine"]
     elif reason == "force":
@@ -220,24 +199,21 @@ def test_stored_fit_with_other_options_is_replaced(
         monkeypatch.setattr(batch, "ALGORITHM_VERSION", "another")
     else:
         dsbrdf.save(load(output), output)
-    assert cli.main(command) == 0
-    assert document(capsys)["resumed"] is False
+    assert document(*command)["resumed"] is False
     assert from_json(output.read_text())[1] is not None
 
 
-def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path, capsys: Capture) -> None:
+def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     shutil.copyfile(two_files[0], tmp_path / "other/one.binary")
-    assert cli.main(["fit", two_files[0], str(tmp_path / "other/one.binary"), "-o", str(tmp_path / "out")]) == 2
-    assert "would both be written to" in sentence(capsys)
+    assert "would both be written to" in sentence(
+        "fit", two_files[0], tmp_path / "other/one.binary", "-o", tmp_path / "out"
+    )
 
 
-def test_full_disk_exits_with_1(
-    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_full_disk_exits_with_1(plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(batch, "save", full)
-    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), *QUICK]) == 1
-    assert "No space left on device" in sentence(capsys)
+    assert "No space left on device" in sentence("fit", plastic_file, "-o", tmp_path, *QUICK, code=1)

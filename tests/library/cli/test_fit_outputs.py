@@ -11,10 +11,9 @@ import pytest
 
 import dsbrdf
 from dsbrdf.cli import fit_command
-from dsbrdf.cli import main as cli
 from dsbrdf.engines.batch import FileFit
 from dsbrdf.fitting.report import FitResult
-from tests.support.command_line import QUICK, Capture, document, sentence
+from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.server import Server
 
@@ -34,12 +33,11 @@ def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.usefixtures("three_files")
-def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp_path: Path, capsys: Capture) -> None:
+def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp_path: Path) -> None:
     table = tmp_path / "fits.csv"
-    assert cli.main(["fit", "good.binary", "none.binary", "bad.binary", "--csv", str(table)]) == 2
-    captured = capsys.readouterr()
-    assert captured.err.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
-    first, second, _, head, *rows, failed = captured.out.splitlines()
+    captured = run("fit", "good.binary", "none.binary", "bad.binary", "--csv", table, code=2)
+    assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
+    first, second, _, head, *rows, failed = captured.stdout.splitlines()
     assert first.startswith("good: close (")
     assert second.startswith("bad: close (")
     assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
@@ -55,33 +53,29 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
 
 
-def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "-o", str(tmp_path), "--plot", *QUICK]) == 0
-    out = capsys.readouterr().out
+def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None:
+    out = printed("fit", plastic_file, "-o", tmp_path, "--plot", *QUICK)
     assert "component     half width" in out
     assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
     assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
     assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1
 
 
-def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp_path: Path) -> None:
     address = ["--url", str(server.http.base_url)]
-    assert cli.main(["fit", str(plastic_file), "--json", "-o", str(tmp_path), *address, *QUICK]) == 0
-    there = document(capsys)
-    assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
-    assert there["model"] == document(capsys)["model"]
+    there = document("fit", plastic_file, "--json", "-o", tmp_path, *address, *QUICK)
+    assert there["model"] == document("fit", plastic_file, "--json", *QUICK)["model"]
     assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
     no_measurement = tmp_path / "cut.binary"
     no_measurement.write_bytes(plastic_file.read_bytes()[:1000])
-    assert cli.main(["fit", str(no_measurement), *address]) == 2
-    assert "1000" in sentence(capsys)
+    assert "1000" in sentence("fit", no_measurement, *address)
 
 
-def test_server_that_does_not_answer_is_named(plastic_file: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--url", "http://127.0.0.1:9"]) == 1
-    assert sentence(capsys).startswith("dsbrdf: http://127.0.0.1:9: ")
+def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
+    assert sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1).startswith(
+        "dsbrdf: http://127.0.0.1:9: "
+    )
 
 
-def test_server_that_wants_a_key_is_named(guarded: Guarded, plastic_file: Path, capsys: Capture) -> None:
-    assert cli.main(["fit", str(plastic_file), "--url", str(guarded.server.http.base_url)]) == 2
-    assert "the environment variable DSBRDF_KEY" in sentence(capsys)
+def test_server_that_wants_a_key_is_named(guarded: Guarded, plastic_file: Path) -> None:
+    assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, "--url", guarded.server.http.base_url)

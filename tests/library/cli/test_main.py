@@ -12,7 +12,7 @@ from dsbrdf import extras
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from tests.support.command_line import QUICK, Capture, exit_code, sentence
+from tests.support.command_line import QUICK, Capture, printed, sentence
 
 # serve, demo, and the command itself
 
@@ -26,12 +26,9 @@ from tests.support.command_line import QUICK, Capture, exit_code, sentence
         ("fit a.binary --url http://host", "httpx", "client"),
     ],
 )
-def test_missing_extra_is_named(
-    command: str, missing: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_missing_extra_is_named(command: str, missing: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None if name == missing else name)
-    assert cli.main(command.split()) == 1
-    assert f"pip install 'dsbrdf[{extra}]'" in sentence(capsys)
+    assert f"pip install 'dsbrdf[{extra}]'" in sentence(*command.split(), code=1)
 
 
 def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,9 +37,8 @@ def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> 
         cli.main(["show"])
 
 
-def test_version_is_printed(capsys: Capture) -> None:
-    assert exit_code(["--version"]) == 0
-    assert capsys.readouterr().out == f"dsbrdf {dsbrdf.__version__}\n"
+def test_version_is_printed() -> None:
+    assert printed("--version") == f"dsbrdf {dsbrdf.__version__}\n"
 
 
 def test_fit_computes_with_one_blas_thread_from_the_start() -> None:
@@ -64,12 +60,9 @@ def test_command_that_computes_nothing_imports_no_numpy(words: list[str]) -> Non
 
 @pytest.mark.parametrize("command", command_names())
 @pytest.mark.parametrize(("columns", "widest"), [("80", 80), ("200", 100)])
-def test_help_is_plain_text_in_a_file(
-    command: str, columns: str, widest: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_help_is_plain_text_in_a_file(command: str, columns: str, widest: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    assert cli.main([command, "--help"]) == 0
-    out = capsys.readouterr().out
+    out = printed(command, "--help")
     assert out.startswith(f"Usage: dsbrdf {command}")
     assert max(map(len, out.splitlines())) <= widest
     assert "\x1b" not in out
@@ -77,25 +70,20 @@ def test_help_is_plain_text_in_a_file(
     assert "[default: False]" not in out
 
 
-def test_help_lists_all_commands_in_groups(capsys: Capture) -> None:
-    assert cli.main(["--help"]) == 0
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+def test_help_lists_all_commands_in_groups() -> None:
+    lines = [line.strip() for line in printed("--help").splitlines()]
     assert {"Models", "Pictures", "Files", "Service", "Options"} <= {*lines}
     listed = {line.split()[0] for line in lines if line}
     assert listed >= {*command_names(), *SERVICE_COMMANDS, "--help", "--version"}
 
 
-def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, as far as rich knows
     monkeypatch.delenv("NO_COLOR", raising=False)
-    assert cli.main(["eval", "--help"]) == 0
-    assert "\x1b[36m" in capsys.readouterr().out  # cyan
+    assert "\x1b[36m" in printed("eval", "--help")  # cyan
     monkeypatch.setenv("NO_COLOR", "1")
-    assert cli.main(["eval", "--help"]) == 0
-    assert "\x1b[36m" not in capsys.readouterr().out
+    assert "\x1b[36m" not in printed("eval", "--help")
 
 
 def test_progress_goes_to_a_terminal_only(plastic_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:

@@ -1,8 +1,6 @@
 import subprocess
 import sys
-from contextlib import redirect_stdout
 from dataclasses import asdict
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +8,15 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.cli import main as cli
 from dsbrdf.output.serialize import from_json, from_npz, load
-from tests.support.command_line import FEW_LOBES, Capture, document
+from tests.support.command_line import FEW_LOBES, document, printed, run
 
 
 @pytest.fixture(scope="module")
 def printed_and_stored(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
     """The lines that a fit printed, and the file that it wrote."""
-    folder, out = tmp_path_factory.mktemp("fits"), StringIO()
-    with redirect_stdout(out):
-        assert cli.main(["fit", str(plastic_file), "-o", str(folder), *FEW_LOBES]) == 0
-    return out.getvalue().splitlines(), folder / "plastic.json"
+    folder = tmp_path_factory.mktemp("fits")
+    return printed("fit", plastic_file, "-o", folder, *FEW_LOBES).splitlines(), folder / "plastic.json"
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +24,8 @@ def model_file(printed_and_stored: tuple[list[str], Path]) -> Path:
     return printed_and_stored[1]
 
 
-def test_eval_by_angles_as_a_table(model_file: Path, capsys: Capture) -> None:
-    assert cli.main(["eval", str(model_file), "--theta-half", "0", "10", "--theta-diff", "30"]) == 0
-    rows = capsys.readouterr().out.splitlines()
+def test_eval_by_angles_as_a_table(model_file: Path) -> None:
+    rows = printed("eval", model_file, "--theta-half", "0", "10", "--theta-diff", "30").splitlines()
     assert rows[0].split() == ["theta_half", "theta_diff", "phi_diff", "red", "green", "blue"]
     expected = load(model_file).evaluate(np.radians(10.0), np.radians(30.0))
     np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, 90, *expected], rtol=1e-5)
@@ -55,9 +49,8 @@ def test_eval_by_angles_as_a_table(model_file: Path, capsys: Capture) -> None:
         ("--omega-in 0,0,-1 --omega-out 0,0,1", ([90.0], 90.0, 0.0)),
     ],
 )
-def test_eval_gives_the_values_of_the_library(words: str, degrees: Any, model_file: Path, capsys: Capture) -> None:
-    assert cli.main(["eval", str(model_file), *words.split(), "--json"]) == 0
-    answer = document(capsys)
+def test_eval_gives_the_values_of_the_library(words: str, degrees: Any, model_file: Path) -> None:
+    answer = document("eval", model_file, *words.split(), "--json")
     expected = load(model_file).evaluate(*(np.radians(angle) for angle in degrees))
     np.testing.assert_allclose(answer["values"], expected, rtol=1e-6)
     if "--theta-half" in words:
@@ -67,30 +60,25 @@ def test_eval_gives_the_values_of_the_library(words: str, degrees: Any, model_fi
 
 
 @pytest.mark.parametrize("words", [["eval", "--theta-half", "0,10", "--theta-diff", "30"], ["show"], ["decompose"]])
-def test_text_holds_at_60_columns(
-    words: list[str], model_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_text_holds_at_60_columns(words: list[str], model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "60")
-    assert cli.main([words[0], str(model_file), *words[1:]]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(words[0], model_file, *words[1:]).splitlines()
     assert [line for line in lines if len(line) > 60 and not line.startswith("warning")] == []
 
 
-def test_components_are_those_of_the_library(model_file: Path, capsys: Capture) -> None:
+def test_components_are_those_of_the_library(model_file: Path) -> None:
     command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
     angles = np.radians([0.5, 12.0, 60.0]), np.radians([0.0, 45.0, 20.0])
     components = list(dsbrdf.decompose(load(model_file)))
     assert len(components) == 2
     for component in components:
-        assert cli.main([*command, "--component", component.label]) == 0
-        np.testing.assert_array_equal(document(capsys)["values"], component.evaluate(*angles))
+        found = document(*command, "--component", component.label)["values"]
+        np.testing.assert_array_equal(found, component.evaluate(*angles))
 
 
-def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> None:
-    assert cli.main(["decompose", str(model_file), "--json"]) == 0
-    items = document(capsys)["items"]
-    assert cli.main(["decompose", str(model_file)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_decompose_prints_the_components(model_file: Path) -> None:
+    items = document("decompose", model_file, "--json")["items"]
+    lines = printed("decompose", model_file).splitlines()
     for item, component in zip(items, dsbrdf.decompose(load(model_file)), strict=True):
         assert (item["label"], item["clarity"]) == (component.label, component.clarity)
         assert item["albedo"] == component.albedo.tolist()
@@ -103,29 +91,26 @@ def test_decompose_prints_the_components(model_file: Path, capsys: Capture) -> N
         assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
         own = next(number for number, line in enumerate(lines) if line == component.label)
         shown = [lobe["height"][lobe["theta_diff_deg"].index(angle)] for angle in (0, 30, 60, 80)]
-        printed = [[float(word) for word in line.split()[-4:]] for line in lines[own + 1 : own + 4]]
-        np.testing.assert_allclose(printed, np.transpose(shown), rtol=1e-3)
+        rows = [[float(word) for word in line.split()[-4:]] for line in lines[own + 1 : own + 4]]
+        np.testing.assert_allclose(rows, np.transpose(shown), rtol=1e-3)
 
 
 def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path) -> None:
     saved, exported = tmp_path / "guide.json", tmp_path / "guide.npz"
-    assert cli.main(["decompose", str(model_file), "-o", str(saved)]) == 0
-    assert cli.main(["export", str(model_file), "--component", "guide", "-o", str(exported)]) == 0
+    run("decompose", model_file, "-o", saved)
+    run("export", model_file, "--component", "guide", "-o", exported)
     assert load(saved) == load(exported) == dsbrdf.decompose(load(model_file)).guide
 
 
-def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
     black = tmp_path / "black.json"
     dsbrdf.save(load(model_file).select((), with_delta=False), black)
-    assert cli.main(["decompose", str(black)]) == 0
-    assert capsys.readouterr().out.strip() == "The model has no light, and so no components."
+    assert printed("decompose", black).strip() == "The model has no light, and so no components."
 
 
-def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path, capsys: Capture) -> None:
-    assert cli.main(["show", str(model_file)]) == 0
-    assert "kappa" not in capsys.readouterr().out
-    assert cli.main(["show", str(model_file), "--lobes", "--channel", "blue"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None:
+    assert "kappa" not in printed("show", model_file)
+    lines = printed("show", model_file, "--lobes", "--channel", "blue").splitlines()
     start = next(number for number, line in enumerate(lines) if ", blue channel" in line)
     height, width, kappa = (
         [float(word.strip("°")) for word in line.split()[-4:]] for line in lines[start + 3 : start + 6]
@@ -138,52 +123,46 @@ def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path, capsys:
     np.testing.assert_allclose(kappa, first.parameters_at(angles)["kappa"][:, 0, 0], rtol=1e-3)
 
 
-def test_show_prints_the_report_of_the_fit(
-    printed_and_stored: tuple[list[str], Path], tmp_path: Path, capsys: Capture
-) -> None:
-    (*printed, last), model_file = printed_and_stored
+def test_show_prints_the_report_of_the_fit(printed_and_stored: tuple[list[str], Path], tmp_path: Path) -> None:
+    (*before, last), model_file = printed_and_stored
     assert last == f"saved: {model_file}"
-    assert cli.main(["show", str(model_file)]) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[0].rpartition(";")[0] == printed[0].rpartition(";")[0]  # the time is another
-    assert shown[1:] == printed[1:]
-    assert cli.main(["show", str(model_file), "--json"]) == 0
-    answer = document(capsys)
+    shown = printed("show", model_file).splitlines()
+    assert shown[0].rpartition(";")[0] == before[0].rpartition(";")[0]  # the time is another
+    assert shown[1:] == before[1:]
+    answer = document("show", model_file, "--json")
     result = dsbrdf.load_result(model_file)
     assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["model"]["amplitude"] == result.model.amplitude.tolist()
     assert [component["label"] for component in answer["components"]] == list(dsbrdf.decompose(result).labels)
     dsbrdf.save(result.model, tmp_path / "plain.npz")
-    assert cli.main(["show", str(tmp_path / "plain.npz")]) == 0
-    shown = capsys.readouterr().out.splitlines()
+    shown = printed("show", tmp_path / "plain.npz").splitlines()
     assert shown[0] == "plain: 2 lobes"
-    assert set(shown[2:]) <= set(printed)
+    assert set(shown[2:]) <= set(before)
 
 
-def test_export_without_loss(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_export_without_loss(model_file: Path, tmp_path: Path) -> None:
     model, report = from_json(model_file.read_text())
-    assert cli.main(["export", str(model_file), "--format", "npz", "-o", str(tmp_path / "model.npz")]) == 0
-    assert capsys.readouterr().out.startswith(f"{tmp_path / 'model.npz'}: the model and its report for NumPy (")
+    said = printed("export", model_file, "--format", "npz", "-o", tmp_path / "model.npz")
+    assert said.startswith(f"{tmp_path / 'model.npz'}: the model and its report for NumPy (")
     again = from_npz((tmp_path / "model.npz").read_bytes())
     np.testing.assert_array_equal(again[0].kappa, model.kappa)
     assert again[1] == report
-    assert cli.main(["export", str(tmp_path / "model.npz"), "-o", str(tmp_path / "back.json")]) == 0
+    run("export", tmp_path / "model.npz", "-o", tmp_path / "back.json")
     assert (tmp_path / "back.json").read_text() == model_file.read_text()
 
 
-def test_export_as_a_named_shader_that_samples(model_file: Path, tmp_path: Path) -> None:
+def test_export_as_a_named_shader_that_samples(model_file: Path, tmp_path: Path, coarse_sampling: None) -> None:
     shader = tmp_path / "paint.glsl"
-    assert cli.main(["export", str(model_file), "-o", str(shader), "--name", "paint", "--sampling"]) == 0
+    run("export", model_file, "-o", shader, "--name", "paint", "--sampling")
     assert "\nvec3 paint_sample(vec3 omega_out" in shader.read_text()
-    assert cli.main(["export", str(model_file), "-o", str(tmp_path / "paint.csv"), "--name", "paint"]) == 2
+    run("export", model_file, "-o", tmp_path / "paint.csv", "--name", "paint", code=2)
     assert not (tmp_path / "paint.csv").exists()
 
 
-def test_export_as_a_table(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_export_as_a_table(model_file: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.binary"
     command = ["export", str(model_file), "--format", "merl", "-o", str(table), "--component", "diffuse", "--json"]
-    assert cli.main(command) == 0
-    assert document(capsys) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
+    assert document(*command) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
     measurement = dsbrdf.read_merl(table)
     part = dsbrdf.decompose(load(model_file))["diffuse"]
     # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dsbrdf.cli import main as cli
 from dsbrdf.data.merl import read_merl
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import save
-from tests.support.command_line import Capture, document
+from tests.support.command_line import document, printed, run
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +21,12 @@ def model_file(two_lobe_fit: FitResult, tmp_path_factory: pytest.TempPathFactory
     return path
 
 
-def test_plot_writes_a_figure(model_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_plot_writes_a_figure(model_file: Path, tmp_path: Path) -> None:
     output = tmp_path / "figure.pdf"
-    assert cli.main(["plot", str(model_file), "-o", str(output), "--json"]) == 0
+    about = document("plot", model_file, "-o", output, "--json")
     content = output.read_bytes()
     assert content.startswith(b"%PDF")
-    assert document(capsys) == {"output": str(output), "format": "pdf", "bytes": len(content)}
+    assert about == {"output": str(output), "format": "pdf", "bytes": len(content)}
 
 
 def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_file: Path, tmp_path: Path) -> None:
@@ -35,7 +34,7 @@ def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_
     pictures = []
     for arguments in ([], [str(plastic_file)], [str(plastic_file), "--lobes"]):
         output = tmp_path / "figure.png"
-        assert cli.main(["plot", str(model_file), *arguments, "-o", str(output)]) == 0
+        run("plot", model_file, *arguments, "-o", output)
         pictures.append(output.read_bytes())
     sizes = [struct.unpack(">II", picture[16:24]) for picture in pictures]
     assert sizes[1] > sizes[0]
@@ -44,11 +43,10 @@ def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_
 
 
 def test_compare_a_measurement_with_its_fit(
-    model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path, capsys: Capture
+    model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path
 ) -> None:
     picture = tmp_path / "both.png"
-    assert cli.main(["compare", str(plastic_file), str(model_file), "-o", str(picture)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("compare", plastic_file, model_file, "-o", picture).splitlines()
     assert lines[0].split() == ["plastic", "fitted"]
     assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
     (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
@@ -61,18 +59,16 @@ def test_compare_a_measurement_with_its_fit(
     assert np.abs(pixels[:, :256] - expected).max() < 0.003
 
 
-def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult, capsys: Capture) -> None:
-    assert cli.main(["compare", str(model_file), str(model_file), "--json"]) == 0
-    answer = document(capsys)
+def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:
+    answer = document("compare", model_file, model_file, "--json")
     assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
     assert answer["likeness"] == {"psnr": None, "ssim": pytest.approx(1.0)}
     assert answer["output"] is None
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_commands_options_and_files(shell: str, tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["completion", shell]) == 0
-    text, script = capsys.readouterr().out, tmp_path / "completion.sh"
+def test_completion_knows_commands_options_and_files(shell: str, tmp_path: Path) -> None:
+    text, script = printed("completion", shell), tmp_path / "completion.sh"
     assert all(word in text for word in ("compare", "serve", "n-lobes", "theta-half", "specular_spike"))
     if shell == "bash":
         script.write_text(text)

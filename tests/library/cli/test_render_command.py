@@ -1,6 +1,3 @@
-import json
-from contextlib import redirect_stdout
-from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from dsbrdf.cli.main import main
 from dsbrdf.data.merl import read_merl
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import render_sphere
 from dsbrdf.output.serialize import save
+from tests.support.command_line import document, printed
 from tests.support.mixtures import mixture
 
 MODEL = mixture(3, 0)
@@ -30,11 +27,11 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def drawn(*words: object, size: int = 32) -> tuple[NDArray[np.float64], dict[str, Any]]:
     """The pixels that the command writes, and what it prints of them."""
-    with TemporaryDirectory() as folder, redirect_stdout(StringIO()) as out:
+    with TemporaryDirectory() as folder:
         output = Path(folder) / "sphere.png"
-        assert main(["render", *map(str, words), "-o", str(output), "--size", str(size), "--json"]) == 0
+        about = document("render", *words, "-o", output, "--size", size, "--json")
         with Image.open(output) as image:
-            return np.asarray(image) / 255.0, json.loads(out.getvalue())
+            return np.asarray(image) / 255.0, about
 
 
 @pytest.mark.parametrize("lighting", ["three_lights", "environment"])
@@ -60,17 +57,15 @@ def test_a_measurement_is_drawn(plastic_file: Path) -> None:
 
 
 def test_measurement_and_fit_are_compared_under_a_panorama(
-    plastic_file: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plastic_file: Path, model_file: Path, tmp_path: Path
 ) -> None:
     panorama, output = tmp_path / "even.hdr", tmp_path / "both.png"
     panorama.write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n" + bytes([128, 128, 128, 129]) * 32)
     command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
-    assert main([*command, "--size", "24"]) == 0
-    words = capsys.readouterr().out
+    words = printed(*command, "--size", "24")
     labels = decompose(MODEL).labels
     assert f"measured, fit, difference x 4, {', '.join(labels).replace('_', ' ')}\n" in words
-    assert main([*command, "--size", "24", "--json"]) == 0
-    about = json.loads(capsys.readouterr().out)
+    about = document(*command, "--size", "24", "--json")
     assert f"PSNR {about['psnr']:.1f} dB" in words
     with Image.open(output) as image:
         assert image.size == ((3 + len(labels)) * 24, 24)

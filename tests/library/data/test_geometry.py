@@ -76,14 +76,6 @@ def test_half_difference_against_50_digits(angles: tuple[float, float, float, fl
     assert abs(np.sin((got_phi - phi) / 2)) * np.sin(diff) < 1e-14 / max(np.cos(diff), 1e-3)
 
 
-def test_half_difference_gives_the_angles_of_the_directions() -> None:
-    half, diff, phi, turn = np.random.default_rng(9).uniform(1e-3, (1.5, 1.5, 6.2, 6.2), (400, 4)).T
-    got = half_difference(*directions(half, diff, phi, turn))
-    np.testing.assert_allclose(got[0], half, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(got[1], diff, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(np.sin((got[2] - phi) / 2), 0.0, rtol=0, atol=1e-11)
-
-
 def test_named_singular_points() -> None:
     normal = np.array([0.0, 0.0, 1.0])
     assert [float(v) for v in half_difference(normal, normal)] == [0.0, 0.0, 0.0]

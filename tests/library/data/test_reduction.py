@@ -15,7 +15,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import IN_BIN, N_BINS, Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.dsbrdf import DSBRDF
+from tests.support.known_models import single_lobe
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,7 @@ def speckled(plastic: Measurement) -> Measurement:
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
 
 
-ONE = np.ones((1, 1, 1))
-ROUND = DSBRDF(np.zeros(1), np.full((3, 1, 1), 1.7), ONE, 20.0 * ONE)
+ROUND = single_lobe(1.0, 20.0, 1.7)
 """One round lobe, the same at every phi_diff."""
 
 

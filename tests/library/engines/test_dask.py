@@ -19,6 +19,7 @@ from tests.support.engines import (
     SLOW,
     Stage,
     fault_of,
+    in_event_loop,
     ready,
     run,
     started,
@@ -37,36 +38,12 @@ def test_task_for_a_worker_holds_only_profiles(plastic_file: Path) -> None:
     assert seconds > 0.0
 
 
-def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskCluster, plastic_file: Path) -> None:
+@in_event_loop
+async def test_engine_waits_for_the_cluster_and_follows_its_workers(
+    own_cluster: DaskCluster, plastic_file: Path
+) -> None:
     stage = Stage(own_cluster)
     address = own_cluster.address
-
-    async def body() -> None:
-        engine = stage.engine()
-        await engine.start()
-        fault = await until(lambda: fault_of(engine), lambda fault: fault is not None and "Timed out" in fault)
-        assert fault.startswith(f"The Dask scheduler at {address} cannot be reached: ")
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, QUICK), lambda _: None))
-        turns = [asyncio.create_task(hold(engine)) for _ in range(4)]
-
-        own_cluster.start_scheduler()
-        await until(lambda: fault_of(engine), lambda fault: fault == f"The Dask cluster at {address} has no workers.")
-        assert not any(turn.done() for turn in turns)
-        assert not fit.done()
-
-        one = own_cluster.add_worker()
-        await ready(engine)
-        assert isinstance(await fit, FitResult)
-        await until(lambda: begun(turns), lambda count: count == 1)
-        own_cluster.add_worker()
-        await until(lambda: begun(turns), lambda count: count == 2)
-        own_cluster.kill_worker(one)
-        await until(lambda: fault_of(engine), lambda fault: fault is None)
-        for turn in turns:
-            turn.cancel()
-        await asyncio.wait(turns)
-        await engine.close()
-
     held: list[object] = []
 
     async def hold(engine: Engine) -> None:
@@ -77,87 +54,98 @@ def test_engine_waits_for_the_cluster_and_follows_its_workers(own_cluster: DaskC
     async def begun(_: object) -> int:
         return len(held)
 
-    asyncio.run(body())
+    engine = stage.engine()
+    await engine.start()
+    fault = await until(lambda: fault_of(engine), lambda fault: fault is not None and "Timed out" in fault)
+    assert fault.startswith(f"The Dask scheduler at {address} cannot be reached: ")
+    fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, QUICK), lambda _: None))
+    turns = [asyncio.create_task(hold(engine)) for _ in range(4)]
+
+    own_cluster.start_scheduler()
+    await until(lambda: fault_of(engine), lambda fault: fault == f"The Dask cluster at {address} has no workers.")
+    assert not any(turn.done() for turn in turns)
+    assert not fit.done()
+
+    one = own_cluster.add_worker()
+    await ready(engine)
+    assert isinstance(await fit, FitResult)
+    await until(lambda: begun(turns), lambda count: count == 1)
+    own_cluster.add_worker()
+    await until(lambda: begun(turns), lambda count: count == 2)
+    own_cluster.kill_worker(one)
+    await until(lambda: fault_of(engine), lambda fault: fault is None)
+    for turn in turns:
+        turn.cancel()
+    await asyncio.wait(turns)
+    await engine.close()
 
 
-def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file: Path) -> None:
+@in_event_loop
+async def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     own_cluster.add_worker()
     shares: list[float] = []
-
-    async def body() -> None:
-        async with started(DaskEngine(own_cluster.address, 2, LIMITS)) as engine:
-            await until(lambda: asyncio.sleep(0, own_cluster.log().count("Registered to")), lambda count: count == 2)
-            fits = [asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), shares.append))]
-            victim = await until_busy(own_cluster)
-            fits.append(asyncio.create_task(engine.run(FitTask("two", plastic_file, MIDDLE), lambda _: None)))
-            own_cluster.kill_worker(victim)
-            assert all(isinstance(outcome, FitResult) for outcome in await asyncio.gather(*fits))
-        assert shares == sorted(set(shares))
-
-    asyncio.run(body())
+    async with started(DaskEngine(own_cluster.address, 2, LIMITS)) as engine:
+        await until(lambda: asyncio.sleep(0, own_cluster.log().count("Registered to")), lambda count: count == 2)
+        fits = [asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), shares.append))]
+        victim = await until_busy(own_cluster)
+        fits.append(asyncio.create_task(engine.run(FitTask("two", plastic_file, MIDDLE), lambda _: None)))
+        own_cluster.kill_worker(victim)
+        assert all(isinstance(outcome, FitResult) for outcome in await asyncio.gather(*fits))
+    assert shares == sorted(set(shares))
 
 
-def test_fit_that_loses_four_workers_fails(own_cluster: DaskCluster, plastic_file: Path) -> None:
+@in_event_loop
+async def test_fit_that_loses_four_workers_fails(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     stage = Stage(own_cluster)
     for _ in range(4):
         own_cluster.add_worker()
-
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-            for _ in range(4):
-                own_cluster.kill_worker(await until_busy(own_cluster))
-            outcome = await fit
-            assert isinstance(outcome, Fault)
-            assert (outcome.origin, outcome.type) == ("system", "WorkerLost")
-            assert outcome.message == "4 workers of the Dask cluster were lost while they ran this fit."
-
-    asyncio.run(body())
+    async with started(stage.engine()) as engine:
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+        for _ in range(4):
+            own_cluster.kill_worker(await until_busy(own_cluster))
+        outcome = await fit
+        assert isinstance(outcome, Fault)
+        assert (outcome.origin, outcome.type) == ("system", "WorkerLost")
+        assert outcome.message == "4 workers of the Dask cluster were lost while they ran this fit."
 
 
-def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, plastic_file: Path) -> None:
+@in_event_loop
+async def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     stage = Stage(own_cluster)
-
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), lambda _: None))
-            for _ in range(2):
-                await until_fitting(stage)
-                own_cluster.kill_scheduler()
-                await until(lambda: fault_of(engine), lambda fault: fault is not None)
-                await until(lambda: asyncio.sleep(0), lambda _: not stage.fitting())
-                own_cluster.start_scheduler()
-                own_cluster.add_worker()  # Dask's workers end when their scheduler is lost
-            assert isinstance(await fit, FitResult)
-
-    asyncio.run(body())
+    async with started(stage.engine()) as engine:
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), lambda _: None))
+        for _ in range(2):
+            await until_fitting(stage)
+            own_cluster.kill_scheduler()
+            await until(lambda: fault_of(engine), lambda fault: fault is not None)
+            await until(lambda: asyncio.sleep(0), lambda _: not stage.fitting())
+            own_cluster.start_scheduler()
+            own_cluster.add_worker()  # Dask's workers end when their scheduler is lost
+        assert isinstance(await fit, FitResult)
 
 
-def test_worker_without_permission_for_child_processes_is_not_used(
+@in_event_loop
+async def test_worker_without_permission_for_child_processes_is_not_used(
     own_cluster: DaskCluster, plastic_file: Path
 ) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker(nanny=True)
     stage = Stage(own_cluster)
-
-    async def body() -> None:
-        engine = stage.engine()
-        await engine.start()
-        fault = await until(lambda: fault_of(engine), lambda fault: fault is not None and "processes" in fault)
-        assert "may not start child processes" in fault
-        assert "--no-nanny" in fault
-        assert "DASK_DISTRIBUTED__WORKER__DAEMON=false" in fault
-        own_cluster.add_worker()
-        await ready(engine)
-        assert isinstance(await engine.run(FitTask("one", plastic_file, QUICK), lambda _: None), FitResult)
-        await engine.close()
-
-    asyncio.run(body())
+    engine = stage.engine()
+    await engine.start()
+    fault = await until(lambda: fault_of(engine), lambda fault: fault is not None and "processes" in fault)
+    assert "may not start child processes" in fault
+    assert "--no-nanny" in fault
+    assert "DASK_DISTRIBUTED__WORKER__DAEMON=false" in fault
+    own_cluster.add_worker()
+    await ready(engine)
+    assert isinstance(await engine.run(FitTask("one", plastic_file, QUICK), lambda _: None), FitResult)
+    await engine.close()
 
 
 def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:

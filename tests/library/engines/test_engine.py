@@ -28,6 +28,7 @@ from tests.support.engines import (
     SLOW,
     Stage,
     content,
+    in_event_loop,
     run,
     started,
     until,
@@ -88,17 +89,14 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
     return result, [str(warning.message) for warning in said]
 
 
-def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
+@in_event_loop
+async def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
     shares: list[float] = []
-
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), shares.append))
-            await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
-            fit.cancel()
-            await asyncio.wait([fit])
-
-    asyncio.run(body())
+    async with started(stage.engine()) as engine:
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), shares.append))
+        await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
+        fit.cancel()
+        await asyncio.wait([fit])
     assert shares == sorted(set(shares))
     assert 0.0 < shares[0] < 0.5
 
@@ -146,41 +144,38 @@ def test_fit_over_a_limit_is_a_compute_fault(
     wait_until(lambda: not stage.fitting())
 
 
-def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path) -> None:
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-            for pid in await until_fitting(stage):
-                os.kill(pid, signal.SIGKILL)
-            outcome = await fit
-            assert isinstance(outcome, Fault)
-            assert outcome.origin == "system"
-            assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
-            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
-
-    asyncio.run(body())
+@in_event_loop
+async def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path) -> None:
+    async with started(stage.engine()) as engine:
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+        for pid in await until_fitting(stage):
+            os.kill(pid, signal.SIGKILL)
+        outcome = await fit
+        assert isinstance(outcome, Fault)
+        assert outcome.origin == "system"
+        assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
+        assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
 
 
-def test_cancelling_ends_the_process_of_the_fit_and_closing_all_others(stage: Stage, plastic_file: Path) -> None:
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-            victims = await until_fitting(stage)
-            begin = asyncio.get_running_loop().time()
-            fit.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await fit
-            await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
-            if SOAK:
-                assert asyncio.get_running_loop().time() - begin < 1.0
-            assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
-
-    asyncio.run(body())
+@in_event_loop
+async def test_cancelling_ends_the_process_of_the_fit_and_closing_all_others(stage: Stage, plastic_file: Path) -> None:
+    async with started(stage.engine()) as engine:
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+        victims = await until_fitting(stage)
+        begin = asyncio.get_running_loop().time()
+        fit.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await fit
+        await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
+        if SOAK:
+            assert asyncio.get_running_loop().time() - begin < 1.0
+        assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
     wait_until(lambda: not stage.fitting() and not forked(os.getpid()))
 
 
 @pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "elsewhere"])
-def test_fits_in_flight_are_as_many_as_there_are_slots(
+@in_event_loop
+async def test_fits_in_flight_are_as_many_as_there_are_slots(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, *, elsewhere: bool
 ) -> None:
     if elsewhere:
@@ -194,19 +189,16 @@ def test_fits_in_flight_are_as_many_as_there_are_slots(
             begun.append(number)
             await go.wait()
 
-    async def body() -> None:
-        async with started(stage.engine()) as engine:
-            go = asyncio.Event()
-            tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
-            await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
-            for _ in range(20):  # gives the event loop time to start one fit too many
-                await asyncio.sleep(0)
-            assert begun == list(range(room))
-            go.set()
-            await asyncio.gather(*tasks)
-            assert begun == [0, 1, 2, 3, 4]
-
-    asyncio.run(body())
+    async with started(stage.engine()) as engine:
+        go = asyncio.Event()
+        tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
+        await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
+        for _ in range(20):  # gives the event loop time to start one fit too many
+            await asyncio.sleep(0)
+        assert begun == list(range(room))
+        go.set()
+        await asyncio.gather(*tasks)
+        assert begun == [0, 1, 2, 3, 4]
 
 
 SCRIPT = """

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,24 +14,9 @@ from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from tests.support.known_models import single_lobe
+from tests.support.random_models import random_model
 
-KNOTS = np.radians([0.0, 30.0, 60.0, 85.0])
 ROUGHNESS, RED, COAT = 0.06, (0.40, 0.16, 0.10), (0.04, 0.04, 0.04)
-
-
-def random_model(seed: int, n_lobes: int, family: str = "hemi_epd") -> DSBRDF:
-    random = np.random.default_rng(seed)
-    shape = (1, 6, n_lobes)
-    return DSBRDF(
-        KNOTS,
-        np.exp(random.uniform(-4.0, 5.0, (3, 6, n_lobes))),
-        random.uniform(0.01, 8.0, shape),
-        np.exp(random.uniform(-2.0, 9.0, n_lobes) + random.normal(0.0, 0.3, shape)),
-        random.uniform(-0.1, 1.0, shape) * (random.uniform(size=n_lobes) < 0.3),
-        random.uniform(-0.5, 1.5, (1, n_lobes)),
-        delta=random.uniform(0.0, 5.0, (3, 4)),
-        lobe=family,
-    )
 
 
 def student_model(*lobes: tuple[float, tuple[float, float, float]]) -> DSBRDF:
@@ -70,7 +56,7 @@ def test_components_sum_to_the_model(n_lobes: int, family: str) -> None:
     theta_half = np.concatenate([random.uniform(0.0, np.pi / 2, 500), np.radians([0.0, 0.5, 1.0])])
     theta_diff, phi_diff = random.uniform(0.0, np.pi / 2, 503), random.uniform(0.0, 3.2, 503)
     for seed in range(3):
-        model = random_model(seed, n_lobes, family)
+        model = replace(random_model(seed, n_lobes, family), delta=random.uniform(0.0, 5.0, (3, 4)))
         whole = model.evaluate(theta_half, theta_diff, phi_diff)
         parts = [component.evaluate(theta_half, theta_diff, phi_diff) for component in decompose(model)]
         np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12, atol=1e-300)

@@ -1,5 +1,4 @@
 import dataclasses
-import json
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import ConvergenceWarning, FitError, InvalidArgumentError
 from dsbrdf.fitting import em
-from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import PAPER_SLICES
 from dsbrdf.fitting.pipeline import fit
@@ -166,15 +164,6 @@ def test_weights_change_the_fit_but_not_the_metrics_it_is_judged_by(
     assert result.report.metrics.floor == one_lobe.report.metrics.floor
 
 
-def test_profiles_give_the_same_bits_without_metrics(plastic_profiles: Profiles, one_lobe: FitResult) -> None:
-    shares: list[float] = []
-    again = fit(plastic_profiles, paper(n_lobes=1), progress=shares.append)
-    assert again.model == one_lobe.model
-    assert again.report.metrics == Metrics()  # they need the samples
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert shares == sorted(shares)
-
-
 class StopError(Exception):
     pass
 
@@ -197,21 +186,21 @@ def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(
 
 
 def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_profiles: Profiles) -> None:
-    with pytest.warns(ConvergenceWarning, match="slices stopped at the bound of 2 iterations"):
-        knots = fit(plastic_profiles, paper(em_iterations=2)).report.knots
-    assert set(np.array(knots.iterations)[~np.array(knots.converged)].tolist()) == {2}
+    with pytest.warns(ConvergenceWarning) as said:
+        report = fit(plastic_profiles, paper(em_iterations=2)).report
+    assert str(said[0].message) == report.warnings[0]
+    iterations = np.array(report.knots.iterations)[~np.array(report.knots.converged)]
+    assert set(iterations.tolist()) == {2}
+    assert report.warnings[0].startswith(f"{iterations.size} slices stopped at the bound of 2 iterations before")
 
 
 def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
     report, slices = fitted.report, fitted.report.knots
-    assert json.loads(json.dumps(report.to_dict())) == report.to_dict()
     assert report.options == paper()
     assert report.versions.algorithm == ALGORITHM_VERSION
     assert slices.theta_diff == tuple(PAPER_SLICES)
     for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
         assert np.shape(table) == (3, 18)
-    np.testing.assert_allclose(report.albedo.albedo, fitted.model.albedo(report.albedo.theta_out))
-    assert report.n_numbers == fitted.model.n_numbers
 
 
 @UNCONVERGED

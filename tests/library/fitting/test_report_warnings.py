@@ -12,7 +12,6 @@ from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.pipeline import fit
@@ -22,6 +21,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere
 from tests.support.soak import repeats
 
+EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
 
@@ -41,19 +41,11 @@ def lobes(*half_widths: float, heights: tuple[float, ...]) -> DSBRDF:
     )
 
 
-@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(2, 3)])
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
 def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
     if name not in reference_files:
         pytest.skip(f"{name} is not among the measured materials")
     assert fit(reference_files[name]).report.warnings == ()
-
-
-def test_fit_that_stopped_early_says_so_in_the_report_too(matte: Measurement) -> None:
-    with pytest.warns(ConvergenceWarning) as said:
-        report = fit(matte, method="paper", n_lobes=2, em_iterations=1).report
-    assert str(said[0].message) == report.warnings[0]
-    stopped = int(np.sum(np.logical_not(report.knots.converged)))
-    assert report.warnings[0].startswith(f"{stopped} slices stopped at the bound of 1 iterations before")
 
 
 @pytest.mark.parametrize(
@@ -123,6 +115,11 @@ def test_errors_near_the_floor_are_no_misfit() -> None:
     assert accuracy_warnings(Metrics()) == ()
     for error, floor, count in ((0.09, 0.0, 0), (0.11, 0.0, 1), (0.14, 0.1, 0), (0.2, 0.1, 1), (0.32, 0.2, 2)):
         assert len(accuracy_warnings(Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=0.1))) == count
+
+
+def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
+    result = fit(EXAMPLE)
+    assert any("highlights have too few samples" in sentence for sentence in result.report.warnings)
 
 
 KNOTS = tuple(np.radians([0.0, 30.0, 60.0, 89.0]))

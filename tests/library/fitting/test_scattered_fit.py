@@ -1,4 +1,3 @@
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,15 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.fitting.report_warnings import coverage_warnings, error_warnings, unit_warnings
 from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
 from dsbrdf.fitting.usual_materials import N_PAIRS, usual_material, with_usual_values
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
+pytestmark = pytest.mark.usefixtures("coarse_sampling")
 TRUTH = mixture(2, 1)
-EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
+Noted = tuple[FitResult, list[tuple[Profiles, Profiles, Profiles]]]
 
 
 def test_parameters_of_a_known_model_are_found() -> None:
@@ -35,6 +36,7 @@ def test_parameters_of_a_known_model_are_found() -> None:
     assert metrics.relative_rms < 3e-3
     assert metrics.male is not None
     assert metrics.psnr is None
+    assert not any("left out of a fit" in sentence for sentence in result.report.warnings)
 
 
 def test_bins_of_moved_samples_are_the_means_of_the_model() -> None:
@@ -78,30 +80,35 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
     np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
 
 
-def test_held_out_samples_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each sample is in one of the two parts, and counts there what it counts in the whole."""
-    parts: list[tuple[Profiles, Profiles, Profiles]] = []
+@pytest.fixture(scope="module")
+def noted() -> Noted:
+    """A fit of 300 samples, and the bins of each round: all, those that are fitted, those held out."""
+    rounds: list[tuple[Profiles, Profiles, Profiles]] = []
 
     def note(data: Profiles, *arguments: Any) -> Any:
-        parts.append((data, *arguments[-1]))
+        rounds.append((data, *arguments[-1]))
         return fit_global(data, *arguments)
 
-    monkeypatch.setattr("dsbrdf.fitting.pipeline.fit_global", note)
-    dsbrdf.fit(scattered_samples(TRUTH, 400), n_lobes=1, ring_lobes=0)
-    for part in parts:
-        whole, fitted, held_out = (profiles.folded.weight for profiles in part)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dsbrdf.fitting.pipeline.fit_global", note)
+        return dsbrdf.fit(scattered_samples(TRUTH, 300), n_lobes=1, ring_lobes=0), rounds
+
+
+def test_held_out_samples_are_not_fitted(noted: Noted) -> None:
+    """Each sample is in one of the two parts, and counts there what it counts in the whole."""
+    for profiles in noted[1]:
+        whole, fitted, held_out = (part.folded.weight for part in profiles)
         assert held_out.sum() > 0.1 * whole.sum()
         np.testing.assert_allclose(fitted + held_out, whole, rtol=1e-9)
 
 
-def test_one_bright_sample_among_black_ones_is_fitted() -> None:
-    """It is among those that lobes are fitted to or among those held out, never in both."""
-    samples = scattered_samples(TRUTH, 300)
-    for bright in (0, 7):
-        values = np.zeros((300, 3))
-        values[bright] = 1.0
-        one = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
-        assert np.isfinite(dsbrdf.fit(one, n_lobes=1, ring_lobes=0).model.amplitude).all()
+@pytest.mark.parametrize("bright", [0, 7], ids=["fitted", "held out"])
+def test_one_bright_sample_among_black_ones_is_fitted(bright: int) -> None:
+    samples = scattered_samples(TRUTH, 200)
+    values = np.zeros((200, 3))
+    values[bright] = 1.0
+    one = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
+    assert np.isfinite(dsbrdf.fit(one, n_lobes=1, ring_lobes=0).model.amplitude).all()
 
 
 def test_weights_are_those_of_repeated_samples() -> None:
@@ -137,7 +144,7 @@ def test_what_is_for_one_kind_of_data_is_refused_for_the_other(matte: dsbrdf.Mea
         dsbrdf.fit(matte, FitOptions(), n_lobes=1)
 
 
-def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings() -> None:
+def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings(noted: Noted) -> None:
     samples = scattered_samples(TRUTH, 300)
     multiplied = ScatteredSamples.from_arrays(
         samples.omega_in, samples.omega_out, samples.values * samples.omega_out[:, 2:], notes=("Grey.",)
@@ -146,7 +153,7 @@ def test_values_times_a_cosine_are_divided_by_it_and_notes_are_warnings() -> Non
     found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out", progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
-    expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
+    expected, _ = noted
     np.testing.assert_allclose(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5), rtol=1e-6)
     assert found.report.warnings == ("Grey.", *expected.report.warnings)
 
@@ -159,8 +166,8 @@ def truth() -> dsbrdf.DSBRDF:
 
 
 def in_plane(model: dsbrdf.DSBRDF) -> ScatteredSamples:
-    """Five angles of incidence, 161 of reflection, 2 % noise."""
-    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 161)))
+    """Five angles of incidence, 81 of reflection, 2 % noise."""
+    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 81)))
     zero = np.zeros(theta_in.size)
     omega_in = np.stack([-np.sin(theta_in.ravel()), zero, np.cos(theta_in.ravel())], axis=-1)
     omega_out = np.stack([np.sin(theta_out.ravel()), zero, np.cos(theta_out.ravel())], axis=-1)
@@ -198,7 +205,7 @@ def test_values_of_the_usual_material_hardly_count(truth: dsbrdf.DSBRDF) -> None
     assert far < 0.1 < 0.4 < plane
 
 
-@pytest.mark.parametrize("level", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("level", [1e-3, 1e3])
 def test_the_usual_material_follows_the_level_of_the_samples(level: float, truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 300)
     scaled = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * level)
@@ -219,14 +226,18 @@ def test_the_usual_material_follows_the_level_of_the_samples(level: float, truth
 def test_units_far_off_are_named(factor: float, side: str | None, words: str, truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 500)
     values = samples.values * factor * (1.0 if side is None else getattr(samples, side)[:, 2:])
-    wrong = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
-    usual = usual_material(wrong)
-    albedo = usual.model.albedo(np.radians([0.0, 30.0, 60.0]))
-    (sentence,) = unit_warnings(wrong, usual, albedo)
+    (sentence,) = said_of_units(ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values))
     assert sentence.count("\n") == 0
     assert words in sentence
-    right = usual_material(samples)
-    assert unit_warnings(samples, right, right.model.albedo(np.radians([0.0, 30.0, 60.0]))) == ()
+
+
+def said_of_units(samples: ScatteredSamples) -> tuple[str, ...]:
+    usual = usual_material(samples)
+    return unit_warnings(samples, usual, usual.model.albedo(np.radians([0.0, 30.0, 60.0])))
+
+
+def test_right_units_are_not_mentioned(truth: dsbrdf.DSBRDF) -> None:
+    assert said_of_units(scattered_samples(truth, 500)) == ()
 
 
 def test_a_material_taken_instead_of_a_fit_is_told() -> None:
@@ -236,14 +247,7 @@ def test_a_material_taken_instead_of_a_fit_is_told() -> None:
 
 
 def test_an_error_that_only_samples_left_out_tell_of_is_named() -> None:
-    first = dsbrdf.fit(scattered_samples(TRUTH, 1000), n_lobes=2, ring_lobes=0).report
-    assert not any("left out of a fit" in sentence for sentence in first.warnings)
     (sentence,) = error_warnings(Metrics(relative_rms=0.1), Metrics(relative_rms=0.6))
     assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in sentence
     assert error_warnings(Metrics(relative_rms=0.1), Metrics(relative_rms=0.15)) == ()
     assert error_warnings(Metrics(relative_rms=0.001), Metrics(relative_rms=0.01)) == ()
-
-
-def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
-    result = dsbrdf.fit(dsbrdf.read_measurement(EXAMPLE))
-    assert any("highlights have too few samples" in sentence for sentence in result.report.warnings)

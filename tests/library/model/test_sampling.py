@@ -35,7 +35,7 @@ def expected_shares(model: DSBRDF, omega_out: Array, theta_edges: Array, phi_edg
 
     At grazing angles the horizon, where the density ends, crosses many bins.
     """
-    cells = 16 if omega_out[2] > 0.1 else 96
+    cells = 16 if omega_out[2] > 0.1 else 40
 
     def middles(edges: Array, count: int) -> tuple[Array, Array]:
         width = np.diff(edges)[:, None] / count
@@ -107,12 +107,12 @@ def test_variance_is_below_that_of_cosine_sampling(name: str, angles: tuple[floa
 
 
 @pytest.mark.parametrize(("elongation", "disc", "angle"), [(1.0, 0.0, 69.9), (0.0, 2e3, 45.0)])
-def test_a_million_samples_have_the_stretch_and_the_disc_of_the_density(
+def test_many_samples_have_the_stretch_and_the_disc_of_the_density(
     elongation: float, disc: float, angle: float
 ) -> None:
     model, omega_out = single_lobe(2.0, 50.0, 5.0, elongation=elongation, delta=disc), direction(angle)
     theta_edges = np.radians([0.0, 0.7, 0.95, 1.0, 1.05, 2.0, 5.0, 8.0, 12.0])
-    phi_edges, number = np.linspace(0.0, 2.0 * np.pi, 17), 1_000_000
+    phi_edges, number = np.linspace(0.0, 2.0 * np.pi, 17), 400_000
     drawn = model.sample(copies(omega_out, number), np.random.default_rng(3))
     theta, phi = half_angles(drawn.omega_in[drawn.pdf > 0.0], omega_out)
     counts, _, _ = np.histogram2d(theta, phi, (theta_edges, phi_edges))

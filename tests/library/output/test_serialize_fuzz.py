@@ -56,7 +56,6 @@ DOCUMENT = json.loads(to_json(MODEL))
 PLACES = list(places(DOCUMENT))
 
 
-@examples(2)
 @given(
     changes=st.lists(st.tuples(st.sampled_from(PLACES), json_values), max_size=3),
     dropped=st.lists(st.sampled_from(PLACES), max_size=2),
@@ -79,7 +78,6 @@ def test_changed_json_document_is_refused_or_valid(
     check(from_json, json.dumps(document))
 
 
-@examples(2)
 @given(
     start=st.integers(0, 400),
     removed=st.integers(0, 40),
@@ -95,7 +93,7 @@ def test_damaged_json_text_is_refused_or_valid(start: int, removed: int, inserte
 ARCHIVE = to_npz(MODEL)
 
 
-@examples(3)
+@examples(2)
 @given(
     changes=st.lists(st.tuples(st.integers(0, len(ARCHIVE)), st.binary(max_size=8)), max_size=4),
     length=st.one_of(st.just(len(ARCHIVE)), st.integers(0, len(ARCHIVE))),
@@ -107,7 +105,7 @@ def test_damaged_npz_is_refused_or_valid(changes: list[tuple[int, bytes]], lengt
     check(from_npz, bytes(data[:length]))
 
 
-@examples(3)
+@examples(2)
 @given(
     changed=st.dictionaries(
         st.sampled_from(["kappa", "delta", "theta_diff", "report", "version", "format", "interpolation", "x"]),

@@ -15,6 +15,7 @@ from dsbrdf.output.serialize import from_json
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.random_models import papers_model
 
+pytestmark = pytest.mark.usefixtures("coarse_sampling")
 MODEL = mixture(2, 0)
 
 

@@ -102,7 +102,9 @@ def test_derivatives_in_the_directions_are_finite(llvm: ModuleType, tmp_path: Pa
         towards = llvm.Vector3f(wo.T.astype(np.float32))
         surface = surface_at(llvm, wi.T.astype(np.float32))
         dr.enable_grad(towards, surface.wi)
-        value = bsdf.eval(llvm.BSDFContext(), surface, towards) + bsdf.pdf(llvm.BSDFContext(), surface, towards)
+        value = bsdf.eval(llvm.BSDFContext(), surface, towards)
+        if kind == "mixture":  # the density is a table of the same kind for all, and takes half a second to make
+            value += bsdf.pdf(llvm.BSDFContext(), surface, towards)
         dr.backward(dr.sum(value))
         for vector in (towards, surface.wi):
             assert np.isfinite(np.array(dr.grad(vector))).all(), kind

@@ -1,0 +1,12 @@
+"""The material of most tests."""
+
+import pytest
+
+from dsbrdf.data.measurement import Measurement
+from tests.support.materials import glossy_plastic
+
+
+@pytest.fixture(scope="session")
+def plastic() -> Measurement:
+    """A glossy coloured plastic with 2 % noise."""
+    return glossy_plastic()
