@@ -103,13 +103,9 @@ def test_unknown_environment_variable_is_logged(tmp_path: Path, monkeypatch: pyt
     assert unknown_settings() == [
         "The environment variable DSBRDF_WORKER is no setting and has no effect; did you mean DSBRDF_WORKERS?"
     ]
-    server = Server(tmp_path / "data")
-    try:
-        server.start()
+    with Server.running(tmp_path / "data") as server:
         (told,) = [line for line in server.log.read_text().splitlines() if "DSBRDF_" in line]
         assert json.loads(told)["level"] == "warning"
-    finally:
-        server.close()
 
 
 def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,14 +10,11 @@ from tests.support.server import Server, assert_problem
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Server]:
     """A service with one measurement and five fits, named by their iterations; the tests come in order."""
-    server = Server(tmp_path_factory.mktemp("lists") / "data")
-    try:
-        sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
+    with Server.running(tmp_path_factory.mktemp("lists") / "data") as server:
+        sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
         for number in range(1, 6):
             assert server.submit(sha256, n_lobes=1, em_iterations=number).status_code == 201
         yield server
-    finally:
-        server.close()
 
 
 def numbers(items: list[dict[str, dict[str, int]]]) -> list[int]:

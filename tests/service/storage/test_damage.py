@@ -43,11 +43,8 @@ def replace_by_link(path: Path) -> None:
 @pytest.fixture(scope="module")
 def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tuple[Server, str]]:
     """A service with one measurement, and its id; each test leaves the file whole."""
-    server = Server(tmp_path_factory.mktemp("damage") / "data")
-    try:
-        yield server, server.start().http.post("/v1/measurements", content=data).json()["sha256"]
-    finally:
-        server.close()
+    with Server.running(tmp_path_factory.mktemp("damage") / "data") as server:
+        yield server, server.http.post("/v1/measurements", content=data).json()["sha256"]
 
 
 HARMS: list[Callable[[Path], None]] = [flip, cut, lengthen, Path.unlink, replace_by_pipe, replace_by_link]
