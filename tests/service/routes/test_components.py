@@ -19,12 +19,6 @@ POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_
 
 
 @pytest.fixture(scope="session")
-def model(server: Server, fitted: str) -> dsbrdf.DSBRDF:
-    """The model of the fit, without loss."""
-    return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
-
-
-@pytest.fixture(scope="session")
 def absent(model: dsbrdf.DSBRDF) -> str:
     """The label of a component that the fit does not have."""
     return next(label for label in LABELS if label not in dsbrdf.decompose(model).labels)
@@ -88,14 +82,6 @@ def test_a_component_without_light_is_not_found(server: Server, fitted: str, mod
     ):
         detail = assert_problem(answer, 404, "not-found")
         assert detail == f"The fit has no component {absent}: it has {there}."
-
-
-@pytest.mark.parametrize("label", ["spike", "4", "guide", "specular%20lobe"])
-def test_an_unknown_label_is_an_invalid_argument(server: Server, fitted: str, label: str) -> None:
-    url = f"/v1/fits/{fitted}/components/{label}/brdf"
-    for answer in (server.http.get(url, params={"theta_half_deg": 5, "theta_diff_deg": 20}), server.http.post(url)):
-        detail = assert_problem(answer, 422, "invalid-argument")
-        assert "specular_spike, specular_lobe, diffuse" in detail
 
 
 def test_the_fits_document_leads_with_the_components(server: Server, fitted: str) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.server import Server, assert_problem
+from tests.support.server import Server
 
 
 @pytest.fixture(scope="module")
@@ -57,25 +57,3 @@ def test_measurements_are_listed(filled: Server, data: bytes) -> None:
     assert first_page.json()["items"] == [second]
     rest = filled.http.get(first_page.links["next"]["url"])
     assert rest.json()["items"] == [item]
-
-
-@pytest.mark.parametrize("path", ["/v1/fits", "/v1/measurements"])
-@pytest.mark.parametrize(
-    ("query", "word"),
-    [
-        ("limit=0", "limit"),
-        ("limit=201", "limit"),
-        ("limit=x", "limit"),
-        ("cursor=x", "cursor"),
-        ("cursor=-1", "cursor"),
-        ("cursor=99999999999999999999", "cursor"),
-        ("page=2", "'page'"),
-    ],
-)
-def test_invalid_page_parameters_are_named(server: Server, path: str, query: str, word: str) -> None:
-    assert word in assert_problem(server.http.get(f"{path}?{query}"), 422, "invalid-argument")
-
-
-@pytest.mark.parametrize("query", ["wait=-1", "wait=x", "wait=nan", "wait=inf", "waiting=1"])
-def test_invalid_waits_are_named(server: Server, fitted: str, query: str) -> None:
-    assert "wait" in assert_problem(server.http.get(f"/v1/fits/{fitted}?{query}"), 422, "invalid-argument")
