@@ -53,15 +53,15 @@ def test_accepted_fits_finish_after_a_restart(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
+def test_temporary_folders_are_empty_after_each_stop(
+    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
     deep.mkdir(parents=True)
-    server = Server(deep / "data", workers="1")
-    server.environment["TMPDIR"] = str(elsewhere)
-    try:
-        server.start()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    with Server.running(deep / "data", workers="1") as server:
         assert server.http.post("/v1/fits", params=QUICK, content=data).json()["status"] == "succeeded"
         code = server.stop(number)
         assert code == (-number if number == signal.SIGKILL else 0)
@@ -71,8 +71,6 @@ def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes
         for folder in ("tmp", "run"):
             assert not list((server.data_dir / folder).iterdir())
         assert "Traceback" not in server.log.read_text()
-    finally:
-        server.close()
 
 
 def test_killed_fit_process_fails_only_its_own_fit(own_server: Callable[..., Server], data: bytes) -> None:

@@ -222,12 +222,6 @@ def test_garbage_behind_requests_is_refused_when_they_are_answered(
     assert problem(refused[refused.index(b"HTTP/1.1 400") :]) == (400, "bad-request")
 
 
-@pytest.mark.parametrize("hosts", ["", "Host: a\r\nHost: a\r\n"])
-def test_request_without_one_host_is_refused(impatient: Server, hosts: str) -> None:
-    with impatient.connection(f"GET /health/live HTTP/1.1\r\n{hosts}\r\n".encode()) as connection:
-        assert problem(rest(connection)) == (400, "bad-request")
-
-
 def test_endless_trailers_are_refused(impatient: Server) -> None:
     head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nTransfer-Encoding: chunked\r\n\r\n"
     with impatient.connection(head + b"1\r\n{\r\n0\r\nX-Trailer: " + b"x" * 200_000) as connection:

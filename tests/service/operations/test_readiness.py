@@ -10,7 +10,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
 
-import httpx
 import pytest
 
 from dsbrdf.engines.engine import Engine
@@ -108,10 +107,8 @@ def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Ser
 def test_nearly_full_disk_is_not_ready(tmp_path: Path) -> None:
     server = Server(tmp_path / "data", min_free_mb="1000000000")
     try:
-        begin = server.launch()
-        wait_until(lambda: b"Uvicorn running on " in server.log.read_bytes()[begin:], seconds=60)
-        address = server.log.read_text().partition("Uvicorn running on ")[2].split()[0]
-        answer = httpx.get(f"{address}/health/ready", timeout=20)
+        server.connect(server.launch())
+        answer = server.http.get("/health/ready")
         assert "the service needs 1000000000 MB" in assert_problem(answer, 503, "not-ready")
         assert answer.headers["retry-after"]
     finally:
