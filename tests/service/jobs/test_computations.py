@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,7 @@ from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
-Story = Callable[[Application, str], Coroutine[Any, Any, None]]
-Tell = Callable[[Story], None]
+pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]
 _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
@@ -38,14 +37,15 @@ LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2
 
 
 @pytest.fixture
-def tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Story], None]:
-    """Run the application while a story is told of it and of a key that has a fit."""
+async def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Application]:
+    async with application(tmp_path, monkeypatch) as started:
+        yield started
 
-    async def told(story: Story) -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            await story(running, running.new_key())
 
-    return lambda story: asyncio.run(told(story))
+@pytest.fixture
+def key(running: Application) -> str:
+    """A key that has a fit."""
+    return running.new_key()
 
 
 @pytest.fixture
@@ -76,124 +76,103 @@ async def until_waiting(running: Application, n_requests: int) -> None:
         (results, "view_step", [*VIEW, *VIEW]),
     ],
 )
-def test_what_nobody_waits_for_is_not_computed(
-    tell: Tell, block: Block, place: object, name: str, targets: list[str]
+async def test_what_nobody_waits_for_is_not_computed(
+    running: Application, key: str, block: Block, place: object, name: str, targets: list[str]
 ) -> None:
-    async def story(running: Application, key: str) -> None:
-        blocked = block(place, name)
-        asked = [running.ask(target, key) for target in targets]
-        await blocked.until_called()
-        await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
-        blocked.may_return.set()
-        again = await running.ask(targets[-1], key).end()
-        assert again.status == 200
-        assert len(blocked.calls) <= 2
-
-    tell(story)
+    blocked = block(place, name)
+    asked = [running.ask(target, key) for target in targets]
+    await blocked.until_called()
+    await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
+    blocked.may_return.set()
+    again = await running.ask(targets[-1], key).end()
+    assert again.status == 200
+    assert len(blocked.calls) <= 2
 
 
-def test_view_of_a_page_is_computed_once(tell: Tell, block: Block) -> None:
-    async def story(running: Application, key: str) -> None:
-        blocked = block(results, "view_step")
-        asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
-        await blocked.until_called()
-        blocked.may_return.set()
-        assert [(await one.end()).status for one in asked] == [200] * 4
-        assert len(blocked.calls) == 1
-
-    tell(story)
+async def test_view_of_a_page_is_computed_once(running: Application, key: str, block: Block) -> None:
+    blocked = block(results, "view_step")
+    asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
+    await blocked.until_called()
+    blocked.may_return.set()
+    assert [(await one.end()).status for one in asked] == [200] * 4
+    assert len(blocked.calls) == 1
 
 
-def test_components_come_with_the_fit(tell: Tell, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(running: Application, key: str) -> None:
-        monkeypatch.setattr(decomposition, "fit_guide", None)
-        asked = [running.ask(target, key) for target in OF_COMPONENTS]
-        batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
-        assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
-
-    tell(story)
+async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decomposition, "fit_guide", None)
+    asked = [running.ask(target, key) for target in OF_COMPONENTS]
+    batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
+    assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
 
 
-def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tell: Tell, block: Block) -> None:
-    async def story(running: Application, alice: str) -> None:
-        blocked, bob = block(figures, "sphere_step"), running.new_key()
-        first, second, others = (running.ask(SPHERE, key) for key in (alice, alice, bob))
-        await until_waiting(running, 3)
-        await first.leave()
-        blocked.may_return.set()
-        await asyncio.gather(second.end(), others.end())
-        assert second.body == others.body != b""
-        assert len(blocked.calls) == 2  # of one fit of each key
-
-    tell(story)
+async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(figures, "sphere_step"), key, running.new_key()
+    first, second, others = (running.ask(SPHERE, who) for who in (alice, alice, bob))
+    await until_waiting(running, 3)
+    await first.leave()
+    blocked.may_return.set()
+    await asyncio.gather(second.end(), others.end())
+    assert second.body == others.body != b""
+    assert len(blocked.calls) == 2  # of one fit of each key
 
 
-def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
-    tell: Tell, monkeypatch: pytest.MonkeyPatch
+async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def story(running: Application, key: str) -> None:
-        caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
-        incoming.write(b"a measurement")
-        sha256 = incoming.close()
-        running.store.add_measurement(caller, Received(incoming, sha256, 1))
+    caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
+    incoming.write(b"a measurement")
+    sha256 = incoming.close()
+    running.store.add_measurement(caller, Received(incoming, sha256, 1))
 
-        def delete_and_draw(*arguments: Any) -> bytes:
-            assert running.store.remove_measurement(caller.owner, sha256)
-            return drawing.sphere_step(*arguments)
+    def delete_and_draw(*arguments: Any) -> bytes:
+        assert running.store.remove_measurement(caller.owner, sha256)
+        return drawing.sphere_step(*arguments)
 
-        monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
-        answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
-        assert answer.status == 404
-        assert "There is no measurement" in json.loads(answer.body)["detail"]
-
-    tell(story)
+    monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
+    answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
+    assert answer.status == 404
+    assert "There is no measurement" in json.loads(answer.body)["detail"]
 
 
-def test_keys_take_turns_with_long_batches(tell: Tell, block: Block) -> None:
-    async def story(running: Application, alice: str) -> None:
-        blocked, bob = block(brdf, "_from_json"), running.new_key()
-        of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
-        await blocked.until_called()
-        of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
-        await until_waiting(running, 7)
-        blocked.may_return.set()
-        await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
-        assert [one.status for one in of_alice] == [200] * 6
-        bodies = [arguments[0] for arguments in blocked.calls]
-        assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
-
-    tell(story)
+async def test_keys_take_turns_with_long_batches(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(brdf, "_from_json"), key, running.new_key()
+    of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
+    await blocked.until_called()
+    of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
+    await until_waiting(running, 7)
+    blocked.may_return.set()
+    await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
+    assert [one.status for one in of_alice] == [200] * 6
+    bodies = [arguments[0] for arguments in blocked.calls]
+    assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
 
 
-def test_head_computes_nothing(tell: Tell, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_head_computes_nothing(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     computed = []
 
     def compute(*_: object) -> bytes:
         computed.append(1)
         return b""
 
-    async def story(running: Application, key: str) -> None:
-        for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
-            with monkeypatch.context() as patch:
-                patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
-                for place, name in (
-                    (fits, "export_model"),
-                    (fits, "export_step"),
-                    (figures, "sphere_step"),
-                    (results, "view_step"),
-                    (decomposition, "fit_guide"),
-                ):
-                    patch.setattr(place, name, compute)
-                head = await running.ask(target, key, "HEAD").end()
-            get = await running.ask(target, key).end()
-            assert (head.status, head.body, computed) == (200, b"", []), target
-            assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
-            if target.endswith("/components"):
-                assert get.headers["etag"] == head.headers["etag"]
-        refused = f"{FIT_PATH}/export?format=json&component=diffuse"
-        assert (await running.ask(refused, key, "HEAD").end()).status == 422
-
-    tell(story)
+    for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
+        with monkeypatch.context() as patch:
+            patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
+            for place, name in (
+                (fits, "export_model"),
+                (fits, "export_step"),
+                (figures, "sphere_step"),
+                (results, "view_step"),
+                (decomposition, "fit_guide"),
+            ):
+                patch.setattr(place, name, compute)
+            head = await running.ask(target, key, "HEAD").end()
+        get = await running.ask(target, key).end()
+        assert (head.status, head.body, computed) == (200, b"", []), target
+        assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
+        if target.endswith("/components"):
+            assert get.headers["etag"] == head.headers["etag"]
+    refused = f"{FIT_PATH}/export?format=json&component=diffuse"
+    assert (await running.ask(refused, key, "HEAD").end()).status == 422
 
 
 def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
