@@ -21,7 +21,7 @@ from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import ENDLESS, Server
 
-pytestmark = pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
+pytestmark = [pytest.mark.anyio, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
 
 
@@ -151,61 +151,52 @@ def test_async_client_has_the_methods_of_the_client() -> None:
     assert signatures(AsyncClient) == signatures(Client)
 
 
-def test_async_client_gives_what_the_client_gives(server: Server, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
+async def test_async_client_gives_what_the_client_gives(
+    server: Server, plastic: dsbrdf.Measurement, tmp_path: Path
+) -> None:
     url = str(server.http.base_url)
     other = tmp_path / "other plastic.binary"
     dsbrdf.write_merl(other, plastic.values * 0.5)
     seen: list[float] = []
 
-    async def converse() -> None:
-        async with AsyncClient(url) as client:
-            results = await asyncio.gather(
-                client.fit(plastic, OPTIONS, progress=seen.append), client.fit(other, OPTIONS)
-            )
-            with Client(url) as blocking:
-                sources: tuple[Source, ...] = plastic, other
-                for result, source in zip(results, sources, strict=True):
-                    expected = blocking.fit(source, OPTIONS)
-                    assert_same_bits(result.model, expected.model)
-                    assert result.report == expected.report
-            (fit,) = [fit async for fit in client.fits(name="other plastic")]
-            assert await client.get(fit.id) == fit
-            await client.delete(fit.id)
-            assert [one async for one in client.fits(name="other plastic")] == []
-            np.testing.assert_array_equal((await client.measurement(fit.measurement)).stored, plastic.stored * 0.5)
-            await client.delete_measurement(fit.measurement)
-            with pytest.raises(ServiceError, match="no measurement"):
-                await client.measurement(fit.measurement)
-            with pytest.raises(dsbrdf.MeasurementFormatError, match="empty"):
-                await client.submit(b"")
-
-    asyncio.run(converse())
+    async with AsyncClient(url) as client:
+        results = await asyncio.gather(client.fit(plastic, OPTIONS, progress=seen.append), client.fit(other, OPTIONS))
+        with Client(url) as blocking:
+            sources: tuple[Source, ...] = plastic, other
+            for result, source in zip(results, sources, strict=True):
+                expected = blocking.fit(source, OPTIONS)
+                assert_same_bits(result.model, expected.model)
+                assert result.report == expected.report
+        (fit,) = [fit async for fit in client.fits(name="other plastic")]
+        assert await client.get(fit.id) == fit
+        await client.delete(fit.id)
+        assert [one async for one in client.fits(name="other plastic")] == []
+        np.testing.assert_array_equal((await client.measurement(fit.measurement)).stored, plastic.stored * 0.5)
+        await client.delete_measurement(fit.measurement)
+        with pytest.raises(ServiceError, match="no measurement"):
+            await client.measurement(fit.measurement)
+        with pytest.raises(dsbrdf.MeasurementFormatError, match="empty"):
+            await client.submit(b"")
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
 
-def test_async_client_does_not_wait_for_a_call_that_is_cancelled(server: Server, stored: str) -> None:
+async def test_async_client_does_not_wait_for_a_call_that_is_cancelled(server: Server, stored: str) -> None:
     fit = server.submit(stored, "respond-async", **ENDLESS).json()
 
-    async def converse() -> None:
-        async with AsyncClient(str(server.http.base_url)) as client:
-            with pytest.raises(TimeoutError):
-                await asyncio.wait_for(client.get(fit["id"], wait=20), 0.2)
-            assert await client.delete(fit["id"], only="cancel") == "cancelled"
-
-    asyncio.run(converse())
+    async with AsyncClient(str(server.http.base_url)) as client:
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(client.get(fit["id"], wait=20), 0.2)
+        assert await client.delete(fit["id"], only="cancel") == "cancelled"
 
 
-def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server) -> None:
-    async def converse() -> None:
-        engine = ClientEngine(str(server.http.base_url), 2)
-        await engine.start()
-        async with asyncio.timeout(10.0), engine.slot(), engine.slot():
-            with pytest.raises(TimeoutError):
-                await asyncio.wait_for(engine.slot().__aenter__(), 0.01)
-        await engine.close()
-
-    asyncio.run(converse())
+async def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server) -> None:
+    engine = ClientEngine(str(server.http.base_url), 2)
+    await engine.start()
+    async with asyncio.timeout(10.0), engine.slot(), engine.slot():
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(engine.slot().__aenter__(), 0.01)
+    await engine.close()
 
 
 class Answers(httpx.BaseTransport):

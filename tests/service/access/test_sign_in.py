@@ -1,6 +1,5 @@
 """Signing in on the page: the key in a cookie, which serves pages of the service itself and nobody else."""
 
-import asyncio
 from pathlib import Path
 
 import httpx
@@ -11,6 +10,7 @@ from tests.support.application import application
 from tests.support.guarded import Guarded
 from tests.support.server import assert_problem
 
+pytestmark = pytest.mark.anyio
 FORM = {"Content-Type": "application/x-www-form-urlencoded"}
 
 
@@ -92,15 +92,12 @@ def test_sign_in_from_another_site_or_with_a_wrong_key_sets_nothing(guarded: Gua
         assert key_of(guarded) not in answer.text
 
 
-def test_form_that_does_not_arrive_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        monkeypatch.setattr(page, "_FORM_SECONDS", 0.05)
-        async with application(tmp_path, monkeypatch) as running:
-            answer = await running.ask("/sign-in", "", "POST", b"key=x", stalled=True).end()
-            assert answer.status == 408
-            assert b"longer than the 0.05 s" in answer.body
-
-    asyncio.run(check())
+async def test_form_that_does_not_arrive_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "_FORM_SECONDS", 0.05)
+    async with application(tmp_path, monkeypatch) as running:
+        answer = await running.ask("/sign-in", "", "POST", b"key=x", stalled=True).end()
+        assert answer.status == 408
+        assert b"longer than the 0.05 s" in answer.body
 
 
 def test_sign_out_removes_the_cookie_but_not_for_pages_of_other_sites(guarded: Guarded) -> None:

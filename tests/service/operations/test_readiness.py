@@ -22,6 +22,8 @@ from tests.support.commands import start_in_vain
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
+pytestmark = pytest.mark.anyio
+
 
 def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
     own_server: Callable[..., Server], data: bytes
@@ -137,36 +139,30 @@ def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
         yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
 
 
-def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
-    async def ask() -> None:
-        engine = Asked()
-        with with_engine(tmp_path, engine) as ready:
-            assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
-            assert engine.times == 1
-            engine.fault = "No worker is there"
-            await asyncio.sleep(1.1)
-            assert await ready.fault() == "The engine is not ready: No worker is there."
-            assert engine.times == 2
-            ready.stop()
-            assert await ready.fault() == "The service is shutting down."
-
-    asyncio.run(ask())
+async def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
+    engine = Asked()
+    with with_engine(tmp_path, engine) as ready:
+        assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
+        assert engine.times == 1
+        engine.fault = "No worker is there"
+        await asyncio.sleep(1.1)
+        assert await ready.fault() == "The engine is not ready: No worker is there."
+        assert engine.times == 2
+        ready.stop()
+        assert await ready.fault() == "The service is shutting down."
 
 
-def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "LIMIT", 0.5)
 
-    async def ask() -> None:
-        engine = Asked()
-        with with_engine(tmp_path, engine) as ready:
-            engine.hangs.clear()
-            for _ in range(4):
-                fault = await ready.fault()
-                assert fault is not None
-                assert "The engine has not answered" in fault
-            assert engine.times == 1
-            engine.hangs.set()
-            while await ready.fault() is not None:
-                await asyncio.sleep(0.01)
-
-    asyncio.run(ask())
+    engine = Asked()
+    with with_engine(tmp_path, engine) as ready:
+        engine.hangs.clear()
+        for _ in range(4):
+            fault = await ready.fault()
+            assert fault is not None
+            assert "The engine has not answered" in fault
+        assert engine.times == 1
+        engine.hangs.set()
+        while await ready.fault() is not None:
+            await asyncio.sleep(0.01)

@@ -1,6 +1,5 @@
 """Components over HTTP: readable, adding up to the fit, absent without light."""
 
-import asyncio
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,8 @@ from service.jobs.results import ModelCache
 from service.storage.schema import FitKey
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
+
+pytestmark = pytest.mark.anyio
 
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
@@ -138,12 +139,9 @@ def black() -> dsbrdf.DSBRDF:
     return dsbrdf.DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), shape, shape, interpolation="linear")
 
 
-def test_a_black_fit_has_no_components() -> None:
-    async def check() -> None:
-        black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
-        assert black_fit.components == []
-        with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-            black_fit.part("diffuse")
-        assert raised.value.kind == "not-found"
-
-    asyncio.run(check())
+async def test_a_black_fit_has_no_components() -> None:
+    black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
+    assert black_fit.components == []
+    with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
+        black_fit.part("diffuse")
+    assert raised.value.kind == "not-found"
