@@ -48,10 +48,9 @@ SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py 
   cli/test_convert_command.py cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
   fitting/test_global_method_data.py fitting/test_paper_method.py fitting/test_report_warnings.py \
   fitting/test_scattered_fit.py)
-SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_content_encoding.py \
-  http/test_limits.py http/test_openapi_conformance.py jobs/test_computations.py operations/test_readiness.py \
-  operations/test_request_log.py routes/test_figures.py routes/test_lists.py routes/test_point_limits.py \
-  storage/test_damage.py storage/test_folder.py storage/test_restore.py test_client.py)
+SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \
+  http/test_openapi_conformance.py operations/test_readiness.py operations/test_request_log.py routes/test_figures.py \
+  routes/test_other_uploads.py storage/test_damage.py storage/test_restore.py test_client.py)
 
 quick: $(READY)  ## run the tests of library and service that take little time
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \

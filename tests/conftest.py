@@ -109,11 +109,8 @@ def own_cluster() -> Iterator[DaskCluster]:
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service that tests share: they must not rely on what else is in it."""
-    running = Server(tmp_path_factory.mktemp("service") / "data")
-    try:
-        yield running.start()
-    finally:
-        running.close()
+    with Server.running(tmp_path_factory.mktemp("service") / "data") as running:
+        yield running
 
 
 @pytest.fixture
@@ -161,10 +158,7 @@ def fitted(server: Server, stored: str) -> str:
 @pytest.fixture(scope="session")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
     """A service that wants keys, for tests to share."""
-    running = Server(tmp_path_factory.mktemp("guarded") / "data", require_keys="true", workers="2")
-    try:
-        running.start()
+    folder = tmp_path_factory.mktemp("guarded") / "data"
+    with Server.running(folder, require_keys="true", workers="2") as running:
         alice, bob = (new_key(running, name)[1] for name in ("alice", "bob"))
         yield Guarded(running, alice, bob)
-    finally:
-        running.close()

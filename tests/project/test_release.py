@@ -67,12 +67,8 @@ def test_service_opens_the_database_of_an_earlier_release(folder: Path, tmp_path
     (tmp_path / "data").mkdir(mode=0o700)
     shutil.copy(folder / "dsbrdf.sqlite", tmp_path / "data")
     expected = json.loads((folder / "values.json").read_text())[1][1]  # theta_half 5, theta_diff 30 degrees
-    server = Server(tmp_path / "data")
-    try:
-        http = server.start().http
-        (fit,) = http.get("/v1/fits").raise_for_status().json()["items"]
+    with Server.running(tmp_path / "data") as server:
+        (fit,) = server.http.get("/v1/fits").raise_for_status().json()["items"]
         points = {"theta_half_deg": 5, "theta_diff_deg": 30}
-        values = http.get(f"/v1/fits/{fit['id']}/brdf", params=points).raise_for_status().json()["values"]
-    finally:
-        server.close()
+        values = server.http.get(f"/v1/fits/{fit['id']}/brdf", params=points).raise_for_status().json()["values"]
     np.testing.assert_allclose(np.ravel(values), expected, rtol=1e-12)

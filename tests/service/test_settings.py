@@ -19,23 +19,14 @@ from tests.support.server import Server
 
 
 def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
-    file = tmp_path / "file"
+    file, folder = tmp_path / "file", str(tmp_path / "data")
     file.touch()
+    no_folder = f"{file} is not a folder; give a data folder that is new, empty or the service's"
+    assert start_in_vain(tmp_path, "--data-dir", str(file)) == (2, f"dsbrdf: {no_folder}\n")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        for words, code, sentence in (
-            (
-                ["--data-dir", str(file)],
-                2,
-                f"{file} is not a folder; give a data folder that is new, empty or the service's",
-            ),
-            (
-                ["--data-dir", str(tmp_path / "data"), "--port", str(port)],
-                1,
-                f"port {port} of 127.0.0.1 cannot be listened on: Address already in use.",
-            ),
-        ):
-            assert start_in_vain(tmp_path, *words) == (code, f"dsbrdf: {sentence}\n")
+        in_use = f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."
+        assert start_in_vain(tmp_path, "--data-dir", folder, "--port", str(port)) == (1, f"dsbrdf: {in_use}\n")
 
 
 @pytest.mark.parametrize(
@@ -44,6 +35,7 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
         (["--prot", "3"], "dsbrdf serve: there is no option --prot; did you mean --port"),
         (["--port"], "dsbrdf serve: --port needs a value"),
         (["--port", "eighty"], "dsbrdf: --port: "),
+        (["--port", "99999"], "dsbrdf: --port: input should be less than or equal to 65535, not '99999'.\n"),
         (["8000"], "dsbrdf serve: there is no place for 8000"),
     ],
 )
@@ -92,24 +84,15 @@ def test_invalid_setting_is_named_in_one_sentence(
     assert not (tmp_path / "data").exists()
 
 
-def test_invalid_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--port", "99999"]) == 2
-    assert capsys.readouterr().err == "dsbrdf: --port: input should be less than or equal to 65535, not '99999'.\n"
-
-
 def test_unknown_environment_variable_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DSBRDF_WORKER", "2")
     monkeypatch.setenv("DSBRDF_KEY", "of-the-client")
     assert unknown_settings() == [
         "The environment variable DSBRDF_WORKER is no setting and has no effect; did you mean DSBRDF_WORKERS?"
     ]
-    server = Server(tmp_path / "data")
-    try:
-        server.start()
+    with Server.running(tmp_path / "data") as server:
         (told,) = [line for line in server.log.read_text().splitlines() if "DSBRDF_" in line]
         assert json.loads(told)["level"] == "warning"
-    finally:
-        server.close()
 
 
 def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,9 @@
 """Starts of programs without the time that their imports take: they are made once, and each process is a fork.
 
 Importing the service or Dask takes more than a second of processor time, which dozens of servers and workers would
-each take again. What runs in the fork is the ``main`` of the program, with arguments, environment and log of its own.
-The process from which it forks its workers is a fork, too, which it uses once: a second one is started as usual.
+each take again; the processes of fits and figures would import and cache more. What runs in the fork is the ``main`` of
+the program, with arguments, environment and log of its own. The process from which it forks its workers is a fork, too,
+which it uses once: a second one is started as usual.
 """
 
 import atexit
@@ -19,6 +20,7 @@ import sys
 import tempfile
 import threading
 import traceback
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -128,7 +130,9 @@ def _serve_requests(program: str) -> None:
         for command in ("scheduler", "worker"):
             import_module(f"distributed.cli.dask_{command}")
         import_module("dsbrdf.engines.local")  # for what workers run
-    import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
+        import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
+    else:
+        _warm_up()
     gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
     woken, wake = os.pipe()
@@ -157,6 +161,16 @@ def _serve_requests(program: str) -> None:
                 _say(pid=pid)
     for pid in running:
         os.kill(pid, signal.SIGKILL)
+
+
+def _warm_up() -> None:
+    """Import and cache what each process of a fit or of a figure would by itself, in half of its time."""
+    for module in ("figure", "backends.backend_agg", "backends.backend_svg"):
+        import_module(f"matplotlib.{module}")
+    measurement = import_module("tests.support.materials").glossy_plastic()
+    library = import_module("dsbrdf")
+    with warnings.catch_warnings(action="ignore"):  # that it has not converged
+        library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
 
 
 def _report_ends(running: set[int]) -> None:

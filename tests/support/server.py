@@ -2,10 +2,12 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,16 @@ class Server:
     def process(self) -> "subprocess.Popen[bytes] | ForkedProcess":
         assert self._process is not None
         return self._process
+
+    @classmethod
+    @contextmanager
+    def running(cls, data_dir: Path, **environment: str) -> "Iterator[Server]":
+        """Start a service for as long as the block lasts."""
+        server = cls(data_dir, **environment)
+        try:
+            yield server.start()
+        finally:
+            server.close()
 
     def start(self) -> "Server":
         """Start the process and return when it is ready."""
@@ -96,6 +108,18 @@ class Server:
                 break
             time.sleep(0.02)
         raise AssertionError(f"the server did not start:\n{self.log.read_text()}")
+
+    def connection(self, sent: bytes = b"", seconds: float = 60.0) -> socket.socket:
+        """Open a connection, and send some bytes as they are."""
+        url = self.http.base_url
+        connection = socket.create_connection((url.host, url.port or 80), timeout=seconds)
+        connection.sendall(sent)
+        return connection
+
+    def memory(self, which: str = "VmRSS") -> float:
+        """Memory that the web process has, or VmHWM, the most that it has had [MB]."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        return int(status.partition(f"{which}:")[2].split()[0]) / 1024
 
     def cpu_seconds(self) -> float:
         """Processor time of the web process: what its work costs, however busy the machine is otherwise."""

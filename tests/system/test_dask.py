@@ -20,17 +20,11 @@ def serve(own_server: Callable[..., Server]) -> Callable[[DaskCluster], Server]:
     return lambda cluster: own_server(engine="dask", scheduler=cluster.address, workers="1")
 
 
-def memory_mb(server: Server) -> float:
-    """Memory of the web process itself."""
-    status = Path(f"/proc/{server.process.pid}/status").read_text()
-    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
-
-
 def test_dask_fit_equals_the_local_fit(
     serve: Callable[[DaskCluster], Server], server: Server, cluster: DaskCluster, data: bytes
 ) -> None:
     remote = serve(cluster)
-    before = memory_mb(remote)
+    before = remote.memory()
     weighted: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3, "weighting": "log"}
     for options in (QUICK, weighted):
         mine = remote.http.post("/v1/fits", params=options, content=data)
@@ -39,7 +33,7 @@ def test_dask_fit_equals_the_local_fit(
         other = server.http.post("/v1/fits", params=options, content=data).json()
         apart = dict.fromkeys(("created", "started", "finished", "name"))
         assert mine.json() | apart == other | apart
-    assert memory_mb(remote) - before < 24  # neither the file (35 MB) nor what is made of it
+    assert remote.memory() - before < 24  # neither the file (35 MB) nor what is made of it
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
 
 import httpx
@@ -20,6 +19,7 @@ import pytest
 from service.http.problems import KINDS, TYPE_PREFIX
 from service.settings import Settings
 from service.wire.points import NPY
+from tests.support.points import npy
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 
@@ -139,9 +139,8 @@ def test_too_long_body_is_refused_by_nginx(proxy: Proxy, path: str, length: int)
 
 @pytest.mark.parametrize("part", ["", "components/diffuse/"])
 def test_batches_may_be_longer_than_a_measurement(proxy: Proxy, fitted: str, part: str) -> None:
-    points = BytesIO()
-    np.save(points, np.zeros((900_000, 6)))  # no unit vectors, as the service says when it has all of them
-    answer = proxy.http.post(f"/v1/fits/{fitted}/{part}brdf", content=points.getvalue(), headers={"Content-Type": NPY})
+    points = npy(np.zeros((900_000, 6)))  # no unit vectors, as the service says when it has all of them
+    answer = proxy.http.post(f"/v1/fits/{fitted}/{part}brdf", content=points, headers={"Content-Type": NPY})
     assert_problem(answer, "invalid-argument")
 
 
@@ -207,9 +206,8 @@ def test_the_service_can_be_shown_below_a_path(
     proxy = own_proxy(address_of(server), **changes)
     answer = proxy.http.post("/brdf/v1/fits", json={"measurement": stored, "options": QUICK})
     assert answer.headers["location"] == f"/brdf/v1/fits/{answer.json()['id']}"
-    points = BytesIO()
-    np.save(points, np.tile([0.0, 0.0, 1.0], (800_000, 2)))  # longer than other bodies may be
-    batch = proxy.http.post(f"/brdf/v1/fits/{fitted}/brdf", content=points.getvalue(), headers={"Content-Type": NPY})
+    points = npy(np.tile([0.0, 0.0, 1.0], (800_000, 2)))  # longer than other bodies may be
+    batch = proxy.http.post(f"/brdf/v1/fits/{fitted}/brdf", content=points, headers={"Content-Type": NPY})
     assert batch.status_code == 200, batch.text
 
 

@@ -5,6 +5,7 @@ import resource
 import signal
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -52,15 +53,15 @@ def test_accepted_fits_finish_after_a_restart(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes, number: signal.Signals) -> None:
+def test_temporary_folders_are_empty_after_each_stop(
+    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
     deep.mkdir(parents=True)
-    server = Server(deep / "data", workers="1")
-    server.environment["TMPDIR"] = str(elsewhere)
-    try:
-        server.start()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    with Server.running(deep / "data", workers="1") as server:
         assert server.http.post("/v1/fits", params=QUICK, content=data).json()["status"] == "succeeded"
         code = server.stop(number)
         assert code == (-number if number == signal.SIGKILL else 0)
@@ -70,8 +71,6 @@ def test_temporary_folders_are_empty_after_each_stop(tmp_path: Path, data: bytes
         for folder in ("tmp", "run"):
             assert not list((server.data_dir / folder).iterdir())
         assert "Traceback" not in server.log.read_text()
-    finally:
-        server.close()
 
 
 def test_killed_fit_process_fails_only_its_own_fit(own_server: Callable[..., Server], data: bytes) -> None:
@@ -124,45 +123,29 @@ def test_a_fit_has_the_limits_of_the_settings(
     assert server.http.get("/health/ready").status_code == 200
 
 
-def test_second_server_on_the_same_folder_is_refused(server: Server, tmp_path: Path) -> None:
-    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(server.data_dir))
-    assert code == 2
-    assert "in use" in said
-    assert "Traceback" not in said
+def test_start_that_could_harm_is_refused(server: Server, tmp_path: Path) -> None:
+    newer = tmp_path / "newer"
+    newer.mkdir()
+    with closing(sqlite3.connect(newer / "dsbrdf.sqlite")) as database:
+        database.execute("PRAGMA user_version = 999")
+    hosts = [(host, tmp_path / "data", "--insecure") for host in ("0.0.0.0", "::", "example.org", "10.0.0.1")]
+    for host, folder, reason in (
+        *hosts,  # that others can reach, without keys
+        ("127.0.0.1", server.data_dir, "in use"),
+        ("127.0.0.1", newer, "made by another release"),
+    ):
+        code, said = start_in_vain(tmp_path, "--host", host, "--port", "0", "--data-dir", str(folder))
+        assert (code, reason in said, "Traceback" in said) == (2, True, False)
+    assert not (tmp_path / "data").exists()
     assert server.http.get("/health/ready").status_code == 200
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "example.org", "10.0.0.1"])
-def test_host_that_others_can_reach_is_refused_without_keys(tmp_path: Path, host: str) -> None:
-    code, said = start_in_vain(tmp_path, "--host", host, "--port", "0", "--data-dir", str(tmp_path / "data"))
-    assert code == 2
-    assert "--insecure" in said
-    assert not (tmp_path / "data").exists()
-
-
-def test_database_of_a_newer_release_is_left_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    folder.mkdir()
-    connection = sqlite3.connect(folder / "dsbrdf.sqlite")
-    connection.execute("PRAGMA user_version = 999")
-    connection.close()
-    code, said = start_in_vain(tmp_path, "--port", "0", "--data-dir", str(folder))
-    assert code == 2
-    assert "made by another release" in said
-    assert "Traceback" not in said
-
-
-@pytest.mark.parametrize("limit_mb", [200, 1024])
-def test_limit_of_the_whole_service_is_the_limit_of_each_fit(
-    own_server: Callable[..., Server], data: bytes, limit_mb: int
-) -> None:
+def test_limit_of_the_whole_service_is_the_limit_of_each_fit(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
-    server.http.post("/v1/fits", params={"n_lobes": 1}, content=data)  # the helpers have imported all that they will
-    for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
-        resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
-    fit = server.http.post("/v1/fits", params={"n_lobes": 2}, content=data).json()
-    if limit_mb > 1000:  # but less than the service allows
-        assert fit["status"] == "succeeded"
-    else:
-        assert (fit["error"]["origin"], fit["error"]["type"]) == ("compute", "MemoryLimit")
+    server.http.post("/v1/fits", params=QUICK, content=data)  # the helpers have imported all that they will
+    for limit_mb, fault in ((1024, None), (200, ("compute", "MemoryLimit"))):  # both less than the service allows
+        for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
+            resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
+        fit = server.http.post("/v1/fits", params={**QUICK, "em_iterations": limit_mb // 10}, content=data).json()
+        assert (fit["error"] and (fit["error"]["origin"], fit["error"]["type"])) == fault
     assert "Traceback" not in server.log.read_text()

@@ -184,21 +184,14 @@ def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callab
     assert '"level": "error"' not in server.log.read_text()
 
 
-@pytest.mark.parametrize(
-    "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "10.0.0.1", "evil."]
-)
-def test_foreign_host_header_is_refused_on_loopback(server: Server, host: str) -> None:
-    for value in (host, f"{host}:{server.http.base_url.port}"):
-        answer = server.http.get("/v1/fits", headers={"Host": value})
-        assert "127.0.0.1" in assert_problem(answer, 421, "misdirected")
-
-
-@pytest.mark.parametrize(
-    "host", ["localhost", "LOCALHOST:80", "workstation", "127.0.0.1", "127.1.2.3:8000", "[::1]:8000"]
-)
-def test_local_host_headers_are_accepted(server: Server, host: str) -> None:
-    assert server.http.get("/v1/fits", headers={"Host": host}).status_code == 200
-    assert server.http.get("/v1/fits", headers={"Host": host, "Origin": f"http://{host}"}).status_code == 200
+def test_only_local_hosts_are_accepted_on_loopback(server: Server) -> None:
+    for host in ("evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "10.0.0.1", "evil."):
+        for value in (host, f"{host}:{server.http.base_url.port}"):
+            answer = server.http.get("/v1/fits", headers={"Host": value})
+            assert "127.0.0.1" in assert_problem(answer, 421, "misdirected")
+    for host in ("localhost", "LOCALHOST:80", "workstation", "127.0.0.1", "127.1.2.3:8000", "[::1]:8000"):
+        assert server.http.get("/v1/fits", headers={"Host": host}).status_code == 200, host
+        assert server.http.get("/v1/fits", headers={"Host": host, "Origin": f"http://{host}"}).status_code == 200, host
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://localhost:1", "", "127.0.0.1"])
@@ -216,16 +209,10 @@ def test_request_of_a_page_of_another_site_is_refused(server: Server, site: str,
     assert "other sites" in assert_problem(answer, 403, "foreign-origin")
 
 
-@pytest.mark.parametrize(
-    "sent",
-    [
-        {"Sec-Fetch-Site": "none"},
-        {"Sec-Fetch-Site": "same-origin"},
-        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"},  # a link
-    ],
-)
-def test_page_that_a_person_opens_is_answered(server: Server, sent: dict[str, str]) -> None:
-    assert server.http.get("/", headers=sent).status_code == 200
+def test_page_that_a_person_opens_is_answered(server: Server) -> None:
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
+    for sent in ({"Sec-Fetch-Site": "none"}, {"Sec-Fetch-Site": "same-origin"}, link):
+        assert server.http.get("/", headers=sent).status_code == 200
 
 
 def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:

@@ -28,14 +28,10 @@ def examine(folder: Path, **environment: str) -> tuple[int, dict[str, dict[str, 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Path]:
     """A data folder that no server has open, with a measurement and a fit of it."""
-    server = Server(tmp_path_factory.mktemp("doctor") / "data")
-    try:
-        sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
-        assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
+    with Server.running(tmp_path_factory.mktemp("doctor") / "data") as server:
+        assert server.http.post("/v1/fits", params=QUICK, content=data).json()["status"] == "succeeded"
         server.stop()
         yield server.data_dir
-    finally:
-        server.close()
 
 
 def found(folder: Path, name: str) -> str:

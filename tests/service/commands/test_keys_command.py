@@ -106,10 +106,6 @@ def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> N
     database = Database(folder)
     _, key = add_key(database, "y", KeyLimits())
     database.close()
-    server = Server(folder, host="0.0.0.0")
-    try:
-        server.start()
+    with Server.running(folder, host="0.0.0.0") as server:
         assert_problem(server.http.get("/v1/fits"), 401, "unauthorized")
         assert server.http.get("/v1/fits", headers={"Authorization": f"Bearer {key}"}).status_code == 200
-    finally:
-        server.close()

@@ -2,7 +2,6 @@
 
 import json
 import sqlite3
-import struct
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from dsbrdf.data.merl_validation import FILE_SIZE
 from service.commands import purge
 from service.storage.database import FILE_NAME
 from tests.support.commands import run_main
+from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 
@@ -28,15 +28,6 @@ def purged(folder: Path, *words: str) -> dict[str, Any]:
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout)
     return document
-
-
-def variants(data: bytes, number: int) -> list[bytes]:
-    """Acceptable measurements that all differ."""
-    changed = []
-    for index in range(number):
-        value = struct.unpack_from("<d", data, 12)[0] * (1 + 0.001 * index)
-        changed.append(data[:12] + struct.pack("<d", value) + data[20:])
-    return changed
 
 
 def make_older(folder: Path, days: float, table: str, column: str, name: str) -> None:
@@ -59,7 +50,8 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(
     server = own_server(workers="1")
     folder = server.data_dir
     old, fresh, unused, busy, kept = (
-        str(server.http.post("/v1/measurements", content=content).json()["sha256"]) for content in variants(data, 5)
+        str(server.http.post("/v1/measurements", content=content).json()["sha256"])
+        for content in (with_value(data, 0.5 + index) for index in range(5))
     )
     old_fit, fresh_fit, kept_fit = (server.submit(sha256, **QUICK).json()["id"] for sha256 in (old, fresh, kept))
     busy_fit = server.submit(busy, prefer="respond-async", **ENDLESS).json()["id"]

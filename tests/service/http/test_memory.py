@@ -1,10 +1,8 @@
 """Clients that stop in the middle of a body or an answer cost next to no memory, however many they are."""
 
 import re
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 import numpy as np
 
@@ -16,21 +14,6 @@ from tests.support.server import QUICK, Server
 
 CLIENTS = 6
 MEGABYTES = 64
-
-
-def memory(server: Server) -> float:
-    """The memory that the web process has now [MB]."""
-    found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{server.process.pid}/status").read_text())
-    assert found is not None
-    return int(found[1]) / 1024
-
-
-def connect(server: Server, *parts: bytes) -> socket.socket:
-    url = server.http.base_url
-    connection = socket.create_connection((url.host, url.port or 80), timeout=60)
-    for part in parts:
-        connection.sendall(part)
-    return connection
 
 
 def in_progress(server: Server) -> float:
@@ -64,13 +47,13 @@ def test_stalled_clients_take_little_memory(own_server: Callable[..., Server], d
     table = server.http.get(f"{path}/export?format=merl")  # what any work takes once is no cost of the clients
     assert table.content == export_model(model, "merl")
     assert parse_merl(table.content).values.shape == (3, 90, 90, 180)
-    before = memory(server)
+    before = server.memory()
     with ExitStack() as stack:
         for parts in stalled(path, fit, data):
-            stack.enter_context(closing(connect(server, *parts)))
+            stack.enter_context(closing(server.connection(b"".join(parts))))
         wait_until(lambda: in_progress(server) > 2 * CLIENTS)
-        assert memory(server) - before < MEGABYTES
+        assert server.memory() - before < MEGABYTES
         assert server.http.get(f"{path}/brdf?theta_half_deg=0&theta_diff_deg=0").status_code == 200
-        print(f"\n{4 * CLIENTS} stalled clients: +{memory(server) - before:.0f} MB")
+        print(f"\n{4 * CLIENTS} stalled clients: +{server.memory() - before:.0f} MB")
     wait_until(lambda: in_progress(server) == 1)
     assert not list((server.data_dir / "tmp").iterdir())

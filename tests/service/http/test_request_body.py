@@ -4,9 +4,7 @@ import gzip
 import hashlib
 import io
 import json
-import re
 import secrets
-import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -89,21 +87,13 @@ def test_unsupported_encodings_are_refused(server: Server, data: bytes, encoding
     assert answer.headers["accept-encoding"] == "gzip, zstd"
 
 
-def peak_memory(server: Server) -> float:
-    """Return the largest memory that the web process has had, in MB."""
-    status = Path(f"/proc/{server.process.pid}/status").read_text()
-    found = re.search(r"VmHWM:\s+(\d+) kB", status)
-    assert found is not None
-    return int(found[1]) / 1024
-
-
 def test_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes, plastic_file: Path) -> None:
     server = own_server(fits=False)
-    before = peak_memory(server)
+    before = server.memory("VmHWM")
     with plastic_file.open("rb") as file:
         answer = server.http.post("/v1/measurements", content=file)
     assert answer.status_code == 201
-    assert peak_memory(server) - before < 8
+    assert server.memory("VmHWM") - before < 8
 
     contents = [with_value(data, 0.25 + i) for i in range(8)]
     with ThreadPoolExecutor(8) as pool:
@@ -111,16 +101,14 @@ def test_uploads_take_little_memory(own_server: Callable[..., Server], data: byt
         answers = list(pool.map(lambda content: httpx.post(url, content=content, timeout=60), contents))
     assert [answer.status_code for answer in answers] == [201] * 8
     assert {answer.json()["sha256"] for answer in answers} == {hashlib.sha256(c).hexdigest() for c in contents}
-    assert peak_memory(server) - before < 48
+    assert server.memory("VmHWM") - before < 48
 
 
 def test_interrupted_upload_stores_nothing(server: Server, data: bytes) -> None:
     before = contents(server)
-    address = (str(server.http.base_url.host), server.http.base_url.port)
     lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
     for share in (0, 12, 100_000, FILE_SIZE - 1):
-        with socket.create_connection(address) as connection:
-            connection.sendall(lines.encode() + data[:share])
+        with server.connection(lines.encode() + data[:share]):
             if share > 20_000_000:
                 wait_until(lambda: contents(server)[0] != before[0])
     wait_until(lambda: contents(server) == before)
@@ -138,8 +126,7 @@ def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: st
     request_id = secrets.token_hex(8)
     head = f"POST {path.format(fitted)} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
     head += f"Content-Type: {media_type}\r\nX-Request-ID: {request_id}\r\n\r\n{{"
-    with socket.create_connection((str(server.http.base_url.host), server.http.base_url.port)) as connection:
-        connection.sendall(head.encode())
+    server.connection(head.encode()).close()
 
     def lines() -> list[str]:
         return [line for line in server.log.read_text().splitlines() if request_id in line]

@@ -2,8 +2,7 @@
 
 import asyncio
 import json
-import socket
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
+pytestmark = pytest.mark.anyio
+Block = Callable[[object, str], Blocked]
 _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
 EXPORT, SPHERE = f"{FIT_PATH}/export?format=bsdf", f"{FIT_PATH}/figures/sphere.png?size=16"
@@ -32,6 +33,30 @@ OF_COMPONENTS = [
     f"/fits/{FIT}",
 ]
 LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
+
+
+@pytest.fixture
+async def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Application]:
+    async with application(tmp_path, monkeypatch) as started:
+        yield started
+
+
+@pytest.fixture
+def key(running: Application) -> str:
+    """A key that has a fit."""
+    return running.new_key()
+
+
+@pytest.fixture
+def block(monkeypatch: pytest.MonkeyPatch) -> Callable[[object, str], Blocked]:
+    """Replace a function of a module by one that returns when it may."""
+
+    def replace(place: object, name: str) -> Blocked:
+        blocked = Blocked(getattr(place, name))
+        monkeypatch.setattr(place, name, lambda *arguments, **named: blocked(*arguments, **named))
+        return blocked
+
+    return replace
 
 
 async def until_waiting(running: Application, n_requests: int) -> None:
@@ -50,156 +75,116 @@ async def until_waiting(running: Application, n_requests: int) -> None:
         (results, "view_step", [*VIEW, *VIEW]),
     ],
 )
-def test_what_nobody_waits_for_is_not_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: object, name: str, targets: list[str]
+async def test_what_nobody_waits_for_is_not_computed(
+    running: Application, key: str, block: Block, place: object, name: str, targets: list[str]
 ) -> None:
-    async def check() -> None:
-        blocked = Blocked(getattr(place, name))
-        monkeypatch.setattr(place, name, lambda *arguments, **named: blocked(*arguments, **named))
-        async with application(tmp_path, monkeypatch) as running:
-            key = running.new_key()
-            asked = [running.ask(target, key) for target in targets]
-            await blocked.until_called()
-            await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
-            blocked.may_return.set()
-            again = await running.ask(targets[-1], key).end()
-            assert again.status == 200
-            assert len(blocked.calls) <= 2
-
-    asyncio.run(check())
+    blocked = block(place, name)
+    asked = [running.ask(target, key) for target in targets]
+    await blocked.until_called()
+    await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
+    blocked.may_return.set()
+    again = await running.ask(targets[-1], key).end()
+    assert again.status == 200
+    assert len(blocked.calls) <= 2
 
 
-def test_view_of_a_page_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        blocked = Blocked(steps.view_step)
-        monkeypatch.setattr(results, "view_step", blocked)
-        async with application(tmp_path, monkeypatch) as running:
-            key = running.new_key()
-            asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
-            await blocked.until_called()
-            blocked.may_return.set()
-            assert [(await one.end()).status for one in asked] == [200] * 4
-            assert len(blocked.calls) == 1
-
-    asyncio.run(check())
+async def test_view_of_a_page_is_computed_once(running: Application, key: str, block: Block) -> None:
+    blocked = block(results, "view_step")
+    asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
+    await blocked.until_called()
+    blocked.may_return.set()
+    assert [(await one.end()).status for one in asked] == [200] * 4
+    assert len(blocked.calls) == 1
 
 
-def test_components_come_with_the_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            key = running.new_key()
-            monkeypatch.setattr(decomposition, "fit_guide", None)
-            asked = [running.ask(target, key) for target in OF_COMPONENTS]
-            batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
-            assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
-
-    asyncio.run(check())
+async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decomposition, "fit_guide", None)
+    asked = [running.ask(target, key) for target in OF_COMPONENTS]
+    batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
+    assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
 
 
-def test_one_picture_is_drawn_once_for_all_who_wait_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        blocked = Blocked(steps.sphere_step)
-        monkeypatch.setattr(figures, "sphere_step", blocked)
-        async with application(tmp_path, monkeypatch) as running:
-            alice, bob = running.new_key(), running.new_key()
-            first, second, others = (running.ask(SPHERE, key) for key in (alice, alice, bob))
-            await until_waiting(running, 3)
-            await first.leave()
-            blocked.may_return.set()
-            await asyncio.gather(second.end(), others.end())
-            assert second.body == others.body != b""
-            assert len(blocked.calls) == 2  # of one fit of each key
-
-    asyncio.run(check())
+async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(figures, "sphere_step"), key, running.new_key()
+    first, second, others = (running.ask(SPHERE, who) for who in (alice, alice, bob))
+    await until_waiting(running, 3)
+    await first.leave()
+    blocked.may_return.set()
+    await asyncio.gather(second.end(), others.end())
+    assert second.body == others.body != b""
+    assert len(blocked.calls) == 2  # of one fit of each key
 
 
-def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def check() -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            key = running.new_key()
-            caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
-            incoming.write(b"a measurement")
-            incoming.valid_nodes = 1
-            sha256 = incoming.close()
-            running.store.add_measurement(caller, incoming)
+    caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
+    incoming.write(b"a measurement")
+    incoming.valid_nodes = 1
+    sha256 = incoming.close()
+    running.store.add_measurement(caller, incoming)
 
-            def delete_and_draw(*arguments: Any) -> bytes:
-                assert running.store.remove_measurement(caller.owner, sha256)
-                return steps.sphere_step(*arguments)
+    def delete_and_draw(*arguments: Any) -> bytes:
+        assert running.store.remove_measurement(caller.owner, sha256)
+        return steps.sphere_step(*arguments)
 
-            monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
-            answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
-            assert answer.status == 404
-            assert "There is no measurement" in json.loads(answer.body)["detail"]
-
-    asyncio.run(check())
+    monkeypatch.setattr(figures, "sphere_step", delete_and_draw)
+    answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
+    assert answer.status == 404
+    assert "There is no measurement" in json.loads(answer.body)["detail"]
 
 
-def test_keys_take_turns_with_long_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def check() -> None:
-        blocked = Blocked(brdf._from_json)
-        monkeypatch.setattr(brdf, "_from_json", blocked)
-        async with application(tmp_path, monkeypatch) as running:
-            alice, bob = running.new_key(), running.new_key()
-            of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
-            await blocked.until_called()
-            of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
-            await until_waiting(running, 7)
-            blocked.may_return.set()
-            await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
-            assert [one.status for one in of_alice] == [200] * 6
-            bodies = [arguments[0] for arguments in blocked.calls]
-            assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
-
-    asyncio.run(check())
+async def test_keys_take_turns_with_long_batches(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(brdf, "_from_json"), key, running.new_key()
+    of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
+    await blocked.until_called()
+    of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
+    await until_waiting(running, 7)
+    blocked.may_return.set()
+    await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
+    assert [one.status for one in of_alice] == [200] * 6
+    bodies = [arguments[0] for arguments in blocked.calls]
+    assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
 
 
-def test_head_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_head_computes_nothing(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     computed = []
 
     def compute(*_: object) -> bytes:
         computed.append(1)
         return b""
 
-    async def check() -> None:
-        async with application(tmp_path, monkeypatch) as running:
-            key = running.new_key()
-            for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
-                with monkeypatch.context() as patch:
-                    patch.setattr(fits, "export_model", compute)
-                    patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
-                    patch.setattr(fits, "export_step", compute)
-                    patch.setattr(figures, "sphere_step", compute)
-                    patch.setattr(results, "view_step", compute)
-                    patch.setattr(decomposition, "fit_guide", compute)
-                    head = await running.ask(target, key, "HEAD").end()
-                get = await running.ask(target, key).end()
-                assert (head.status, head.body, computed) == (200, b"", []), target
-                assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
-                if target.endswith("/components"):
-                    assert get.headers["etag"] == head.headers["etag"]
-            refused = f"{FIT_PATH}/export?format=json&component=diffuse"
-            assert (await running.ask(refused, key, "HEAD").end()).status == 422
-
-    asyncio.run(check())
+    for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
+        with monkeypatch.context() as patch:
+            patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
+            for place, name in (
+                (fits, "export_model"),
+                (fits, "export_step"),
+                (figures, "sphere_step"),
+                (results, "view_step"),
+                (decomposition, "fit_guide"),
+            ):
+                patch.setattr(place, name, compute)
+            head = await running.ask(target, key, "HEAD").end()
+        get = await running.ask(target, key).end()
+        assert (head.status, head.body, computed) == (200, b"", []), target
+        assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
+        if target.endswith("/components"):
+            assert get.headers["etag"] == head.headers["etag"]
+    refused = f"{FIT_PATH}/export?format=json&component=diffuse"
+    assert (await running.ask(refused, key, "HEAD").end()).status == 422
 
 
-@pytest.mark.parametrize("n_requests", [1, 2])
-def test_process_of_an_export_ends_when_its_client_leaves(
-    own_server: Callable[..., Server], data: bytes, n_requests: int
-) -> None:
+def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="false", workers="1")
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     wait_until(lambda: not server.workers())
-    url = server.http.base_url
-    with closing(socket.create_connection((url.host, url.port or 80), timeout=60)) as connection:
-        request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
-        connection.sendall(n_requests * request)
-        wait_until(lambda: bool(server.workers()), 20.0)
-        (worker,) = server.workers()
-    wait_until(lambda: worker not in server.workers())
+    request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    for n_requests in (1, 2):
+        with closing(server.connection(n_requests * request)):
+            wait_until(lambda: bool(server.workers()), 20.0)
+            (worker,) = server.workers()
+        wait_until(lambda: worker not in server.workers())  # noqa: B023 (called at once)
     assert server.http.head(f"/v1/fits/{fit}/export?format=materialx").headers["content-type"] == "application/xml"
     assert not server.workers()
     answer = server.http.get(f"/v1/fits/{fit}/export?format=materialx")

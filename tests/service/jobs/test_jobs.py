@@ -4,7 +4,7 @@ import asyncio
 import errno
 import sqlite3
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ from service.storage.store import Store
 from service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
 
+pytestmark = pytest.mark.anyio
 LOCAL = Caller()
 OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
 RESULT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
@@ -129,16 +130,15 @@ class Race:
         return slow
 
 
-def race(tmp_path: Path, story: Callable[[Race], Coroutine[Any, Any, None]]) -> None:
-    async def tell() -> None:
-        place = Race(tmp_path / "data")
-        try:
-            await story(place)
-        finally:
-            await place.jobs.close()
-            place.store.close()
-
-    asyncio.run(tell())
+@pytest.fixture
+async def place(tmp_path: Path) -> AsyncIterator[Race]:
+    """A store and its jobs."""
+    race = Race(tmp_path / "data")
+    try:
+        yield race
+    finally:
+        await race.jobs.close()
+        race.store.close()
 
 
 async def until(event: threading.Event) -> None:
@@ -147,184 +147,156 @@ async def until(event: threading.Event) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_fit_requested_during_its_cancellation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(place: Race) -> None:
-        key = await place.submit()
-        await place.until_run(1)
-        slow = place.slow_down(monkeypatch, "cancel_fit", 0.5, after=True)
-        cancelling = asyncio.create_task(place.jobs.cancel(key))
-        await until(slow.there)  # the row is cancelled, its process is still to be ended
-        again = asyncio.create_task(place.submit())
-        row = await cancelling
-        assert (row and row.status) == "cancelled"
-        assert await again == key
-        row = await place.end(key)
-        assert row.status == "succeeded"
-        assert '"run 2"' in str(place.store.result(key))
-
-    race(tmp_path, story)
+async def test_fit_requested_during_its_cancellation_runs(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = await place.submit()
+    await place.until_run(1)
+    slow = place.slow_down(monkeypatch, "cancel_fit", 0.5, after=True)
+    cancelling = asyncio.create_task(place.jobs.cancel(key))
+    await until(slow.there)  # the row is cancelled, its process is still to be ended
+    again = asyncio.create_task(place.submit())
+    row = await cancelling
+    assert (row and row.status) == "cancelled"
+    assert await again == key
+    row = await place.end(key)
+    assert row.status == "succeeded"
+    assert '"run 2"' in str(place.store.result(key))
 
 
 @pytest.mark.parametrize("late", ["complete_fit", "start_fit"])
-def test_cancelled_attempt_cannot_overwrite_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
+async def test_cancelled_attempt_cannot_overwrite_the_next_one(
+    place: Race, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
-    async def story(place: Race) -> None:
-        place.engine.slot().release()  # the next attempt need not wait for a slot
-        slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
-        key = await place.submit()
-        place.engine.go_on.set()
-        await until(slow.there)  # a thread is about to write what is not true any more
-        place.engine.go_on.clear()
-        runs = place.engine.runs
-        cancelling = asyncio.create_task(place.jobs.cancel(key))
-        while place.store.fit(key).status != "cancelled":
-            await asyncio.sleep(0.001)
-        assert await place.submit() == key  # while the first attempt is still ending
-        assert (await cancelling) is not None
-        await until(slow.over)  # it has written
-        row = await place.end(key)
-        assert (row.status, row.attempts) == ("succeeded", 1)
-        assert f'"run {runs + 1}"' in str(place.store.result(key))
-
-    race(tmp_path, story)
+    place.engine.slot().release()  # the next attempt need not wait for a slot
+    slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
+    key = await place.submit()
+    place.engine.go_on.set()
+    await until(slow.there)  # a thread is about to write what is not true any more
+    place.engine.go_on.clear()
+    runs = place.engine.runs
+    cancelling = asyncio.create_task(place.jobs.cancel(key))
+    while place.store.fit(key).status != "cancelled":
+        await asyncio.sleep(0.001)
+    assert await place.submit() == key  # while the first attempt is still ending
+    assert (await cancelling) is not None
+    await until(slow.over)  # it has written
+    row = await place.end(key)
+    assert (row.status, row.attempts) == ("succeeded", 1)
+    assert f'"run {runs + 1}"' in str(place.store.result(key))
 
 
 @pytest.mark.parametrize("after", [False, True])
-def test_request_during_completion_gets_the_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
+async def test_request_during_completion_gets_the_result(
+    place: Race, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
-    async def story(place: Race) -> None:
-        slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
-        key = await place.submit()
-        place.engine.go_on.set()
-        await until(slow.there)
-        others = [asyncio.create_task(place.submit()) for _ in range(5)]
-        assert {await other for other in others} == {key}
-        slow.on.set()
-        assert (await place.end(key)).status == "succeeded"
-        assert place.engine.runs == 1
-
-    race(tmp_path, story)
+    slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
+    key = await place.submit()
+    place.engine.go_on.set()
+    await until(slow.there)
+    others = [asyncio.create_task(place.submit()) for _ in range(5)]
+    assert {await other for other in others} == {key}
+    slow.on.set()
+    assert (await place.end(key)).status == "succeeded"
+    assert place.engine.runs == 1
 
 
-def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(place: Race) -> None:
-        key = await place.submit()
-        await place.until_run(1)
-        slow = place.slow_down(monkeypatch, "fit", PATIENCE)
-        waiting = asyncio.create_task(place.jobs.wait(key, PATIENCE))
-        await asyncio.sleep(0)
-        await place.jobs.cancel(key)
-        await until(slow.there)
-        assert await place.submit() == key
-        slow.on.set()  # the row that is read now is the new one's
-        place.engine.go_on.set()
-        row = await waiting
-        assert (row and row.status) == "succeeded"
-
-    race(tmp_path, story)
+async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
+    place: Race, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = await place.submit()
+    await place.until_run(1)
+    slow = place.slow_down(monkeypatch, "fit", PATIENCE)
+    waiting = asyncio.create_task(place.jobs.wait(key, PATIENCE))
+    await asyncio.sleep(0)
+    await place.jobs.cancel(key)
+    await until(slow.there)
+    assert await place.submit() == key
+    slow.on.set()  # the row that is read now is the new one's
+    place.engine.go_on.set()
+    row = await waiting
+    assert (row and row.status) == "succeeded"
 
 
 @pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
-def test_result_is_written_when_the_disk_works_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+async def test_result_is_written_when_the_disk_works_again(
+    place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
-    async def story(place: Race) -> None:
-        complete = place.store.complete_fit
-        failures = iter([error, error])
+    complete = place.store.complete_fit
+    failures = iter([error, error])
 
-        def fail_twice(*arguments: Any) -> Any:
-            for failure in failures:
-                raise failure
-            return complete(*arguments)
+    def fail_twice(*arguments: Any) -> Any:
+        for failure in failures:
+            raise failure
+        return complete(*arguments)
 
-        monkeypatch.setattr(place.store, "complete_fit", fail_twice)
-        row = await place.end(await place.submit())
-        assert (row.status, place.engine.runs) == ("succeeded", 1)
-
-    race(tmp_path, story)
+    monkeypatch.setattr(place.store, "complete_fit", fail_twice)
+    row = await place.end(await place.submit())
+    assert (row.status, place.engine.runs) == ("succeeded", 1)
 
 
-def test_engine_exception_is_a_system_fault(tmp_path: Path) -> None:
-    async def story(place: Race) -> None:
-        place.engine.outcomes += [RuntimeError("can't start new thread"), RESULT]
-        row = await place.end(await place.submit())
-        assert (row.status, row.attempts) == ("succeeded", 2)
-        place.engine.outcomes += [RuntimeError("can't start new thread")] * 2
-        place.store.remove_fit(row.key)
-        row = await place.end(await place.submit())
-        assert row.error is not None
-        assert (row.error["origin"], row.error["type"]) == ("system", "EngineFailed")
-
-    race(tmp_path, story)
+async def test_engine_exception_is_a_system_fault(place: Race) -> None:
+    place.engine.outcomes += [RuntimeError("can't start new thread"), RESULT]
+    row = await place.end(await place.submit())
+    assert (row.status, row.attempts) == ("succeeded", 2)
+    place.engine.outcomes += [RuntimeError("can't start new thread")] * 2
+    place.store.remove_fit(row.key)
+    row = await place.end(await place.submit())
+    assert row.error is not None
+    assert (row.error["origin"], row.error["type"]) == ("system", "EngineFailed")
 
 
-def test_fit_is_retried_when_processes_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
 
-    async def story(place: Race) -> None:
-        not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
-        too_many = OSError(errno.EMFILE, "Too many open files")
-        place.engine.outcomes += [not_started, too_many, not_started, RESULT]
-        row = await place.end(await place.submit())
-        assert (row.status, row.attempts) == ("succeeded", 1)
-
-    race(tmp_path, story)
+    not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
+    too_many = OSError(errno.EMFILE, "Too many open files")
+    place.engine.outcomes += [not_started, too_many, not_started, RESULT]
+    row = await place.end(await place.submit())
+    assert (row.status, row.attempts) == ("succeeded", 1)
 
 
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"other bytes")])
-def test_fit_of_a_damaged_file_is_a_system_fault(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
-    async def story(place: Race) -> None:
-        harm(place.store.blobs.path(place.measurement))
-        row = await place.end(await place.submit())
-        assert row.error is not None
-        assert (row.error["origin"], row.error["type"]) == ("system", "MeasurementDamaged")
-        place.upload(LOCAL)
-        assert (await place.end(await place.submit())).status == "succeeded"
-
-    race(tmp_path, story)
+async def test_fit_of_a_damaged_file_is_a_system_fault(place: Race, harm: Callable[[Path], Any]) -> None:
+    harm(place.store.blobs.path(place.measurement))
+    row = await place.end(await place.submit())
+    assert row.error is not None
+    assert (row.error["origin"], row.error["type"]) == ("system", "MeasurementDamaged")
+    place.upload(LOCAL)
+    assert (await place.end(await place.submit())).status == "succeeded"
 
 
-def test_queued_fits_alternate_between_owners(tmp_path: Path) -> None:
-    async def story(place: Race) -> None:
-        callers = [Caller("many"), Caller("one"), Caller("two")]
-        for caller in callers:
-            place.upload(caller)
-        of_many = [await place.submit(callers[0], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 5)]
-        of_one = [await place.submit(callers[1])]
-        of_two = [await place.submit(callers[2], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 2)]
-        for key in (*of_many, *of_one, *of_two):
-            await place.end(key)
-        order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]
-        assert place.engine.begun == [str(key) for key in order]
-
-    race(tmp_path, story)
+async def test_queued_fits_alternate_between_owners(place: Race) -> None:
+    callers = [Caller("many"), Caller("one"), Caller("two")]
+    for caller in callers:
+        place.upload(caller)
+    of_many = [await place.submit(callers[0], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 5)]
+    of_one = [await place.submit(callers[1])]
+    of_two = [await place.submit(callers[2], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 2)]
+    for key in (*of_many, *of_one, *of_two):
+        await place.end(key)
+    order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]
+    assert place.engine.begun == [str(key) for key in order]
 
 
 @pytest.mark.parametrize("broken_off", [True, False])
-def test_shutdown_does_not_count_as_an_attempt(tmp_path: Path, broken_off: bool) -> None:
-    async def story(place: Race) -> None:
-        caller = Caller("one")
-        place.upload(caller)
-        key = await place.submit(caller)
-        await place.until_run(1)
-        if not broken_off:
-            await place.jobs.close()
-        (row,) = place.store.resume()  # as the next process does
-        assert (row.key, row.status, row.started) == (key, "accepted", None)
-        assert (row.attempts, row.interruptions) == (0, int(broken_off))
-
-    race(tmp_path, story)
+async def test_shutdown_does_not_count_as_an_attempt(place: Race, broken_off: bool) -> None:
+    caller = Caller("one")
+    place.upload(caller)
+    key = await place.submit(caller)
+    await place.until_run(1)
+    if not broken_off:
+        await place.jobs.close()
+    (row,) = place.store.resume()  # as the next process does
+    assert (row.key, row.status, row.started) == (key, "accepted", None)
+    assert (row.attempts, row.interruptions) == (0, int(broken_off))
 
 
 @pytest.mark.parametrize(
     ("interruptions", "delay"), [(1, None), (8, None), (9, 2.0), (12, 16.0), (13, 30.0), (99, 30.0), (100, "fails")]
 )
-def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interruptions: int, delay: float | str | None
+async def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
+    place: Race, monkeypatch: pytest.MonkeyPatch, interruptions: int, delay: float | str | None
 ) -> None:
     delays, sleep = list[float](), asyncio.sleep
 
@@ -332,17 +304,14 @@ def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
         delays.extend([seconds] if seconds >= 1.0 else [])
         await sleep(0.0 if seconds >= 1.0 else seconds)
 
-    async def story(place: Race) -> None:
-        key = await place.submit()
-        await place.until_run(1)
-        with place.store.database.transaction() as db:
-            db.execute("UPDATE fits SET interruptions = ?", (interruptions - 1,))
-        await place.break_off()
-        monkeypatch.setattr(asyncio, "sleep", record)
-        await place.jobs.start()  # which counts one more
-        error = (await place.end(key)).error or {}
-        assert error.get("type") == ("ServiceInterrupted" if delay == "fails" else None)
-        assert place.engine.runs == (1 if delay == "fails" else 2)
-        assert delays == ([delay] if isinstance(delay, float) else [])
-
-    race(tmp_path, story)
+    key = await place.submit()
+    await place.until_run(1)
+    with place.store.database.transaction() as db:
+        db.execute("UPDATE fits SET interruptions = ?", (interruptions - 1,))
+    await place.break_off()
+    monkeypatch.setattr(asyncio, "sleep", record)
+    await place.jobs.start()  # which counts one more
+    error = (await place.end(key)).error or {}
+    assert error.get("type") == ("ServiceInterrupted" if delay == "fails" else None)
+    assert place.engine.runs == (1 if delay == "fails" else 2)
+    assert delays == ([delay] if isinstance(delay, float) else [])

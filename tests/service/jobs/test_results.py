@@ -16,10 +16,14 @@ from service.storage.schema import FitKey
 from service.storage.store import Store
 from tests.support.stores import LOCAL, add
 
+pytestmark = pytest.mark.anyio
+
 PATIENCE = 60.0  # seconds
 
 
-def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_model_that_is_read_before_its_deletion_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = Store(tmp_path)
     key = store.add_fit(LOCAL, add(store), {}, 1)[0].key
     store.start_fit(key)
@@ -36,17 +40,14 @@ def test_model_that_is_read_before_its_deletion_is_not_kept(tmp_path: Path, monk
     monkeypatch.setattr(store, "result", read_slowly)
     models = ModelCache(store, 8)
 
-    async def story() -> None:
-        reading = asyncio.create_task(models.get(key))
-        async with asyncio.timeout(PATIENCE):
-            while not read.is_set():
-                await asyncio.sleep(0.001)
-        assert store.remove_fit(key)
-        models.forget(key)
-        deleted.set()
-        assert np.array_equal((await reading).model.kappa, model.kappa)  # it was there when it was asked for
-        with pytest.raises(FitNotFoundError):
-            await models.get(key)
-
-    asyncio.run(story())
+    reading = asyncio.create_task(models.get(key))
+    async with asyncio.timeout(PATIENCE):
+        while not read.is_set():
+            await asyncio.sleep(0.001)
+    assert store.remove_fit(key)
+    models.forget(key)
+    deleted.set()
+    assert np.array_equal((await reading).model.kappa, model.kappa)  # it was there when it was asked for
+    with pytest.raises(FitNotFoundError):
+        await models.get(key)
     store.close()

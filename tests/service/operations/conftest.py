@@ -10,11 +10,8 @@ from tests.support.server import Server
 @pytest.fixture(scope="session")
 def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service whose log and metrics nobody else fills."""
-    running = Server(tmp_path_factory.mktemp("watched") / "data", workers="1")
-    try:
-        yield running.start()
-    finally:
-        running.close()
+    with Server.running(tmp_path_factory.mktemp("watched") / "data", workers="1") as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

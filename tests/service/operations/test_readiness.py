@@ -10,7 +10,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
 
-import httpx
 import pytest
 
 from dsbrdf.engines.engine import Engine
@@ -22,6 +21,8 @@ from service.storage.store import Store
 from tests.support.commands import start_in_vain
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
+
+pytestmark = pytest.mark.anyio
 
 
 def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
@@ -108,10 +109,8 @@ def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Ser
 def test_nearly_full_disk_is_not_ready(tmp_path: Path) -> None:
     server = Server(tmp_path / "data", min_free_mb="1000000000")
     try:
-        begin = server.launch()
-        wait_until(lambda: b"Uvicorn running on " in server.log.read_bytes()[begin:], seconds=60)
-        address = server.log.read_text().partition("Uvicorn running on ")[2].split()[0]
-        answer = httpx.get(f"{address}/health/ready", timeout=20)
+        server.connect(server.launch())
+        answer = server.http.get("/health/ready")
         assert "the service needs 1000000000 MB" in assert_problem(answer, 503, "not-ready")
         assert answer.headers["retry-after"]
     finally:
@@ -140,36 +139,30 @@ def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
         yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
 
 
-def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
-    async def ask() -> None:
-        engine = Asked()
-        with with_engine(tmp_path, engine) as ready:
-            assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
-            assert engine.times == 1
-            engine.fault = "No worker is there"
-            await asyncio.sleep(1.1)
-            assert await ready.fault() == "The engine is not ready: No worker is there."
-            assert engine.times == 2
-            ready.stop()
-            assert await ready.fault() == "The service is shutting down."
-
-    asyncio.run(ask())
+async def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
+    engine = Asked()
+    with with_engine(tmp_path, engine) as ready:
+        assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
+        assert engine.times == 1
+        engine.fault = "No worker is there"
+        await asyncio.sleep(1.1)
+        assert await ready.fault() == "The engine is not ready: No worker is there."
+        assert engine.times == 2
+        ready.stop()
+        assert await ready.fault() == "The service is shutting down."
 
 
-def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "LIMIT", 0.5)
 
-    async def ask() -> None:
-        engine = Asked()
-        with with_engine(tmp_path, engine) as ready:
-            engine.hangs.clear()
-            for _ in range(4):
-                fault = await ready.fault()
-                assert fault is not None
-                assert "The engine has not answered" in fault
-            assert engine.times == 1
-            engine.hangs.set()
-            while await ready.fault() is not None:
-                await asyncio.sleep(0.01)
-
-    asyncio.run(ask())
+    engine = Asked()
+    with with_engine(tmp_path, engine) as ready:
+        engine.hangs.clear()
+        for _ in range(4):
+            fault = await ready.fault()
+            assert fault is not None
+            assert "The engine has not answered" in fault
+        assert engine.times == 1
+        engine.hangs.set()
+        while await ready.fault() is not None:
+            await asyncio.sleep(0.01)

@@ -34,16 +34,11 @@ def lines_of(server: Server, request_id: str, requests: int = 1) -> list[dict[st
     return found()
 
 
-@pytest.mark.parametrize("given", ["abc", "A-b_c.9", "x" * 64])
-def test_valid_request_id_is_kept(watched: Server, given: str) -> None:
-    answer = watched.http.get("/health/live", headers={"X-Request-ID": given})
-    assert answer.headers.get_list("x-request-id") == [given]
-
-
-@pytest.mark.parametrize("given", ["", "x" * 65, "a b", "a;b", 'a"b', "\u00e9"])
-def test_invalid_request_id_is_replaced(watched: Server, given: str) -> None:
+@pytest.mark.parametrize("given", ["abc", "A-b_c.9", "x" * 64, "", "x" * 65, "a b", "a;b", 'a"b', "\u00e9"])
+def test_valid_request_id_is_kept_and_any_other_replaced(watched: Server, given: str) -> None:
     answer = watched.http.get("/health/live", headers=[(b"X-Request-ID", given.encode("latin-1"))])
-    assert re.fullmatch("[0-9a-f]{16}", answer.headers["x-request-id"])
+    (told,) = answer.headers.get_list("x-request-id")
+    assert told == given if given in ("abc", "A-b_c.9", "x" * 64) else re.fullmatch("[0-9a-f]{16}", told)
 
 
 @pytest.mark.parametrize(

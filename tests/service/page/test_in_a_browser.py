@@ -113,7 +113,18 @@ def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) ->
 
 
 def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    for panel, unit in (("#plot", "θ_half"), ("#polar-plot", "θ_out")):
+        page.locator(f"{panel} svg").hover(position={"x": 200, "y": 100})
+        expect(page.locator(f"{panel}-legend")).to_contain_text(f"at {unit}")
+        expect(page.locator(f'{panel}-legend [data-label="red, fit"] b')).to_have_text(re.compile(r" [\d.e-]+$"))
+    curve = site.http.get(f"/fits/{fit}/polar/45", headers=site.header).json()
+    place = re.search(r"at θ_out (-?[\d.]+)°", page.locator("#polar-plot-legend").inner_text())
+    assert place is not None
+    at = np.abs(np.array(curve["theta_out_deg"]) - float(place[1])).argmin()
+    told = page.locator('#polar-plot-legend [data-label="red, fit"] b').inner_text()
+    assert float(told) == pytest.approx(curve["fit"][0][at], rel=0.01)
     curves = page.locator("#polar-plot .curve")
     components = page.locator("[data-component]").count()
     expect(curves).to_have_count(3 + 3 * components)
@@ -137,8 +148,18 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
         assert picture.evaluate("image => image.naturalWidth") > 100
 
 
-def test_page_of_a_fit_has_pictures_and_downloads(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
+def test_page_of_a_fit_has_a_verdict_pictures_themes_and_downloads(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    value = site.http.get(f"/v1/fits/{fit}", headers=site.header).json()["metrics"]["psnr"]
+    expect(page.locator("#metrics-title")).to_have_text(re.compile(rf"[A-Z][a-z ]+: {value:.1f} dB"))
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
+    page.get_by_text("More metrics").click()
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_visible()
+    for scheme, inversion in (("light", "none"), ("dark", "invert")):
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]  # one of these words
+        shown = page.locator(".drawn img").first.evaluate("image => getComputedStyle(image).filter")
+        assert shown.startswith(inversion)
     page.set_viewport_size({"width": 390, "height": 844})
     expect(page.locator("#pictures img")).to_have_count(3)
     for name in ("measured", "fitted", "difference × 4"):
@@ -193,7 +214,7 @@ def test_likeness_of_two_spheres_is_that_of_their_pictures(visit: Visit, site: S
     file = tmp_path / "dark.binary"
     write_merl(file, synthetic_measurement(diffuse=(0.02, 0.05, 0.02)))
     fits = [site.fits["glossy"], site.submit(file.read_bytes(), "dark", method="paper", n_lobes=1)]
-    page = visit(f"/compare?fit={fits[0]}&fit={fits[1]}", device_scale_factor=0.5).page
+    page = visit(f"/compare?fit={fits[0]}&fit={fits[1]}").page
     expect(page.locator(PAINTED)).to_have_count(2)
     expect(page.locator("#likeness")).to_contain_text("dB")
     size = page.locator("canvas").first.evaluate("canvas => canvas.width")
@@ -250,21 +271,6 @@ def test_upload_is_cancelled(visit: Visit, plastic_file: Path, guarded: Guarded)
     expect(page.get_by_text("Drop measurements here")).to_be_visible()
 
 
-def test_values_under_the_pointer_stand_in_the_legend(visit: Visit, site: Site) -> None:
-    fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
-    for panel, unit in (("#plot", "θ_half"), ("#polar-plot", "θ_out")):
-        page.locator(f"{panel} svg").hover(position={"x": 200, "y": 100})
-        expect(page.locator(f"{panel}-legend")).to_contain_text(f"at {unit}")
-        expect(page.locator(f'{panel}-legend [data-label="red, fit"] b')).to_have_text(re.compile(r" [\d.e-]+$"))
-    curve = site.http.get(f"/fits/{fit}/polar/45", headers=site.header).json()
-    place = re.search(r"at θ_out (-?[\d.]+)°", page.locator("#polar-plot-legend").inner_text())
-    assert place is not None
-    at = np.abs(np.array(curve["theta_out_deg"]) - float(place[1])).argmin()
-    told = page.locator('#polar-plot-legend [data-label="red, fit"] b').inner_text()
-    assert float(told) == pytest.approx(curve["fit"][0][at], rel=0.01)
-
-
 def test_fit_is_renamed(visit: Visit, site: Site) -> None:
     page = visit(f"/fits/{site.fits['rough']}").page
     names = iter(("<b>matt & dry", "rough"))
@@ -273,27 +279,6 @@ def test_fit_is_renamed(visit: Visit, site: Site) -> None:
         page.locator("#controls").wait_for()  # the page's script has run
         page.locator("#rename").click()
         expect(page.locator("h1")).to_have_text(name)
-
-
-def test_verdict_stands_before_the_metrics(visit: Visit, site: Site) -> None:
-    fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
-    value = site.http.get(f"/v1/fits/{fit}", headers=site.header).json()["metrics"]["psnr"]
-    expect(page.locator("#metrics-title")).to_have_text(re.compile(rf"[A-Z][a-z ]+: {value:.1f} dB"))
-    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
-    page.get_by_text("More metrics").click()
-    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_visible()
-
-
-def test_figures_follow_the_dark_theme(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
-    filters = []
-    schemes: list[Literal["light", "dark"]] = ["light", "dark"]
-    for scheme in schemes:
-        page.emulate_media(color_scheme=scheme)
-        filters.append(page.locator(".drawn img").first.evaluate("image => getComputedStyle(image).filter"))
-    assert filters[0] == "none"
-    assert filters[1].startswith("invert")
 
 
 def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site) -> None:

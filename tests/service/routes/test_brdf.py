@@ -10,6 +10,7 @@ import pytest
 import dsbrdf
 from dsbrdf.output.serialize import from_json
 from service.wire.points import NPY
+from tests.support.points import npy
 from tests.support.server import Server, assert_problem
 
 FROM_NPY = {"Content-Type": NPY}
@@ -39,12 +40,6 @@ def directions(count: int, seed: int) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def as_text(vectors: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
     return [",".join(repr(float(x)) for x in vector) for vector in vectors]
-
-
-def npy(array: Any) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, np.asarray(array))
-    return buffer.getvalue()
 
 
 def close(answer: httpx.Response, expected: Any) -> None:

@@ -1,6 +1,5 @@
 """Components over HTTP: readable, adding up to the fit, absent without light."""
 
-import asyncio
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,9 @@ from service.storage.schema import FitKey
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
+pytestmark = pytest.mark.anyio
+
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
-
-
-@pytest.fixture(scope="session")
-def model(server: Server, fitted: str) -> dsbrdf.DSBRDF:
-    """The model of the fit, without loss."""
-    return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
 
 
 @pytest.fixture(scope="session")
@@ -90,14 +85,6 @@ def test_a_component_without_light_is_not_found(server: Server, fitted: str, mod
         assert detail == f"The fit has no component {absent}: it has {there}."
 
 
-@pytest.mark.parametrize("label", ["spike", "4", "guide", "specular%20lobe"])
-def test_an_unknown_label_is_an_invalid_argument(server: Server, fitted: str, label: str) -> None:
-    url = f"/v1/fits/{fitted}/components/{label}/brdf"
-    for answer in (server.http.get(url, params={"theta_half_deg": 5, "theta_diff_deg": 20}), server.http.post(url)):
-        detail = assert_problem(answer, 422, "invalid-argument")
-        assert "specular_spike, specular_lobe, diffuse" in detail
-
-
 def test_the_fits_document_leads_with_the_components(server: Server, fitted: str) -> None:
     fit = server.http.get(f"/v1/fits/{fitted}").json()
     assert fit["components"] == items_of(server, fitted)
@@ -152,12 +139,9 @@ def black() -> dsbrdf.DSBRDF:
     return dsbrdf.DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), shape, shape, interpolation="linear")
 
 
-def test_a_black_fit_has_no_components() -> None:
-    async def check() -> None:
-        black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
-        assert black_fit.components == []
-        with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-            black_fit.part("diffuse")
-        assert raised.value.kind == "not-found"
-
-    asyncio.run(check())
+async def test_a_black_fit_has_no_components() -> None:
+    black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
+    assert black_fit.components == []
+    with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
+        black_fit.part("diffuse")
+    assert raised.value.kind == "not-found"

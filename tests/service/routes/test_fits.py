@@ -178,7 +178,7 @@ def test_client_cancels_or_deletes_only(server: Server, stored: str) -> None:
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:
-    fit_id = server.submit(stored, prefer="respond-async", n_lobes=8, mask=0.15).json()["id"]
+    fit_id = server.submit(stored, prefer="respond-async", n_lobes=4, mask=0.15).json()["id"]
     with server.http.stream("GET", f"/v1/fits/{fit_id}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         lines = list(stream.iter_lines())

@@ -1,19 +1,12 @@
 """Points that are none are refused, with a sentence that names the fault."""
 
-import io
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support.points import npy
 from tests.support.server import Server, assert_problem
-
-
-def npy(array: Any) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, np.asarray(array))
-    return buffer.getvalue()
 
 
 @pytest.mark.parametrize(

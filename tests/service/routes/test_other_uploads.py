@@ -19,6 +19,7 @@ from dsbrdf.output.serialize import from_json
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
+from tests.support.soak import repeats
 
 MODEL = mixture(2, 0)
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
@@ -37,23 +38,28 @@ def table() -> bytes:
     return "\n".join([HEAD, *(",".join(map(repr, row)) for row in rows), ""]).encode()
 
 
+@pytest.fixture(scope="module")
+def merl(bsdf: bytes) -> bytes:
+    """The MERL file that the service makes of the RGL file."""
+    return encode_merl(parse_rgl(bsdf).measurement())
+
+
 def post(server: Server, content: bytes, name: str, media_type: str = "application/octet-stream") -> httpx.Response:
     return server.http.post(
         "/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": media_type}
     )
 
 
-def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes) -> None:
-    expected = encode_merl(parse_rgl(bsdf).measurement())
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes, merl: bytes) -> None:
     answer = post(server, bsdf, "paint.bsdf")
     assert answer.status_code == 201, answer.text
     document = answer.json()
     assert document["name"] == "paint"
-    assert document["sha256"] == hashlib.sha256(expected).hexdigest()
-    assert document["size"] == len(expected)
-    assert document["valid_nodes"] == dsbrdf.parse_merl(expected).valid.sum()
+    assert document["sha256"] == hashlib.sha256(merl).hexdigest()
+    assert document["size"] == len(merl)
+    assert document["valid_nodes"] == dsbrdf.parse_merl(merl).valid.sum()
     assert post(server, bsdf, "paint.BSDF").status_code == 200
-    assert server.http.get(answer.headers["location"]).content == expected
+    assert server.http.get(answer.headers["location"]).content == merl
     picture = server.http.get(f"{answer.headers['location']}/figures/sphere.png?size=16")
     assert picture.headers["content-type"] == "image/png"
 
@@ -79,11 +85,23 @@ def test_a_table_is_stored_as_it_was_sent(server: Server, table: bytes, name: st
     assert file.headers["content-disposition"] == 'attachment; filename="felt.txt"'
 
 
-def test_a_table_is_fitted_as_by_the_library_and_has_no_pictures(server: Server, table: bytes) -> None:
+def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
+    own_server: Callable[..., Server], table: bytes, bsdf: bytes, merl: bytes
+) -> None:
+    server = own_server()
+    places = [post(server, table, "felt.csv"), post(server, bsdf, "paint.bsdf")]
+    server.stop(9)
+    server.start()
+    files = [server.http.get(answer.headers["location"]).content for answer in places]
+    assert files == [table, merl]
+    assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
+
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
     answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt"}, content=table, headers=headers)
     fit = answer.json()
     assert fit["status"] == "succeeded", fit
+    document = {"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
+    assert server.http.post("/v1/fits", json=document).json()["id"] == fit["id"]
     expected = dsbrdf.fit(parse_samples(table), n_lobes=1, ring_lobes=0)
     exported = server.http.get(f"/v1/fits/{fit['id']}/export?format=json").text
     assert_same_bits(from_json(exported)[0], expected.model)
@@ -103,16 +121,7 @@ def test_a_table_is_fitted_as_by_the_library_and_has_no_pictures(server: Server,
         assert f"{fit['measurement']}/figures" not in text.text
 
 
-def test_what_was_stored_is_there_after_a_kill(own_server: Callable[..., Server], table: bytes, bsdf: bytes) -> None:
-    server = own_server()
-    places = [post(server, table, "felt.csv"), post(server, bsdf, "paint.bsdf")]
-    server.stop(9)
-    server.start()
-    files = [server.http.get(answer.headers["location"]).content for answer in places]
-    assert files == [table, encode_merl(parse_rgl(bsdf).measurement())]
-    assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
-    fit = server.http.post("/v1/fits", json={"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1}})
-    assert fit.json()["status"] == "succeeded"
+N_ROWS = repeats(100_000, 2_000_000)
 
 
 def changed(bsdf: bytes, **fields: object) -> bytes:
@@ -134,7 +143,7 @@ ATTACKS: dict[str, tuple[str, Callable[[bytes], bytes], int, str]] = {
     "a MERL file": ("a.bsdf", lambda _: bytes(100_000), 422, "not a tensor file"),
     "an RGL file without its suffix": ("a", lambda bsdf: bsdf, 422, "is an RGL .bsdf file"),
     "a million columns": ("a.csv", lambda _: f"{HEAD}{',x' * 1_000_000}\n".encode(), 422, "split into cells"),
-    "a million rows": ("a.csv", lambda _: b"theta_in,theta_out,value\n" + b",,\n" * 1_000_000, 422, "0 samples"),
+    "rows without end": ("a.csv", lambda _: b"theta_in,theta_out,value\n" + b",,\n" * N_ROWS, 422, "0 samples"),
     "no numbers": ("a.csv", lambda _: f"{HEAD}\n{'nan,' * 8}nan\n".encode() * 300, 422, "in the column"),
     "no text": ("a.txt", lambda _: bytes(range(256)) * 100, 422, "is not a text"),
     "too long": ("a.csv", lambda _: b"#" * ((1 << 23) + 1), 413, "at most 8388608 bytes here"),

@@ -7,16 +7,15 @@ from collections.abc import Callable
 import httpx
 import numpy as np
 
+from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 
 NPY = "application/x-npy"
 
 
 def npy_batch(server: Server, fit: str, count: int) -> httpx.Response:
-    body = io.BytesIO()
-    np.save(body, np.zeros((count, 3)))
     headers = {"Content-Type": NPY, "Accept": NPY}
-    return server.http.post(f"/v1/fits/{fit}/brdf", content=body.getvalue(), headers=headers)
+    return server.http.post(f"/v1/fits/{fit}/brdf", content=npy(np.zeros((count, 3))), headers=headers)
 
 
 def json_batch(server: Server, fit: str, count: int) -> httpx.Response:

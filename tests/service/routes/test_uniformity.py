@@ -59,32 +59,6 @@ def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored:
     assert server.http.get(f"/v1/fits/{fitted}").status_code == 200
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        "/v1/fits?limit=1&limit=2",
-        "/v1/measurements?cursor=1&cursor=1",
-        "/v1/fits/{fit}?wait=0&wait=1",
-        "/v1/fits/{fit}/export?format=csv&format=json",
-        "/v1/fits/{fit}/figures/sphere.png?size=16&size=32",
-    ],
-)
-def test_parameter_that_is_given_twice_is_refused(server: Server, fitted: str, target: str) -> None:
-    detail = assert_problem(server.http.get(target.replace("{fit}", fitted)), 422, "invalid-argument")
-    assert "more than once" in detail
-    assert target.partition("?")[2].partition("=")[0] in detail
-
-
-@pytest.mark.parametrize("number", ["1_0", "%D9%A1%D9%A0"])
-def test_what_only_python_takes_for_a_number_is_none(server: Server, fitted: str, number: str) -> None:
-    fit = f"/v1/fits/{fitted}"
-    for target in ("/v1/fits?limit=", f"{fit}?wait=", f"{fit}/figures/sphere.png?size=", f"{fit}/brdf?theta_half_deg="):
-        detail = assert_problem(server.http.get(f"{target}{number}"), 422, "invalid-argument")
-        assert target.rpartition("?")[2].rstrip("=") in detail
-    for part in ("profiles", "polar"):
-        assert_problem(server.http.get(f"/fits/{fitted}/{part}/{number}"), 404)
-
-
 def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False, access_log="true")
     server.http.get("/v1/fits", headers={"X-Forwarded-For": "203.0.113.9"})

@@ -1,7 +1,6 @@
 """A file whose bytes are not its name's is never served as if they were, whoever reads it."""
 
 import os
-import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -41,25 +40,23 @@ def replace_by_link(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tuple[Server, str]]:
-    """A service with one measurement, and its id; each test leaves the file whole."""
-    server = Server(tmp_path_factory.mktemp("damage") / "data")
-    try:
-        yield server, server.start().http.post("/v1/measurements", content=data).json()["sha256"]
-    finally:
-        server.close()
+def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tuple[Server, str, str]]:
+    """A service with one measurement and a fit, and their ids; each test leaves the file whole."""
+    with Server.running(tmp_path_factory.mktemp("damage") / "data") as server:
+        fit = server.http.post("/v1/fits", params=QUICK, content=data).json()
+        yield server, fit["measurement"], fit["id"]
 
 
-HARMS: list[Callable[[Path], None]] = [flip, cut, lengthen, Path.unlink, replace_by_pipe, replace_by_link]
+# The last one lets everything be read again, which is kept in memory then.
+HARMS: list[Callable[[Path], None]] = [cut, lengthen, Path.unlink, replace_by_pipe, replace_by_link, flip]
 
 
 @pytest.mark.parametrize("harm", HARMS)
 def test_every_reader_refuses_a_damaged_file_in_the_same_way(
-    used: tuple[Server, str], data: bytes, harm: Callable[[Path], None]
+    used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], None]
 ) -> None:
-    server, sha256 = used
-    masks = [0.01 * HARMS.index(harm), 0.1 + 0.01 * HARMS.index(harm)]  # fits that no other test has
-    fit = server.submit(sha256, **QUICK, mask=masks[0]).json()["id"]
+    server, sha256, fit = used
+    options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # of a fit that no other test has
     url = f"/v1/measurements/{sha256}"
     readers = {
         url: {},
@@ -79,22 +76,20 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
         for reader, headers in readers.items()
     }
     assert server.http.head(url).status_code == 404
-    answer = server.submit(sha256, **QUICK, mask=masks[1]).json()
+    answer = server.submit(sha256, **options).json()
     assert answer["error"]["type"] == "MeasurementDamaged"
     assert said == {answer["error"]["message"]}
     with Client(str(server.http.base_url)) as client:
         assert client.upload(data) == sha256  # it asks whether one is needed
     for reader, headers in readers.items() if harm is flip else [(url, {})]:
         assert server.http.get(reader, headers=headers).is_success, reader
-    assert server.submit(sha256, **QUICK, mask=masks[1]).json()["status"] == "succeeded"
+    assert harm is not flip or server.submit(sha256, **options).json()["status"] == "succeeded"
 
 
-def test_download_of_a_file_that_changes_meanwhile_is_broken_off(used: tuple[Server, str], data: bytes) -> None:
-    server, sha256 = used
-    url = server.http.base_url
+def test_download_of_a_file_that_changes_meanwhile_is_broken_off(used: tuple[Server, str, str], data: bytes) -> None:
+    server, sha256, _ = used
     (path,) = server.files()
-    with socket.create_connection((url.host, url.port or 80), timeout=60) as connection:
-        connection.sendall(f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: {url.host}\r\n\r\n".encode())
+    with server.connection(f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()) as connection:
         answer = bytearray(connection.recv(1000))
         with path.open("r+b") as file:  # the connection does not hold as much as that
             file.seek(-9, os.SEEK_END)

@@ -24,12 +24,9 @@ from tests.support.stores import add
 
 def begin_upload(server: Server, header: dict[str, str], data: bytes) -> socket.socket:
     """Send a part of an upload and leave it in progress."""
-    url = server.http.base_url
     lines = ["POST /v1/measurements HTTP/1.1", "Host: x", f"Content-Length: {len(data)}"]
     lines += [f"{name}: {value}" for name, value in header.items()]
-    connection = socket.create_connection((url.host, url.port), timeout=60)
-    connection.sendall("\r\n".join([*lines, "", ""]).encode() + data[:200_000])
-    return connection
+    return server.connection("\r\n".join([*lines, "", ""]).encode() + data[:200_000])
 
 
 def test_uploads_in_progress_count_towards_the_quota(own_server: Callable[..., Server], data: bytes) -> None:
