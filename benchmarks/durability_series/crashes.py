@@ -33,7 +33,7 @@ _PATIENCE = 60.0  # seconds; on a busy machine everything takes longer
 def server_killed(harness: Harness, times: int) -> str:
     """Kill the server at random moments under load; start it again at once."""
     models = harness.models(*OPTIONS)
-    clients = [StatefulClient(number, harness, models) for number in range(min(_CLIENTS, 2 * times))]
+    clients = [StatefulClient(number, harness, models) for number in range(min(_CLIENTS, times))]
     with harness.server(workers="2") as server:
         server.start()
         for _ in range(times):
