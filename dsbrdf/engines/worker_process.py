@@ -6,6 +6,7 @@ that happens.
 """
 
 import logging
+import mmap
 import multiprocessing
 import os
 import signal
@@ -36,6 +37,7 @@ _EXIT_TIMEOUT = 5.0  # seconds that a process has to end after it has sent its o
 _ENDED_FROM_OUTSIDE = tuple(
     -getattr(signal, name) for name in ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT") if hasattr(signal, name)
 )
+_LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
 _OUT_OF_MEMORY = 75  # exit code of a process that could not send its outcome
 _UNKNOWN_EXIT = 255  # reported by multiprocessing when the fork server is gone
 
@@ -63,7 +65,7 @@ class WorkerProcess:
     """One process and the pipe on which it sends its progress and, last, its outcome.
 
     It is forked from a server that has the library loaded, never from this process: it shares neither its memory nor
-    its connections.  On systems without fork servers it is started as a new interpreter, which takes longer.  The step
+    its connections. On systems without fork servers it is started as a new interpreter, which takes longer. The step
     is an importable function of picklable arguments, and of a callback that takes the finished share, 0 to 1.
     """
 
@@ -203,10 +205,18 @@ def _memory_is_limited() -> bool:
 
 
 def _limit_memory(memory_mb: int | None) -> None:
-    """Limit the address space, unless what started the service has set a narrower limit for all that it starts."""
+    """Limit the address space, unless what started the service has set a narrower limit for all that it starts.
+
+    Raises MemoryError if the process has nearly as much already: what goes wrong then need not be an exception, as the
+    stack cannot grow either.
+    """
     _, most = resource.getrlimit(resource.RLIMIT_AS)
     if memory_mb is not None and (most == resource.RLIM_INFINITY or memory_mb << 20 < most):
         resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
+    try:
+        mmap.mmap(-1, _LEAST_MEMORY).close()
+    except OSError:
+        raise MemoryError from None
 
 
 class _LogToParent(logging.Handler):
