@@ -1,9 +1,9 @@
 """The fit against plain SciPy Algorithm 1, for the same number of lobes, on the same machine.
 
 Plain SciPy is one ``least_squares(method="lm")`` call for each lobe, slice, channel and EM iteration on the raw
-samples: the oracle that the tests hold the fit against.  It needs minutes for a material, so four slices of one
+samples: the oracle that the tests hold the fit against. It needs minutes for a material, so four slices of one
 channel are run for as many iterations as the batch needed there, and their time per iteration is multiplied by the
-iterations of the whole material; ``--full`` runs every slice instead.  Where both did the same number of iterations
+iterations of the whole material; ``--full`` runs every slice instead. Where both did the same number of iterations
 their curves are compared.
 """
 

@@ -1,8 +1,8 @@
 """The default fit compared with the paper's procedure and with other models that a user could choose.
 
-One row for each way to describe a material, medians over the materials.  All see the same samples and are scored on all
+One row for each way to describe a material, medians over the materials. All see the same samples and are scored on all
 of them with the definitions of `dsbrdf.fitting.metrics`; the columns "0-75" do so on theta_diff 0 to 75 degrees only,
-the paper's own range.  Peak memory is what Python allocates during the fit of the first material, the measurement
+the paper's own range. Peak memory is what Python allocates during the fit of the first material, the measurement
 itself left out; the time is taken apart from it.
 """
 
@@ -77,7 +77,7 @@ def of_table(numbers: int) -> Method:
     """Return the method that stores a table over theta_diff and theta_half, and interpolates linearly.
 
     The nodes are evenly spaced in the grid's own indices, over the rows and columns with data; their values are those
-    of least squares, which is better than thinning out the measurement.  Of some shapes the best is taken.
+    of least squares, which is better than thinning out the measurement. Of some shapes the best is taken.
     """
 
     def describe(measurement: Measurement) -> Fitted:

@@ -1,7 +1,7 @@
 """How true the components are: where the truth is known, and where a highlight lies over the diffuse part.
 
 Known: 15 synthetic materials, GGX on the diffuse term of `dsbrdf.data.synthetic`, five roughnesses on three grounds
-with 2 % noise.  The diffuse albedo at normal incidence, channels added, and the colour of the highlight are compared.
+with 2 % noise. The diffuse albedo at normal incidence, channels added, and the colour of the highlight are compared.
 
 On measurements: the diffuse part at theta_half below 12 degrees, as a share of its largest value from 8 to 40 degrees,
 at theta_diff 0, 30 and 45 degrees in every channel where it holds 5 % of the light.

@@ -1,7 +1,7 @@
 """How the cost of a fit grows: with the number of lobes, of knots, and of materials in one and two processes.
 
-Medians over the materials, from the file to the report; every process has one thread.  The table has one row for each
-setting: seconds for a material, and numbers stored.  The rows for many materials are wall time from the files, with the
+Medians over the materials, from the file to the report; every process has one thread. The table has one row for each
+setting: seconds for a material, and numbers stored. The rows for many materials are wall time from the files, with the
 processes already started; an advantage from two processes needs two idle cores.
 """
 

@@ -1,8 +1,8 @@
 """What the service does under kills, many clients and a full disk: one row a series, with its target and its result.
 
 Every series has a real server to itself, in a process of its own, and looks at it from outside: its answers, its
-database, its files, and the processes that the operating system shows.  Random moments come from a generator whose
-seed is printed.  The exit code is 1 if a row is missed.
+database, its files, and the processes that the operating system shows. Random moments come from a generator whose
+seed is printed. The exit code is 1 if a row is missed.
 """
 
 import argparse

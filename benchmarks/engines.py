@@ -1,9 +1,9 @@
 """Fits per second with one and two workers, on this machine and on a Dask cluster; and a cluster that is broken.
 
 Every fit is the default one of the same measurement, over HTTP with a mask so small that it masks nothing; the rate
-is that of so many fits begun at once, after two to warm up.  Two workers need two idle cores.  The cluster is started
-as docs/cluster.md says, and two files are read at once, as by default on two cores.  With --breaks, a service whose
-cluster loses workers and schedulers while it computes: every fit has to succeed.  The exit code is 1 if a row
+is that of so many fits begun at once, after two to warm up. Two workers need two idle cores. The cluster is started
+as docs/cluster.md says, and two files are read at once, as by default on two cores. With --breaks, a service whose
+cluster loses workers and schedulers while it computes: every fit has to succeed. The exit code is 1 if a row
 is missed.
 """
 

@@ -1,16 +1,16 @@
 """What other programs make of a material: the error of each export's round trip, lit spheres, and sampling.
 
 Mitsuba 3 opens a fit as the BSDF ``dsbrdf`` and as ``.bsdf`` (RGB and spectral), and the measurement itself as
-``.bsdf``.  The columns:
+``.bsdf``. The columns:
 
 - values: median and, for the BSDF, largest relative difference from what was exported, at 10,000 pairs of directions,
-  half of them near the mirror direction; values below 1e-3 /sr count as 1e-3.  "far" is the share of the pairs at which
+  half of them near the mirror direction; values below 1e-3 /sr count as 1e-3. "far" is the share of the pairs at which
   the ``.bsdf`` file of the fit is more than 10 % off.
 - spheres: PSNR under three lights against the sphere of the measurement, of this library's own picture of the fit, of
   Mitsuba's pictures, and of the nearest OpenPBR surface, rendered by this library, whose values of it are those of
-  MaterialX's shaders.  Pixels are means over points, and those on the edge are left out.
+  MaterialX's shaders. Pixels are means over points, and those on the edge are left out.
 - sampling: variance of the weights times the time of a sample, of the cosine's sampling divided by the model's: how
-  many times the work the cosine needs for the same error; and samples per second.  Means over theta_out 0, 30, 60, 75
+  many times the work the cosine needs for the same error; and samples per second. Means over theta_out 0, 30, 60, 75
   degrees, of this library (NumPy) and of the BSDF in Mitsuba (LLVM).
 """
 

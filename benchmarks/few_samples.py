@@ -1,10 +1,10 @@
 """Fits of few samples: errors at pairs of directions that none of them is near to, with 2 % noise.
 
 Samples are 200, 1,000 or 5,000 pairs within 80 degrees, half of them where the material reflects, or 805 in five planes
-of incidence.  The error is that of the means over the channels, relative to the measurement, at 6,000 other pairs:
-median and 95th percentile.  "table" is the fit of the whole measurement, which is what more samples lead to.  "said" is
+of incidence. The error is that of the means over the channels, relative to the measurement, at 6,000 other pairs:
+median and 95th percentile. "table" is the fit of the whole measurement, which is what more samples lead to. "said" is
 the relative_rms at the samples of the fit, "true" that at the other pairs; "warned" if the report says that samples
-left out of a fit tell of a larger error.  What
+left out of a fit tell of a larger error. What
 materials are usually like is told by all but the one that is fitted.
 """
 

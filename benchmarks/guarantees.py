@@ -3,7 +3,7 @@
 For each material 1,000,000 random pairs above the horizon and 200,000 within 3 degrees of the mirror direction (a tenth
 of the theta_out of these at grazing angles): negative and non-finite values, the largest relative difference of f(in,
 out) and f(out, in), and of steps of 0.001 degrees of theta_half, theta_diff and phi_diff the largest change of f, as a
-share of the largest f within a fifth of a degree of theta_half.  Components are checked for negative values and for
+share of the largest f within a fifth of a degree of theta_half. Components are checked for negative values and for
 their sum.
 """
 

@@ -1,6 +1,6 @@
 """Accuracy and time of the fit on every material of a folder, in this process or through a running service.
 
-The folder is the one that ``DSBRDF_REFERENCE_DATA`` names; without it three synthetic materials are fitted.  With
+The folder is the one that ``DSBRDF_REFERENCE_DATA`` names; without it three synthetic materials are fitted. With
 ``--http`` the materials are sent to a service; their time is then that of the whole exchange, and nearly nothing for a
 fit that the service already has.
 """

@@ -1,7 +1,7 @@
 """Error against numbers stored: the default fit with 1 to 8 lobes beside the automatic one.
 
 For each number of lobes, without rings: medians over the materials of the numbers stored and of what the report
-says of the error.  The automatic fit stands below, so that one sees what it gives away and what it saves.
+says of the error. The automatic fit stands below, so that one sees what it gives away and what it saves.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Outliers: what samples a hundred times too large cost the robust fit.
 
-One sample in a hundred, of each channel by itself and with a fixed seed, is multiplied by 100.  The table shows
+One sample in a hundred, of each channel by itself and with a fixed seed, is multiplied by 100. The table shows
 relative_rms against the data without outliers: of the robust fit to these, of the robust fit to the data with
-outliers, and the ratio of the two.  Another ratio is that of the robust fit to the data without the nodes that were
+outliers, and the ratio of the two. Another ratio is that of the robust fit to the data without the nodes that were
 hit: what it differs from 1 by is not the outliers' doing, but that other lobes are found on slightly other data.
 """
 

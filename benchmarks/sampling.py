@@ -1,7 +1,7 @@
 """Variance of the model's own sampling against that of a rough surface.
 
 The other way to sample draws one half from the visible normals of GGX (Heitz 2018), with the roughness that has the
-least variance for this material and angle, and the other half from the cosine of the normal.  Both variances are those
+least variance for this material and angle, and the other half from the cosine of the normal. Both variances are those
 of f cos(theta_in) / pdf, mean over the channels, as a share of the squared directional albedo, estimated from the same
 directions; "below" is the share of the model's directions below the horizon.
 """

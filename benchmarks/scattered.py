@@ -1,7 +1,7 @@
 """Fits of scattered samples: of known mixtures without noise, and of measurements with 2 % noise.
 
 The first table has a row for each mixture of 1, 2 or 3 lobes: largest relative deviations of the parameters from the
-true ones over the lobes, the channels and four angles theta_diff, and the relative RMS over the samples.  The second
+true ones over the lobes, the channels and four angles theta_diff, and the relative RMS over the samples. The second
 has one for each measurement: the relative RMS, within 80 degrees, on 20,000 other samples without noise, of fits of few
 and of many samples, beside that of the fit of the whole table.
 """

@@ -1,6 +1,6 @@
 """Synthetic mixtures of 1, 2 and 3 lobes with noise: how often their number is found, and how well their parameters.
 
-Run with ``python -m benchmarks selection --seeds 20``.  Every seed draws another material (which lobes, how wide, how
+Run with ``python -m benchmarks selection --seeds 20``. Every seed draws another material (which lobes, how wide, how
 high, how elongated, how they change towards grazing angles and with the channel) and other noise.
 """
 

@@ -1,7 +1,7 @@
 """How fast the service is on this machine: one row for each target, with the target and the measured value.
 
-The service is the real one, in a process of its own on the loopback address.  Rates are medians of several runs, and
-what is compared with something (FastAPI alone, the library) alternates with it in the same run.  The exit code is 1 if
+The service is the real one, in a process of its own on the loopback address. Rates are medians of several runs, and
+what is compared with something (FastAPI alone, the library) alternates with it in the same run. The exit code is 1 if
 a row is missed; other work on the machine makes rows miss.
 """
 

@@ -2,7 +2,7 @@
 
 Columns: the time of an evaluation over that of GGX (Smith's masking, Schlick's Fresnel, a Lambertian ground), of the
 model, of the guide, which is the components' own lobes, and of the model with its components; their PSNR on a sphere
-under three lights against the measurement.  The browser's renderer is SwiftShader, which computes on the processor: a
+under three lights against the measurement. The browser's renderer is SwiftShader, which computes on the processor: a
 graphics card will show other ratios.
 """
 

@@ -1,6 +1,6 @@
 """What slow and greedy clients cost the service and the others: one row for each target.
 
-The service is the real one, in a process of its own on the loopback address.  The exit code is 1 if a row is missed;
+The service is the real one, in a process of its own on the loopback address. The exit code is 1 if a row is missed;
 other work on the machine makes the rows with times miss, and those with bytes do not depend on it.
 """
 

@@ -1,7 +1,7 @@
 """A mixed load for a long time, and the memory, descriptors, threads and disk that the server uses meanwhile.
 
-The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log.  Drift is the median over the last
-fifth of the time against the median over the second fifth; the first fifth is warm-up.  The exit code is 1 if there was
+The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log. Drift is the median over the last
+fifth of the time against the median over the second fifth; the first fifth is warm-up. The exit code is 1 if there was
 an answer of 500 or more or any other wrong one, if memory has drifted by more than 2 %, or if descriptors have not
 stayed flat: their median may not grow by more than 3, and when the clients have gone there are as many as before they
 came, but for 3.

@@ -1,14 +1,14 @@
 """Fewer measured rows of theta_half: the default fit against interpolation of the table (Nishino 2009, figure 5).
 
 Every 2nd, 4th, 8th, 16th or 32nd node of theta_half is kept, the others are marked invalid; relative_rms is taken on
-the full measurement, and the PSNR of a lit sphere under three lights and in the environment.  The table is
+the full measurement, and the PSNR of a lit sphere under three lights and in the environment. The table is
 interpolated linearly along theta_half for each theta_diff and phi_diff, between the kept valid nodes, those
-beyond the horizon cutoff included, which the fit does not see.  Beyond the last valid node its value is held, before
-the first too; a line without any valid node is 0.  Linear in theta_half and linear in the table's index (theta_half is
+beyond the horizon cutoff included, which the fit does not see. Beyond the last valid node its value is held, before
+the first too; a line without any valid node is 0. Linear in theta_half and linear in the table's index (theta_half is
 spaced by squares) are both tried for each material and factor, and the better one counts.
 
-That table keeps 180 values over phi_diff for every theta_diff.  Where the kept rows are close enough it goes below the
-bivariate floor, which no model that ignores phi_diff can reach however good it is.  So the same interpolation of the
+That table keeps 180 values over phi_diff for every theta_diff. Where the kept rows are close enough it goes below the
+bivariate floor, which no model that ignores phi_diff can reach however good it is. So the same interpolation of the
 table of means over phi_diff is shown too: it has the floor in common with the fit, and still more than ten times
 its numbers.
 """

@@ -1,7 +1,7 @@
 """How much the components change when the data change a little.
 
 Each material is fitted as it is, with the horizon cutoff at 76 instead of 80 degrees, with 1 % noise, and with every
-second row of theta_diff left out.  The change of a component is that of its directional albedo at normal incidence,
+second row of theta_diff left out. The change of a component is that of its directional albedo at normal incidence,
 channels added, as a share of it; components that hold less than 1 % of the albedo do not count.
 """
 

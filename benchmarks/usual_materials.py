@@ -1,6 +1,6 @@
 """Make ``dsbrdf/fitting/usual_materials.npz`` anew: the readable lobes of every material of ``DSBRDF_REFERENCE_DATA``.
 
-Each material is fitted with the default options, and its guide with one highlight to the fit.  With ``--output`` the
+Each material is fitted with the default options, and its guide with one highlight to the fit. With ``--output`` the
 file is written; without, its difference from the one in place is printed: median and largest, of logarithms.
 """
 

@@ -1,6 +1,6 @@
 """Builds the documentation and checks its links: ``python docs/build.py [FOLDER]``, what ``make docs`` does.
 
-A warning is an error.  The pages are in the subfolder ``html``; FOLDER is ``docs/_build`` unless it is named.
+A warning is an error. The pages are in the subfolder ``html``; FOLDER is ``docs/_build`` unless it is named.
 """
 
 import json

@@ -8,7 +8,7 @@
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
 Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, fitting,
-output, engines, cli.  One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
+output, engines, cli. One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
 `dsbrdf.output.export`.
 """
 

@@ -292,7 +292,7 @@ def _in_thread(
 class AsyncClient:
     """Connection to a service for programs with an event loop: parameters, methods and errors are those of `Client`.
 
-    Each call runs in a thread, at most 100 at once; a `progress` is called in that thread.  A call that is cancelled
+    Each call runs in a thread, at most 100 at once; a `progress` is called in that thread. A call that is cancelled
     returns at once, and its thread ends with its fit or with the connections.
     """
 

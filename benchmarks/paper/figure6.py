@@ -1,7 +1,7 @@
 """Figure 6: the space of materials, an Isomap embedding of the parameters of 3-lobe fits.
 
 The coordinates of a material are log(kappa) and log(gamma) of the three lobes of each channel, at theta_diff = 0 (18
-numbers, the paper's figure) or at all slices (324 numbers).  Logarithms, because both run over orders of magnitude;
+numbers, the paper's figure) or at all slices (324 numbers). Logarithms, because both run over orders of magnitude;
 every coordinate is divided by its standard deviation over the materials.
 """
 

@@ -3,10 +3,10 @@
     f_c = diffuse_c / pi + sum_l weight_lc [f0_lc + (1 - f0_lc) (1 - cos theta_diff)^5] D_l V_l
 
 with the GGX distribution D and the height-correlated Smith visibility V (Walter et al. 2007; Heitz 2014), Schlick's
-Fresnel term, one roughness alpha for each lobe, and RGB weights and reflectances f0 (Schlick 1994).  For given
+Fresnel term, one roughness alpha for each lobe, and RGB weights and reflectances f0 (Schlick 1994). For given
 roughnesses the model is linear in weight f0 and weight (1 - f0), both of which must not be negative: that gives the
 starts, the best of all pairs on a grid of roughnesses by non-negative least squares, and with them a baseline that does
-not fail for want of a good start.  Every start is polished in all unknowns by `scipy.optimize.least_squares` with
+not fail for want of a good start. Every start is polished in all unknowns by `scipy.optimize.least_squares` with
 analytic derivatives.
 
 V depends on phi_diff, so the samples are fitted and not their means: every n-th node, staggered over the three axes so

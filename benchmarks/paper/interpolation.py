@@ -1,7 +1,7 @@
 """Materials between two others: the parameters of both, interpolated, and lit spheres of what they give.
 
 Both are fitted with the same structure, `LOBES` lobes about the normal, whose lobes are matched by their order from
-narrow to wide: of all matchings the one that changes widths least.  Amplitude, kappa and the reach of a lobe, which
+narrow to wide: of all matchings the one that changes widths least. Amplitude, kappa and the reach of a lobe, which
 decides its half width, run geometrically from one material to the other, elongation linearly.
 """
 

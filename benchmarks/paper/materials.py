@@ -1,7 +1,7 @@
 """Materials of a folder, their fits, and what is computed of them.
 
-Whatever is computed of a material is kept in a folder beside the figures.  A run that was interrupted goes on from
-there, and figures share their fits.  A kept result counts for the same file, settings and version of the algorithm.
+Whatever is computed of a material is kept in a folder beside the figures. A run that was interrupted goes on from
+there, and figures share their fits. A kept result counts for the same file, settings and version of the algorithm.
 """
 
 import warnings

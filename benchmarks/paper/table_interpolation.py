@@ -1,6 +1,6 @@
 """A measurement with fewer rows of theta_half, and the table that is interpolated linearly between them.
 
-What the table predicts on a row of theta_half has the shape (3, 90 theta_diff, 180 phi_diff).  Beyond the first and the
+What the table predicts on a row of theta_half has the shape (3, 90 theta_diff, 180 phi_diff). Beyond the first and the
 last kept value of a line of theta_half, that value is held; a line without any is 0.
 """
 

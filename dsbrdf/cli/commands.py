@@ -1,6 +1,6 @@
 """The commands of ``dsbrdf`` as an application of cyclopts, which reads the command line and writes the help.
 
-cyclopts belongs to the extra ``cli``.  The module of a command is imported when the command is called.
+cyclopts belongs to the extra ``cli``. The module of a command is imported when the command is called.
 """
 
 import shutil

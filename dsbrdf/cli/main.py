@@ -1,6 +1,6 @@
 """The command ``dsbrdf``.
 
-Angles are in degrees on the command line, BRDF values in 1/sr, colours in the order red, green, blue.  Exit codes:
+Angles are in degrees on the command line, BRDF values in 1/sr, colours in the order red, green, blue. Exit codes:
 0 success; 2 bad usage or bad input, with one sentence on stderr; 130 interrupted; 1 any other failure.
 
 The commands are those of `dsbrdf.cli.commands`, which is imported only here, because it needs the extra ``cli``.

@@ -47,7 +47,8 @@ Format = Annotated[
         metavar="FORMAT",
         choices=tuple(FORMATS),
         show_choices=False,
-        help=f"By default that of the file's suffix. {_FORMAT_HELP}. All hold the guide, those of values a component.",
+        help=f"By default that of the file's suffix. {_FORMAT_HELP}. Each can hold the guide, those with values "
+        "also one component.",
     ),
 ]
 

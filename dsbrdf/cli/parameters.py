@@ -62,7 +62,7 @@ _ANGLES = Parameter(converter=_radians, n_tokens=1, show_default=_degrees, metav
 class FitFlags(FitOptions):
     """`FitOptions` with angles in degrees; a field that is not repeated here is an option as it is."""
 
-    __doc__ = (FitOptions.__doc__ or "").replace("[rad]", "[degrees]").replace("None", "none").replace("`", "")
+    __doc__ = (FitOptions.__doc__ or "").replace("[rad]", "[degrees]").replace("None", '"none"').replace("`", "")
 
     n_lobes: _Count = FitOptions.n_lobes
     ring_lobes: _Count = FitOptions.ring_lobes

@@ -10,7 +10,7 @@ from pathlib import Path
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
     """Write parts to a file; one that exists is replaced in one step, so that no process ever sees half of it.
 
-    They are written to a temporary file in the same folder first.  After an error, `path` is unchanged and the
+    They are written to a temporary file in the same folder first. After an error, `path` is unchanged and the
     temporary file is removed; an OSError names `path`.
     """
     target = Path(path)

@@ -39,8 +39,8 @@ def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, A
     Returns
     -------
     theta_half, theta_diff, phi_diff : ndarray, shape (...)
-        Radians; ``phi_diff`` is in [0, 2 pi).  Opposite directions, possible only at the horizon, have no half vector;
-        the normal is used instead.  Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
+        Radians; ``phi_diff`` is in [0, 2 pi). Opposite directions, possible only at the horizon, have no half vector;
+        the normal is used instead. Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
     """
     first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
     total = first + second
@@ -117,7 +117,7 @@ def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: Arr
 def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2) -> Mask:
     """Return whether both directions are above the horizon and at most `cutoff`, in (0, pi/2], from the normal [rad].
 
-    The cutoff itself is inside; the horizon is not.  Raises InvalidArgumentError if the cutoff is out of range.
+    The cutoff itself is inside; the horizon is not. Raises InvalidArgumentError if the cutoff is out of range.
     """
     if not 0.0 < cutoff <= np.pi / 2:
         raise InvalidArgumentError(

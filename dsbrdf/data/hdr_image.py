@@ -1,7 +1,7 @@
 """Pictures of radiance: Radiance ``.hdr`` files, and OpenEXR ``.exr`` files with the extra ``exr``.
 
 A Radiance file (Ward 1991, "Real pixels") is a header of text lines, an empty line, ``-Y height +X width``, and rows of
-pixels of four bytes: three mantissas and one exponent.  In a row that begins with 2, 2 and its length, each of the four
+pixels of four bytes: three mantissas and one exponent. In a row that begins with 2, 2 and its length, each of the four
 is stored on its own: a byte n above 128 and one to be repeated n - 128 times, or a byte n and n others.
 """
 

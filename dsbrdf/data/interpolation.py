@@ -1,7 +1,7 @@
 """A measurement at any angles: linear interpolation of its logarithm between the nodes of the grid.
 
 The axes are the grid's own: ``sqrt(theta_half)``, in which the rows are evenly spaced, ``theta_diff`` and ``phi_diff``,
-which is periodic with period pi because reciprocity makes column 180 the column 0.  The logarithm follows highlights,
+which is periodic with period pi because reciprocity makes column 180 the column 0. The logarithm follows highlights,
 which fall by orders of magnitude from node to node, far better than the value does.
 
 A node without a value takes that of the nearest one along theta_diff, along which reflectance changes slowest.
@@ -27,7 +27,7 @@ _POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache
 class InterpolatedMeasurement:
     """Values of a measurement at any angles; see `interpolate`.
 
-    `source` has for each node the flat index of the node whose value it takes: its own where it has one.  C = 3 if some
+    `source` has for each node the flat index of the node whose value it takes: its own where it has one. C = 3 if some
     node has values in some channels only, else 1.
     """
 

@@ -26,7 +26,7 @@ class Measurement:
     scale : ndarray, shape (3,)
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
-        Nodes with a value, one >= 0, in some channel, and both directions strictly above the horizon, read-only.  A
+        Nodes with a value, one >= 0, in some channel, and both directions strictly above the horizon, read-only. A
         negative number means no value in its channel: a saturated yellow is darker in blue than noise, and has red and
         green all the same.
     name : str

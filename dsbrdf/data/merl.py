@@ -87,7 +87,7 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
 def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
     """Return a measurement whose file has been checked before: it is mapped, neither read whole nor checked again.
 
-    The file, whose digest is `sha256`, must not change as long as the measurement is used.  A ValueError says that it
+    The file, whose digest is `sha256`, must not change as long as the measurement is used. A ValueError says that it
     is shorter than a measurement.
     """
     source = Path(path)

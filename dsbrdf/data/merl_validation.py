@@ -74,8 +74,8 @@ def check_length(n_bytes: int) -> None:
 class MerlChecker:
     """Check the bytes of a MERL file piece by piece, in bounded memory.
 
-    Pass all bytes in order to `update`, then call `finish`.  Only two bits per node are kept, 0.4 MB, so that many
-    uploads can be checked at the same time.  `n_bytes` is the number of bytes so far.
+    Pass all bytes in order to `update`, then call `finish`. Only two bits per node are kept, 0.4 MB, so that many
+    uploads can be checked at the same time. `n_bytes` is the number of bytes so far.
     """
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class MerlChecker:
     def update(self, piece: bytes | bytearray | memoryview) -> None:
         """Check the next bytes, of any length.
 
-        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes.  Wrong values are
+        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes. Wrong values are
         reported by `finish`, because the message contains their number.
         """
         view = memoryview(piece).cast("B")
@@ -198,7 +198,7 @@ class _FaultCount:
 def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
     """Check a whole file; return its numbers (3, 90, 90, 180), its valid nodes (90, 90, 180), and its sha256.
 
-    The numbers are a read-only view of the data.  A MeasurementFormatError says what is wrong and what would be right.
+    The numbers are a read-only view of the data. A MeasurementFormatError says what is wrong and what would be right.
     """
     view = memoryview(data).cast("B")
     check_header(view)

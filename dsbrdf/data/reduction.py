@@ -5,12 +5,12 @@ The model does not depend on phi_diff, so the squared error of any such model ``
 
     sum_phi w (f - m)**2 = W (mean - m)**2 + within,
 
-with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a constant of the data.  A fit on the
+with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a constant of the data. A fit on the
 `Profiles` is therefore a fit on all 4.4 million samples, and the sum of ``within`` is the **bivariate floor**
 that no model of this kind can go below.
 
 A reciprocal isotropic material is the same at phi_diff, -phi_diff and pi - phi_diff, and so is the model with
-elongated lobes.  For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at
+elongated lobes. For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at
 the mean of cos(phi_diff)**2.
 
 This is the only place that decides which samples count, and how much.
@@ -68,7 +68,7 @@ class Profiles:
     ----------
     mean, weight, within : ndarray, shape (3, 90, 90)
         Weighted mean [1/sr], summed weight, and summed weighted squared deviation from the mean [1/sr^2] over
-        phi_diff, for each (channel, theta_diff, theta_half).  Where ``weight`` is 0 the others are 0.
+        phi_diff, for each (channel, theta_diff, theta_half). Where ``weight`` is 0 the others are 0.
     folded : FoldedProfiles
         The same samples with their phi_diff, and those beyond the cutoff too.
     horizon_cutoff : float or None
@@ -201,7 +201,7 @@ def _outlier_weights(samples: Array, used: Mask) -> Array:
     """1 near the median over phi_diff, falling to 0 far from it, in units of the third quartile of the deviations.
 
     The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations
-    would see the larger group alone and take the other one for outliers.  Without outliers all weights are 1.
+    would see the larger group alone and take the other one for outliers. Without outliers all weights are 1.
     """
     masked = np.where(used, samples, np.nan)
     median = _nanmedian(masked)

@@ -1,6 +1,6 @@
 """What files of the RGL material database are made of: tensor files, and warps (Dupuy and Jakob 2018, section 4).
 
-A tensor file has named arrays one after the other.  All numbers are little-endian:
+A tensor file has named arrays one after the other. All numbers are little-endian:
 
     "tensor_file" 0x00, version 1 0 (two bytes), number of fields (uint32), and for each field
     length of the name (uint16), name, number of axes (uint16), type (uint8), offset of the data (uint64),

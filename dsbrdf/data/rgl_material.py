@@ -1,13 +1,13 @@
 """RGL ``.bsdf`` files of isotropic materials: bytes -> values at any directions -> `Measurement`.
 
 The file is a tensor file with, for each angle theta_i of the first direction, a warp ``vndf`` of the unit square and
-values ``rgb`` on a regular grid over the square that it is warped from.  With u, v the half vector in the square, and
+values ``rgb`` on a regular grid over the square that it is warped from. With u, v the half vector in the square, and
 (x, y) what the warp takes there,
 
     f cos(theta_out) = rgb(x, y) ndf(u, v) / (4 sigma(theta_i)),
     theta_half = pi/2 u**2,    azimuth of the half vector from the first direction = (2 v - 1) pi
 
-(Dupuy and Jakob 2018, section 4).  Between two theta_i everything is linear, as in Mitsuba 3.
+(Dupuy and Jakob 2018, section 4). Between two theta_i everything is linear, as in Mitsuba 3.
 """
 
 import hashlib

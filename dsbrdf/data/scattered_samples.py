@@ -1,6 +1,6 @@
 """Scattered samples: values of a BRDF at any pairs of directions, and the files of text that they are read from.
 
-`dsbrdf.data.text_table` finds the cells of a file, `dsbrdf.data.sample_columns` what they mean.  What a measurement
+`dsbrdf.data.text_table` finds the cells of a file, `dsbrdf.data.sample_columns` what they mean. What a measurement
 leaves behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or
 below the horizon, small negative values, vectors that are nearly of unit length.
 """

@@ -86,7 +86,7 @@ def synthetic_measurement(
 def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
     """Return a measurement with the values of a model at all nodes, those below the horizon being marked invalid.
 
-    Noise, seed and name are as for `synthetic_measurement`.  Raises MeasurementFormatError if the model's values are
+    Noise, seed and name are as for `synthetic_measurement`. Raises MeasurementFormatError if the model's values are
     not an acceptable measurement, such as NaN.
     """
     above = nodes_above_horizon()

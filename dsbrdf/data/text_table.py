@@ -2,7 +2,7 @@
 
 Cells are separated by commas, semicolons, tabs or blanks; where it is not the comma, numbers may have a decimal comma.
 Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and lines
-without a known name may stand before it.  A line below the names without any number gives the units.
+without a known name may stand before it. A line below the names without any number gives the units.
 """
 
 import codecs
@@ -55,7 +55,7 @@ class TextTable:
 def parse_text_table(data: bytes, is_known: Callable[[str], bool]) -> TextTable:
     """Return the table in the bytes of a text.
 
-    `is_known` says whether a cell is the name of a known column: the line with most of them names the columns.  A
+    `is_known` says whether a cell is the name of a known column: the line with most of them names the columns. A
     MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
     lines = _text(data).splitlines()

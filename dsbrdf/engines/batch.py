@@ -61,7 +61,7 @@ def fit_files(
 ) -> Generator[FileFit, None, None]:
     """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
 
-    Every model is written completely or not at all, as soon as its fit is done.  Closing the iterator ends the
+    Every model is written completely or not at all, as soon as its fit is done. Closing the iterator ends the
     processes.
 
     Parameters
@@ -72,13 +72,13 @@ def fit_files(
     folder : Path, optional
         Where to write ``NAME.json`` for each file; made if it does not exist.
     jobs : int, optional
-        Most fits at once; by default one for each processor core.  With a scheduler: most measurements read at once.
+        Most fits at once; by default one for each processor core. With a scheduler: most measurements read at once.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute the fits, see `dsbrdf.engines.dask`.
     engine : Engine, optional
         Where to compute instead; it is started and closed here.
     force : bool, optional
-        Fit every file again.  Otherwise a fit in the folder is kept if it is newer than its measurement and was made
+        Fit every file again. Otherwise a fit in the folder is kept if it is newer than its measurement and was made
         with the same options by the same version of the algorithm.
     progress : callable, optional
         Called with the number of finished files, fractions included.

@@ -38,9 +38,9 @@ logger = logging.getLogger(__name__)
 class DaskEngine:
     """Engine whose fits run on a Dask cluster, as many at once as its workers have threads.
 
-    `helpers` is the most worker processes of this machine at once, which read measurements.  As many fits are prepared
-    in advance if Dask workers run on other machines, so that these need not wait.  The `limits` hold for each process,
-    here and on the Dask workers.  Raises MissingExtraError if Dask distributed is not installed.
+    `helpers` is the most worker processes of this machine at once, which read measurements. As many fits are prepared
+    in advance if Dask workers run on other machines, so that these need not wait. The `limits` hold for each process,
+    here and on the Dask workers. Raises MissingExtraError if Dask distributed is not installed.
     """
 
     def __init__(self, scheduler: str, helpers: int, limits: FitLimits | None = None) -> None:

@@ -61,8 +61,8 @@ class DecomposedFit(FitResult):
 class Fault:
     """A fit that failed.
 
-    ``input``: the measurement or the options do not allow a fit.  ``compute``: the computation failed, or reached its
-    time or memory limit.  ``system``: the process was lost for a reason outside of the fit.
+    ``input``: the measurement or the options do not allow a fit. ``compute``: the computation failed, or reached its
+    time or memory limit. ``system``: the process was lost for a reason outside of the fit.
     """
 
     origin: Origin

@@ -2,7 +2,7 @@
 
     compute:             file -> result
 
-    reduce_measurement:  file -> profiles, or scattered samples as they are
+    reduce_measurement: file -> profiles, or scattered samples as they are
     fit_reduced:         these -> result, of profiles without metrics, perhaps on another machine
     complete_report:     that result, same file -> result
 

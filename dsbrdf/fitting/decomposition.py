@@ -1,15 +1,15 @@
 """Specular spike, specular lobe and diffuse part of a model: readable lobes, and what share of the model is whose.
 
-The lobes of an accurate model lean on each other and cannot be told apart into components.  The `guide`'s can: it is
-fitted to the model's own values, so that any model has a decomposition.  With the guide's lobes g_j, their sum g, and
+The lobes of an accurate model lean on each other and cannot be told apart into components. The `guide`'s can: it is
+fitted to the model's own values, so that any model has a decomposition. With the guide's lobes g_j, their sum g, and
 s_j = g_j / g, the components of a model f are
 
     diffuse = min(f, g_d (1 + (f / g - 1) w)),      specular_j = (f - diffuse) g_j / (g - g_d),
 
-with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(8 degrees))**4.  Where the highlight rules, s_d = 0 and the
+with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(8 degrees))**4. Where the highlight rules, s_d = 0 and the
 diffuse part is the guide's, smooth; where the diffuse part rules, s_d = 1, it is all of f; but about the mirror
-direction, where q is small, what the guide misses is a halo of the highlight.  The components sum to f, and none is
-negative.  A component is there only if it has light.
+direction, where q is small, what the guide misses is a halo of the highlight. The components sum to f, and none is
+negative. A component is there only if it has light.
 """
 
 from __future__ import annotations

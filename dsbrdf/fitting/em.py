@@ -1,6 +1,6 @@
 """Algorithm 1 of Nishino 2009 on a batch of slices: expectation-maximisation for mixtures of hemi-EPDs.
 
-A slice is the profile of one channel at one theta_diff.  The E-step gives every lobe its share of the data,
+A slice is the profile of one channel at one theta_diff. The E-step gives every lobe its share of the data,
 
     q_k(theta) = l_k(theta) / sum_j l_j(theta),
 
@@ -12,9 +12,9 @@ where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherica
 its normalisation (eqs. 3 and 5): gamma = 0 is a constant, a Lambertian lobe, gamma -> infinity a mirror.
 
 Because q depends on theta_half only, the sum over the raw samples and the sum over the profile differ by a
-constant, so that the algorithm runs exactly on `Profiles`.  All slices, channels and lobes iterate together:
+constant, so that the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together:
 each Levenberg-Marquardt step is one pass over an array of shape (problems, theta_half) and a 2 x 2 system in
-(log kappa, log gamma) for each problem.  A step needs the paper's lobe, which is not divided by its height, and its two
+(log kappa, log gamma) for each problem. A step needs the paper's lobe, which is not divided by its height, and its two
 derivatives in the same few operations; `dsbrdf.model.lobes` would compute four more and a division to be undone.
 """
 
@@ -104,9 +104,9 @@ def fit_slices(
     """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice, of angles (N,) [rad].
 
     `mean` and `weight` (slices, N) are the data [1/sr] and their weights, 0 for what is not to be used; every slice
-    needs some weight.  The EM `iterations` are bounded.  A `robust` fit weights large residuals of each M-step down
-    (Huber's weights about the mixture of the last iteration).  `largest_kappa` (slices,) keeps a lobe from growing
-    where there are no samples.  `on_iteration` is called with the number of each iteration.
+    needs some weight. The EM `iterations` are bounded. A `robust` fit weights large residuals of each M-step down
+    (Huber's weights about the mixture of the last iteration). `largest_kappa` (slices,) keeps a lobe from growing
+    where there are no samples. `on_iteration` is called with the number of each iteration.
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER, (len(mean), 1))
@@ -184,7 +184,7 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: 
     """Fit every lobe alone to its share q_k L of the data, `targets` (slices, lobes, N), from log-parameters `start`.
 
     The log-parameters, and those returned, have the shape (slices, lobes, 2); `upper` (slices, 2) are the largest
-    allowed, by default those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS`.  `log_cos` (N,) and `weights` (slices, N) are those
+    allowed, by default those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS`. `log_cos` (N,) and `weights` (slices, N) are those
     of the samples.
     """
     slices, lobes, n = targets.shape

@@ -2,7 +2,7 @@
 
 Where the paper fits slices one by one and then interpolates, this fits all rows of theta_diff at once, up to the
 horizon, with the parameters' control values as unknowns: the data between the knots count, and a lobe keeps its
-identity from knot to knot and from channel to channel.  The mixture is grown on thinned rows and columns, then refined
+identity from knot to knot and from channel to channel. The mixture is grown on thinned rows and columns, then refined
 on most of them.
 """
 
@@ -69,8 +69,8 @@ def fit_global(
     """Fit all rows at once, and return the model and the same as a mixture.
 
     `split` has what lobes are fitted to during the search, and what tells whether a lobe pays; without it, other rows
-    and columns of the data tell.  `progress` is called with the share of the work done, `on_stage` with the name of
-    each stage that has ended.  Raises FitError if the options leave no data to fit.
+    and columns of the data tell. `progress` is called with the share of the work done, `on_stage` with the name of
+    each stage that has ended. Raises FitError if the options leave no data to fit.
     """
     weight = fit_weights(data, options)
     coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)

@@ -2,18 +2,18 @@
 
 Unknowns are the control values of every lobe's log amplitude in each channel, of its log kappa, log gamma and, for ring
 lobes, center, and of its elongation; between knots they follow the B-splines of `dsbrdf.model.splines`, which are
-linear in the unknowns: ``parameters(row) = sum_d B[row, d] x[d]``.  With the analytic derivatives J of a row's values
+linear in the unknowns: ``parameters(row) = sum_d B[row, d] x[d]``. With the analytic derivatives J of a row's values
 with respect to the row's parameters,
 
     normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
 An amplitude concerns its own channel only and a shape all three, so that J^T W J of a row is put together from one
-small product of lobes and derivatives for each channel.  The method is Levenberg-Marquardt with the damping update of
-Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held.  A convex
+small product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of
+Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held. A convex
 combination of values within bounds is within them too, so that nothing has to be clipped between knots.
 
 A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
-control values.  Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
+control values. Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
 What is known of the lobes beforehand can be added as a `Prior`.
 """
 
@@ -47,7 +47,7 @@ class FitData:
     """Values at points that lie in R rows of equal theta_diff, with the weights that the fit gives them.
 
     There are N angles theta_half in each row, the same for all rows (N,) or each row's own (R, N), and P values of
-    phi_diff at each.  Angles are in radians.
+    phi_diff at each. Angles are in radians.
     """
 
     mean: Array  # (3, R, N, P)
@@ -251,7 +251,7 @@ def minimize(
     """Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
 
     An iteration stalls that lowers the cost by less than the share `tolerance`; at most so many steps are tried, and
-    `on_iteration` is called with the number of each.  The unknowns that are `fixed` keep the value they start from.
+    `on_iteration` is called with the number of each. The unknowns that are `fixed` keep the value they start from.
     """
     at = problem.evaluate(problem.structure.limit(start))
     matrix, gradient = problem.linearize(at)

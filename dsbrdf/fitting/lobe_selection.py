@@ -7,15 +7,15 @@ For K = 1, 2, ... lobes and each block, a slice of a channel (Nishino 2009, sect
 where p is the mixture normalised over the nodes that the slice has, L_n the data and v_n the solid angle of node n; a
 hundredth of a uniform density is mixed into p, so that a tail in which a fit has underflowed does not decide alone.
 
-The largest K is the control; dose i = 1 ... k takes i lobes away, which can only make E_p larger.  With means X over r
+The largest K is the control; dose i = 1 ... k takes i lobes away, which can only make E_p larger. With means X over r
 blocks (Williams 1971, Biometrics 27:103-117; 1972, Biometrics 28:519-531),
 
     M_i = max_{u <= i} min_{v >= i} mean(X_u, ..., X_v),    t_i = (M_i - X_0) / sqrt(2 s^2 / r),
 
-s^2 being the residual mean square after removing row and block effects.  The largest dose is tested first, and dose i,
+s^2 being the residual mean square after removing row and block effects. The largest dose is tested first, and dose i,
 against the critical value of i doses, only if every larger one was significant.
 
-Critical values are exact.  Under the null let z_i be independent standard normal: M_k <= c says that the random walk
+Critical values are exact. Under the null let z_i be independent standard normal: M_k <= c says that the random walk
 with the steps z_k - c, z_(k-1) - c, ... stays at or below 0, of which the probability is (Spitzer 1956, Trans. AMS
 82:323-339)
 
@@ -61,7 +61,7 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
     """Compare every number of lobes with the largest; the first that is not significant is the choice.
 
     Row ``K - 1`` of the statistic (n_lobes_max, n_blocks) holds the expected negative log probability of the fit with K
-    lobes in each (slice, channel) block; smaller is better, and the last row is the control.  `alpha` is the
+    lobes in each (slice, channel) block; smaller is better, and the last row is the control. `alpha` is the
     significance level of the one-sided test.
 
     Where the residual variance is zero, up to rounding, as it is with a single block, there is no Student-like
@@ -95,7 +95,7 @@ def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: floa
     """One-sided critical value of Williams' test with equal group sizes (Williams 1971).
 
     The statistic of the largest dose exceeds it with probability `alpha`, from 1e-6 to below 0.5, if no dose has an
-    effect; `n_doses` are those beside the control.  Computed, not tabulated: see the top of this file.
+    effect; `n_doses` are those beside the control. Computed, not tabulated: see the top of this file.
     """
     # The largest dose alone is Student's t, a lower bound; no trailing mean has a larger variance, so that
     # Bonferroni's inequality gives an upper bound. Both are widened for rounding.
@@ -179,7 +179,7 @@ def choose_n_lobes(
     """Fit every number of lobes and choose one; return it, and a row for 1, 2, ... lobes.
 
     The slices have profiles mean, weight and within (slices, N) at nodes theta_half (N,) [rad]; `within` is the squared
-    error that no mixture can avoid.  `fit_slices` fits them with a number of lobes.
+    error that no mixture can avoid. `fit_slices` fits them with a number of lobes.
     """
     # More lobes than half of the nodes of a slice would fit anything.
     largest = int(np.clip(np.count_nonzero(weight, axis=1).min() // 2, 1, LARGEST_AUTOMATIC))

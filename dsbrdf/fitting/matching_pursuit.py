@@ -1,14 +1,14 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
-After a single lobe come those of the `guide`: one highlight and one diffuse lobe.  A new lobe is looked for where the
+After a single lobe come those of the `guide`: one highlight and one diffuse lobe. A new lobe is looked for where the
 current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, with the
 amplitudes of the others free to answer (orthogonal matching pursuit), and the one that explains most is fitted together
-with all the others; while lobes are few, the best near the normal and the best far from it are both tried.  Lobes about
-the normal and ring lobes compete on the same terms.  All channels get the same new lobe.
+with all the others; while lobes are few, the best near the normal and the best far from it are both tried. Lobes about
+the normal and ring lobes compete on the same terms. All channels get the same new lobe.
 
 Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
-lower the error there.  Growth ends at once where the residual looks like noise, that is where neighbouring samples of
-phi_diff deviate independently.  A mixture of lobes about the normal that gets there is taken instead of one with rings.
+lower the error there. Growth ends at once where the residual looks like noise, that is where neighbouring samples of
+phi_diff deviate independently. A mixture of lobes about the normal that gets there is taken instead of one with rings.
 """
 
 from collections.abc import Callable
@@ -98,8 +98,8 @@ def grow(
 ) -> tuple[Mixture, list[GrowthStep]]:
     """Grow a mixture, and return it with the lobes that were tried.
 
-    Mixtures are fitted to the data `fitted` and judged by those `held_out`.  The structure `empty` has no lobes, but
-    the knots and the family; numbers of lobes are as in `FitOptions`.  `on_try` is called before each fit.
+    Mixtures are fitted to the data `fitted` and judged by those `held_out`. The structure `empty` has no lobes, but
+    the knots and the family; numbers of lobes are as in `FitOptions`. `on_try` is called before each fit.
     """
     curves = {candidate: _curve(fitted, candidate, empty.family) for candidate in _candidates()}
     mixture, steps, only_noise = Mixture(empty, np.zeros(0)), list[GrowthStep](), False

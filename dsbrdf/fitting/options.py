@@ -63,7 +63,7 @@ class FitOptions:
     method : {"global", "paper"}
         "global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.
     ring_lobes : int or "auto"
-        How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains most.  The
+        How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains most. The
         method "paper" has none.
     lobe : {"hemi_epd", "student"}
         Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
@@ -71,12 +71,12 @@ class FitOptions:
         Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
         [rad]; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
     variation : {"full", "parametric"}
-        How lobes change with theta_diff.  "full" has splines with several knots; "parametric" has a few coefficients a
+        How lobes change with theta_diff. "full" has splines with several knots; "parametric" has a few coefficients a
         lobe, 5 of each channel's amplitude and one shape for all theta_diff: a third of the numbers for about a third
-        more error.  The method "paper" has values at every slice, "full".
+        more error. The method "paper" has values at every slice, "full".
     horizon_cutoff : float or None
         Samples with a direction further than this from the normal are left out of the metrics and of the method
-        "paper"; the method "global" trusts them less, down to nothing at the horizon [rad].  None is the horizon.
+        "paper"; the method "global" trusts them less, down to nothing at the horizon [rad]. None takes all samples.
     mask : float or None
         Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
         mask) for "global", 1 for "paper".

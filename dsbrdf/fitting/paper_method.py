@@ -1,7 +1,7 @@
 """The paper's procedure: Algorithm 1 on each of 18 slices of theta_diff, 5 degrees apart (Nishino 2009, section 6).
 
 The lobes are matched across slices by sorting on kappa; kappa and gamma run linearly between slices; a delta term takes
-what is left where theta_half < 1 degree.  The number of lobes, if it is not given, is chosen by Williams' test.
+what is left where theta_half < 1 degree. The number of lobes, if it is not given, is chosen by Williams' test.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ _SEARCH_SHARE = 0.8  # of the work, where the number of lobes is chosen
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
     """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
 
-    `progress` is called with the share of the work done.  Raises FitError if the options leave no data to fit.
+    `progress` is called with the share of the work done. Raises FitError if the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
     data_slices = _slices(data, rows, options)

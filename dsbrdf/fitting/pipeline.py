@@ -57,13 +57,13 @@ def fit(
     ----------
     measurement : Measurement, Profiles, ScatteredSamples, path-like or ndarray
         A path names a file that `dsbrdf.read_measurement` reads; an array has the shape (3, 90, 90, 180), see
-        `Measurement.from_values`.  Of scattered samples, which are fitted without a grid in between, only relative_rms
-        and male are known.  Profiles must have been made with the options' horizon cutoff, weighting and robustness;
+        `Measurement.from_values`. Of scattered samples, which are fitted without a grid in between, only relative_rms
+        and male are known. Profiles must have been made with the options' horizon cutoff, weighting and robustness;
         the metrics need the samples and are None then, see `add_sample_metrics`.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
     progress : callable, optional
-        Called with the share of the work done, 0 to 1, at least once an iteration.  What it raises ends the fit and
+        Called with the share of the work done, 0 to 1, at least once an iteration. What it raises ends the fit and
         reaches the caller.
     **choices
         Single options by name, such as ``n_lobes=2``, instead of ``options``.
@@ -80,7 +80,7 @@ def fit(
     Warns
     -----
     ConvergenceWarning
-        If the fit, or slices of it, stopped at the bound on the iterations.  The report's `warnings` have this one too.
+        If the fit, or slices of it, stopped at the bound on the iterations. The report's `warnings` have this one too.
     """
     options = _options(options, choices)
     measurement = _read(measurement)
@@ -143,7 +143,7 @@ def _fit_samples(
     """Fit samples in bins, again with the samples moved to their bins by the model found, then where they are.
 
     Values of the usual material, with little weight, tell what no sample tells; where a fit of all parameters follows
-    the samples worse than that material, it is the model.  A robust fit ends in the bins, where it compares samples
+    the samples worse than that material, it is the model. A robust fit ends in the bins, where it compares samples
     with their neighbours.
     """
     if options.method != "global":

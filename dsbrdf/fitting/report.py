@@ -192,7 +192,7 @@ class FitResult:
         Parameters
         ----------
         measurement : Measurement, optional
-            What was fitted.  With it, the figure has its profiles, the fit and the lobes; without, the parameters over
+            What was fitted. With it, the figure has its profiles, the fit and the lobes; without, the parameters over
             theta_diff.
         """
         from dsbrdf.output.notebook import plot_result

@@ -1,8 +1,8 @@
 """Scattered samples as what the fit works on, without a table in between.
 
 For the search a sample is put into the nearest of the rows and columns of the grid that the fit uses, and into its bin
-of phi_diff.  There the model has another value than where the sample was taken.  Once there is a model, the sample is
-multiplied by the ratio of the two.  The last fits take each sample where it is, but for its theta_diff, which is moved
+of phi_diff. There the model has another value than where the sample was taken. Once there is a model, the sample is
+multiplied by the ratio of the two. The last fits take each sample where it is, but for its theta_diff, which is moved
 by less than a degree: there the ratio is near 1.
 """
 

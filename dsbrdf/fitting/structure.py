@@ -5,8 +5,8 @@ Gamma and center are not unknowns themselves, but
     log reach = log fall_to_half(kappa) - log gamma,
     center = offset where positive, else limit * expm1(offset / limit),
 
-where a lobe falls to half its height and how far its peak lies from the normal.  So kappa, which trades against gamma,
-changes while the half width stays, and each bound concerns one unknown.  The limit of a negative center, a cusp, is the
+where a lobe falls to half its height and how far its peak lies from the normal. So kappa, which trades against gamma,
+changes while the half width stays, and each bound concerns one unknown. The limit of a negative center, a cusp, is the
 half width, and at most `WIDEST_CUSP`: a cusp stays about as steep as the lobe itself.
 """
 

@@ -1,7 +1,7 @@
 """What materials are usually like, for measurements with few samples or with samples in one plane only.
 
 `guides` are the readable lobes (see `dsbrdf.fitting.guide`) of 71 measured materials: 70 numbers each, whose mean and
-covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other.  To samples
+covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other. To samples
 these lobes are fitted with the relative error `_MISFIT` that they have on whole measurements, against that prior; how
 bright a material is, the prior leaves open.
 

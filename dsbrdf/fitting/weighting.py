@@ -1,7 +1,7 @@
 """What a bin of samples counts in the fit of all rows.
 
 ``plain``
-    Every sample within the horizon cutoff counts alike: the paper's squared error of f.  Beyond the cutoff, where
+    Every sample within the horizon cutoff counts alike: the paper's squared error of f. Beyond the cutoff, where
     measurements cannot be trusted, samples count with the eighth power of the cosine to the horizon, and where
     theta_half < 1 degree, where nodes crowd, by their solid angle, and all together no more than the others: the peak
     of a mirror-like coat would leave nothing to them.
@@ -11,9 +11,9 @@
     As ``cosine``, divided by (1 + mean)**2: about the squared error of log(1 + f).
 ``balanced``
     The sum of two errors, each in units of what the best model without phi_diff would have: ``plain``, times
-    `PLAIN_SHARE`, and the error that a lit sphere shows.  There a node counts by its solid angle and by
+    `PLAIN_SHARE`, and the error that a lit sphere shows. There a node counts by its solid angle and by
     cos(theta_in) cos(theta_out), and a screen shows about f**0.4 of radiance f, so that errors count relative to
-    f**1.2.  The first alone leaves the diffuse part to chance, the second alone the height of grazing highlights.
+    f**1.2. The first alone leaves the diffuse part to chance, the second alone the height of grazing highlights.
 """
 
 import numpy as np

@@ -4,11 +4,11 @@
     d omega_in = 4 cos(theta_diff) d omega_half.
 
 In half vectors even a specular spike is smooth on a scale that is known beforehand: its width in theta_half.
-The nodes in theta_half are graded towards 0 for it.  In the azimuth the domain of integration ends where omega_in
+The nodes in theta_half are graded towards 0 for it. In the azimuth the domain of integration ends where omega_in
 reaches the horizon, which is known in closed form.
 
-The paper's model has a kink at each of its slices.  The azimuth is cut where theta_diff passes such a knot, again in
-closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth.  A spline is
+The paper's model has a kink at each of its slices. The azimuth is cut where theta_diff passes such a knot, again in
+closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth. A spline is
 smooth enough without.
 """
 
@@ -37,7 +37,7 @@ def directional_albedo(
     """Directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) to the normal [rad].
 
     `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]; `narrowest` is the half width of
-    the narrowest lobe that is not about the normal [rad].  The relative error is below 1e-5 for lobes wider than a
+    the narrowest lobe that is not about the normal [rad]. The relative error is below 1e-5 for lobes wider than a
     hundredth of a degree, and ring lobes than a degree.
     """
     width = float(np.clip(narrowest, *_WIDTHS))

@@ -3,8 +3,8 @@
     f_c = sum_k amplitude_ck(theta_diff) s_k(theta'_k) + delta_c(theta_diff) [theta_half < 1 degree]
 
 with lobes s_k of height 1 (`dsbrdf.model.lobes`) whose shape is kappa_k, gamma_k and center_k, and theta'_k the angle
-theta_half stretched by elongation_k.  The shapes belong to all channels, so that a lobe has a colour, its amplitude;
-or, in the paper's model, to each channel.  The paper's lobe exp(kappa cos(theta_half)**gamma) - 1 is that of
+theta_half stretched by elongation_k. The shapes belong to all channels, so that a lobe has a colour, its amplitude;
+or, in the paper's model, to each channel. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1 is that of
 amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is the paper's too (section 6).
 
 Every term is non-negative, continuous where the delta term is 0, and does not change when the two directions change
@@ -47,12 +47,12 @@ class DSBRDF(ReflectanceModel):
     theta_diff : ndarray, shape (B,)
         Knots of the amplitudes, increasing, 0 to pi/2 [rad].
     amplitude : ndarray, shape (3, D, K)
-        Height of each lobe in each channel (red, green, blue) [1/sr], zero or positive; K may be 0.  With the
+        Height of each lobe in each channel (red, green, blue) [1/sr], zero or positive; K may be 0. With the
         interpolation "linear" D = B and these are the values at the knots, log1p(amplitude) being linear between them;
         with "spline" D = B + 2 and they are the control values of a cubic B-spline of the logarithm, then positive.
     kappa, gamma, center : ndarray, shape (C, S, K)
         Scale, shape and ring angle [rad] of each lobe, C = 1 for all channels or C = 3 for each, at the S control
-        values of the knots ``shape_theta_diff``; kappa and gamma run as amplitude does, center as it is.  A center
+        values of the knots ``shape_theta_diff``; kappa and gamma run as amplitude does, center as it is. A center
         below 0 is a cusp at the normal.
     elongation : ndarray, shape (E, K)
         Stretch of each lobe, 0 for a round one, at the control values of ``elongation_theta_diff``.
@@ -259,7 +259,7 @@ class DSBRDF(ReflectanceModel):
         Returns
         -------
         ndarray, shape (...)
-            Per solid angle [1/sr]; 0 where one of the directions is below the horizon.  Its integral is the share of
+            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the share of
             the samples that are above the horizon.
 
         Raises

@@ -6,7 +6,7 @@
 is taken over half vectors, with nodes that crowd towards theta_half = 0 about each normal, where a narrow lobe is.
 
 The material is isotropic: normals at one angle to the view, a ring of the sphere, see the same angles, and from normal
-to normal only the environment turns about the view.  So f is evaluated for one normal of each ring, the weighted values
+to normal only the environment turns about the view. So f is evaluated for one normal of each ring, the weighted values
 are spread over a map of directions in polar coordinates about the view, and the radiance of the whole ring is the
 circular correlation of that map with the environment's.
 """

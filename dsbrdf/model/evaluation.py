@@ -1,9 +1,9 @@
 """Values of a model: at one point in microseconds, at a million without large arrays.
 
-Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are found once for a model.  A
-few points look their coefficients up one by one, and all lobes of a kind are taken at once.  Many points are sorted, a
+Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are found once for a model. A
+few points look their coefficients up one by one, and all lobes of a kind are taken at once. Many points are sorted, a
 block at a time, by the piece between knots that they lie in; there each coefficient is a single number, and the lobes
-are taken one after the other, so that what is computed stays in the cache.  Both ways carry out the same operations on
+are taken one after the other, so that what is computed stays in the cache. Both ways carry out the same operations on
 every point.
 """
 
@@ -26,7 +26,7 @@ class Evaluator:
 
     Each group of parameters has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
     Rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation (lobe); amplitude,
-    kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma.  There is one shape if the
+    kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma. There is one shape if the
     channels share them, else 3; `is_ring` says which of the K lobes have a center.
     """
 
@@ -94,7 +94,7 @@ class Evaluator:
     def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
 
-        The parameters and the stretch are found once for all of them.  Round lobes are the same for every phi_diff.
+        The parameters and the stretch are found once for all of them. Round lobes are the same for every phi_diff.
         """
         shape = (3, theta_diff.size, phi_diff.size)
         phi_diff = phi_diff[:1] if self._round else phi_diff

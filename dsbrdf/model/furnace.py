@@ -1,7 +1,7 @@
 """White furnace and reciprocity: whether a model returns more light than it receives, and is the same both ways.
 
 In a furnace whose walls are equally bright everywhere, a surface of albedo rho shows rho times that brightness, and
-one that conserves energy is never brighter than the walls.  A reciprocal BRDF does not change when the two directions
+one that conserves energy is never brighter than the walls. A reciprocal BRDF does not change when the two directions
 change places.
 """
 

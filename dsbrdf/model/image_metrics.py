@@ -16,7 +16,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 def exposure(image: Array, mask: Mask) -> float:
     """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1.
 
-    It is 1 where that percentile is black.  As a rule the image is that of the measurement: what is compared with it
+    It is 1 where that percentile is black. As a rule the image is that of the measurement: what is compared with it
     gets the same exposure.
     """
     bright = float(np.quantile(image[mask], _BRIGHT))
@@ -43,7 +43,7 @@ def ssim(reference: Array, image: Array, mask: Mask) -> float:
     """Structural similarity of two displayed images (Wang et al. 2004), 1 for equal ones.
 
     Means, variances and covariance are weighted by a Gaussian window of 11 x 11 pixels, sigma 1.5, in each channel,
-    with the constants 0.01**2 and 0.03**2.  Windows are averaged whose centres are in the mask; they see all pixels,
+    with the constants 0.01**2 and 0.03**2. Windows are averaged whose centres are in the mask; they see all pixels,
     and beyond its border an image is black.
     """
     mean_a, mean_b = _windowed(reference), _windowed(image)

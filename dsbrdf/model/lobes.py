@@ -19,7 +19,7 @@ at the normal: the flank of a lobe, moved there by its tangent, which reaches th
 c is the cosine of theta_diff, held above g = `GRAZING_COSINE` (to 75 degrees it differs by less than 0.3 %): with the
 cosine itself the stretch would be infinite at the horizon, and in the last degrees steeper than any measurement tells.
 
-``e = 0`` is the paper's lobe, round about the half vector.  Turning phi_diff by half a turn, which swaps the two
+``e = 0`` is the paper's lobe, round about the half vector. Turning phi_diff by half a turn, which swaps the two
 directions, leaves theta' as it is: every lobe is reciprocal.
 
 All arrays broadcast; the first axis is as a rule the lobe.

@@ -36,7 +36,7 @@ class ReflectanceModel(ABC):
             Angles, 0 to pi/2 [rad].
         phi_diff : array_like, optional
             Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
-            the normal.  The three broadcast together.
+            the normal. The three broadcast together.
 
         Returns
         -------

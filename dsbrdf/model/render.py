@@ -1,12 +1,12 @@
 """Lit spheres: a unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
 
-The viewer's direction is (0, 0, 1) at every pixel.  Two lightings:
+The viewer's direction is (0, 0, 1) at every pixel. Two lightings:
 
-- ``three_lights``: three distant lights, `THREE_LIGHTS`.  A key light and a fill light show two highlights; a light
+- ``three_lights``: three distant lights, `THREE_LIGHTS`. A key light and a fill light show two highlights; a light
   from behind shows the rim at a difference angle of 70 degrees.
 - ``environment``: light from all around, `dsbrdf.model.environment.environment_radiance`, and the `SUN`.
 
-Where f is needed depends on the lighting and the size only.  It is found once, so that an image costs one call of
+Where f is needed depends on the lighting and the size only. It is found once, so that an image costs one call of
 ``evaluate`` and sparse products.
 """
 
@@ -53,7 +53,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     Returns
     -------
     ndarray, shape (size, size, 3)
-        Linear RGB radiance, the first row at the top; 0 beside the sphere.  `dsbrdf.model.image_metrics.exposure` and
+        Linear RGB radiance, the first row at the top; 0 beside the sphere. `dsbrdf.model.image_metrics.exposure` and
         `displayed` turn it into what a screen shows.
 
     Raises
@@ -87,7 +87,7 @@ def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
     """PSNR [dB] and SSIM of two lit spheres of `render_sphere` as a screen shows them; PSNR is infinite for equal ones.
 
     Both get the exposure that takes the 99th percentile of the reference's sphere to 1, are clipped to [0, 1] and get
-    the sRGB curve.  Only the sphere's pixels count; see `dsbrdf.model.image_metrics`.
+    the sRGB curve. Only the sphere's pixels count; see `dsbrdf.model.image_metrics`.
     """
     _, mask = sphere_normals(len(reference))
     factor = exposure(reference, mask)
@@ -133,7 +133,7 @@ def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Arra
 def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     """Pixels that a light reaches (n,), their three angles (3, n) and the irradiance that they receive (n, 3).
 
-    Light and view are the same everywhere, and so are their half vector and theta_diff.  What is left are the polar
+    Light and view are the same everywhere, and so are their half vector and theta_diff. What is left are the polar
     coordinates of the normal about the half vector: theta_half, and phi_diff from the plane of light and view.
     """
     direction = np.array(light.direction)

@@ -2,7 +2,7 @@
 
 A direction omega_in is omega_out mirrored at a normal that is drawn from those visible to omega_out of a rough surface,
 GGX with its own roughness along and across the plane of incidence (Walter et al. 2007; Heitz 2018), or it is drawn from
-the cosine of the normal.  Only visible normals reflect light upwards at grazing angles too.  With the sum
+the cosine of the normal. Only visible normals reflect light upwards at grazing angles too. With the sum
 T = omega_in + omega_out, its length L, and everything in the frame whose first axis is the heading of omega_out, the
 density per solid angle of omega_in is
 
@@ -17,7 +17,7 @@ For each theta_out a mixture is put together from `_CANDIDATES` and the cosine, 
 
 becomes small: the density that promises to lower it most is added, and the shares of all are improved by
 w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point is the least variance (the function is convex in
-the shares).  No share of the cosine is below `LEAST_COSINE_SHARE`, which bounds the weights f cos(theta_in) / pdf.
+the shares). No share of the cosine is below `LEAST_COSINE_SHARE`, which bounds the weights f cos(theta_in) / pdf.
 
 The mixtures are tabulated at `ANGLES`; a direction takes the nearest one, in `sample` and in `pdf` alike, so that both
 agree to rounding.

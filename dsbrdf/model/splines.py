@@ -1,8 +1,8 @@
 """How the parameters of the model run over theta_diff.
 
 A parameter is a clamped cubic B-spline of its control values: between knots it stays within the range of the control
-values around it, so that a positive one stays positive and nothing overshoots.  Knots B make B + 2 control values; a
-single knot makes a constant.  `linear` interpolation, the paper's, has its values at the knots.
+values around it, so that a positive one stays positive and nothing overshoots. Knots B make B + 2 control values; a
+single knot makes a constant. `linear` interpolation, the paper's, has its values at the knots.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
     """Coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
 
     They are those of R splines with control values (D, R) on knots (B,), all of which are among the breaks; the last
-    break ends the last piece.  Beyond its own knots a spline is constant.
+    break ends the last piece. Beyond its own knots a spline is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:

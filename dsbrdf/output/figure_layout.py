@@ -1,6 +1,6 @@
 """How figures are laid out, and what they draw of a model: its components, each with its own lobe, or its lobes.
 
-Rows of panels stand below each other, with one style of ticks and legends.  Ticks are a few round numbers, written out,
+Rows of panels stand below each other, with one style of ticks and legends. Ticks are a few round numbers, written out,
 on linear and on logarithmic axes.
 """
 

@@ -1,12 +1,12 @@
 """Figures of a fit, in the style of Nishino 2009, Figure 1.
 
-Every function returns a new `matplotlib.figure.Figure`.  Neither pyplot nor other global state is used, so figures may
-be made in any thread.  Matplotlib is the extra ``plot``.
+Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
+be made in any thread. Matplotlib is the extra ``plot``.
 
-Measured profiles are means over phi_diff.  The model's curves are means over the same directions: those within the
+Measured profiles are means over phi_diff. The model's curves are means over the same directions: those within the
 horizon cutoff of the normal; where there are none, values at phi_diff = 90 degrees.
 
-Profiles are mirrored to -90..90 degrees of theta_half, as in the paper.  They span orders of magnitude, so every
+Profiles are mirrored to -90..90 degrees of theta_half, as in the paper. They span orders of magnitude, so every
 slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as
 in the paper.
 """
@@ -133,7 +133,7 @@ def overview_figure(
 def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Relative difference of fit and measurement, means over phi_diff, for each channel, theta_half and theta_diff.
 
-    Where there is no measurement, the figure is grey.  The axis of theta_half is that of the grid, dense at the peak.
+    Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
     """
     figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
@@ -220,7 +220,7 @@ def slice_means(
 ) -> Array:
     """Return a model's means (n, 3) [1/sr] over the phi_diff that count in profiles, at angles theta_half (n,) [rad].
 
-    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad].  Both
+    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad]. Both
     cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some phi_diff and
     90 degrees, and their mirror images.
     """

@@ -32,7 +32,7 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
     """Height in red, green and blue, half width, tail and elongation over theta_diff: the components' own lobes.
 
     With `model_lobes`, those of the model instead, with kappa as the tail, and the green channel's shape where each
-    channel has its own.  The title is such as the name of the material.
+    channel has its own. The title is such as the name of the material.
     """
     figure = empty_figure(title, 2, height=1.7 * ROW_HEIGHT)
     heights, widths, tails, elongations = figure.subplots(2, 2).flat

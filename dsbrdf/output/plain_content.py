@@ -1,6 +1,6 @@
 """Models and reports <-> dicts, lists, texts and numbers, as JSON has them.
 
-The keys are the names of the attributes.  Everything that is read is checked: damaged content raises a
+The keys are the names of the attributes. Everything that is read is checked: damaged content raises a
 `ModelFormatError`.
 """
 

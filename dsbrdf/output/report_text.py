@@ -1,6 +1,6 @@
 """The result of a fit as text and as JSON: metrics, components with their own lobes, and the model's lobes.
 
-The JSON has the same form as in the HTTP service.  Angles are in degrees, because this is for display and for HTTP; the
+The JSON has the same form as in the HTTP service. Angles are in degrees, because this is for display and for HTTP; the
 rest of the library uses radians.
 """
 

@@ -111,9 +111,9 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``.  With components, so that
+    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, so that
     they need not be found again, it has ``"components": {"labels": [...], "guide": {...}}``, which
-    `decomposition_from_json` reads.  Raises InvalidArgumentError if the report has a value that JSON cannot store, such
+    `decomposition_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store, such
     as NaN.
     """
     document = {
@@ -165,7 +165,7 @@ def result_from_json(text: str) -> FitResult:
 def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
     """Return a model and its report as the bytes of a NumPy ``.npz`` file; errors are those of `to_json`.
 
-    The arrays have the names of the model's attributes; the report is a JSON text.  Nothing is pickled.
+    The arrays have the names of the model's attributes; the report is a JSON text. Nothing is pickled.
     """
     buffer = io.BytesIO()
     np.savez(

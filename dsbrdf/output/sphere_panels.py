@@ -1,6 +1,6 @@
 """Lit spheres side by side: a measurement, its fit, the difference and the components.
 
-All have one exposure, that of the measurement: its sphere's 99th percentile becomes 1.  Radiance is multiplied by it,
+All have one exposure, that of the measurement: its sphere's 99th percentile becomes 1. Radiance is multiplied by it,
 clipped to [0, 1] and shown with the sRGB curve.
 """
 
@@ -36,7 +36,7 @@ _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 class SphereComparison:
     """Lit spheres of a measurement and its fit, or of any two materials.
 
-    `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for.  PSNR
+    `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for. PSNR
     and SSIM are those of `dsbrdf.model.render.sphere_likeness`.
     """
 
@@ -63,7 +63,7 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
-    With components, those of a fit that is a model are drawn too.  Lighting and size are as for
+    With components, those of a fit that is a model are drawn too. Lighting and size are as for
     `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))

@@ -1,6 +1,6 @@
 """HTML pages: rendered from the templates of ``service/page``, with what else a browser loads for them.
 
-Nothing is loaded from elsewhere, so they work without the internet, and no script stands in a page itself.  Addresses
+Nothing is loaded from elsewhere, so they work without the internet, and no script stands in a page itself. Addresses
 in a page are relative, those of a template begin with ``root``, so that they hold behind a proxy that adds a prefix.
 """
 

@@ -2,7 +2,7 @@
 
 In the templates, ``dsbrdf`` stands for the name of the function.
 
-The parameters are cubic polynomials in theta_diff, a ``vec4`` each, in constant arrays of some kilobytes.  What single
+The parameters are cubic polynomials in theta_diff, a ``vec4`` each, in constant arrays of some kilobytes. What single
 precision would lose is kept: tangents come from the sum and the difference of the directions, the polynomials are in
 Bernstein's form, in which nothing cancels, and ``log1p``, ``expm1``, ``tan`` and ``atan``, for which a shader's own
 functions are too coarse, are spelled out; the last two are the rational reductions and polynomials of Cephes.
@@ -54,7 +54,7 @@ def glsl_function(source: DSBRDF | Component, name: str = NAME, *, sampling: boo
         The source for a component also has ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: all
         components of its model, times the weights ``shown`` of specular spike, specular lobe and diffuse.
     name : str, optional
-        Takes the place of ``dsbrdf``.  Every name in the source begins with it, so that a program can hold several.
+        Takes the place of ``dsbrdf``. Every name in the source begins with it, so that a program can hold several.
     sampling : bool, optional
         Add ``vec3 dsbrdf_sample(vec3 omega_out, vec3 random)`` and ``float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)``,
         see `dsbrdf.model.sampling`.

@@ -1,7 +1,7 @@
 """A model as a MaterialX file: the OpenPBR surface that looks most like it.
 
 A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
-`dsbrdf.render_sphere`; least squares of the difference finds the inputs.  OpenPBR has about a dozen numbers, so some
+`dsbrdf.render_sphere`; least squares of the difference finds the inputs. OpenPBR has about a dozen numbers, so some
 difference is left: it is stated in the file, as PSNR.
 """
 

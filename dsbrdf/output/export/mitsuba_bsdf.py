@@ -9,11 +9,11 @@
 
 `mitsuba.traverse` shows the model's parameters, with derivatives in the variants that have them: tensors amplitude
 (channel, control value, lobe), kappa, gamma and center (shape, control value, lobe) and elongation (control value,
-lobe), the arrays of `dsbrdf.DSBRDF`.  ``bsdf.model()`` is the model with the parameters as they are then.  Samples keep
+lobe), the arrays of `dsbrdf.DSBRDF`. ``bsdf.model()`` is the model with the parameters as they are then. Samples keep
 the densities of the model that was loaded, which are right for any model.
 
 All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
-once.  Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
+once. Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
 
 Formulas and names are those of `dsbrdf.model.lobes` and `dsbrdf.model.sampling`, in single precision, where Mitsuba's
 ``si.wi`` is the omega_out of the model and ``wo`` its omega_in: a path is followed from the camera.
@@ -35,7 +35,7 @@ from dsbrdf.output.serialize import load
 def register() -> None:
     """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
 
-    Its only property is ``filename``, of a model in JSON or ``.npz``.  Raises MissingExtraError if Mitsuba is not
+    Its only property is ``filename``, of a model in JSON or ``.npz``. Raises MissingExtraError if Mitsuba is not
     installed, and InvalidArgumentError if no variant is set, or one with polarisation.
     """
     require("mitsuba", "mitsuba", purpose="the BSDF of a model")

@@ -4,7 +4,7 @@
 
 as the MaterialX library's own shaders compute it, because that is what most programs do with the file: GGX with
 height-correlated masking, Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics and
-the F82 tint for the metal, layers dimmed by a rational fit of the directional albedo of the layer above.  What the fit
+the F82 tint for the metal, layers dimmed by a rational fit of the directional albedo of the layer above. What the fit
 of `dsbrdf.output.export.materialx` does not use is left out: transmission, subsurface, fuzz, thin film, anisotropy and
 the roughness of the diffuse part.
 

@@ -1,16 +1,16 @@
 """A model, a component or a measurement as an RGL ``.bsdf`` file, for Mitsuba 3 (``measured``) and pbrt-v4.
 
 The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
-the unit square.  The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
+the unit square. The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
 these to half vectors (u, v) with
 
     theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
 
-and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4).  Here
+and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4). Here
 ``vndf`` is the reflected luminance and twice as much from everywhere, so that no direction is far from a node, and
 ``luminance`` puts the samples right; ``ndf``, the mean value at each theta_half, makes ``rgb`` smooth; sigma is 1/4.
 
-Mitsuba's RGB variants read ``rgb``.  Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
+Mitsuba's RGB variants read ``rgb``. Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
 here the spectra that `dsbrdf.output.export.rgl` gives the same values; no program reads a file that has both.
 """
 
@@ -38,8 +38,8 @@ def rgl_bsdf(
 ) -> bytes:
     """Return the bytes of a ``.bsdf`` file, about 4 MB, 12 MB if spectral.
 
-    A measurement is interpolated; the values of other sources need not be reciprocal.  The description is stored in the
-    file.  A spectral file is for Mitsuba's spectral variants and pbrt-v4, the other for Mitsuba's RGB variants.
+    A measurement is interpolated; the values of other sources need not be reciprocal. The description is stored in the
+    file. A spectral file is for Mitsuba's spectral variants and pbrt-v4, the other for Mitsuba's RGB variants.
     """
     evaluate = interpolate(source).evaluate if isinstance(source, Measurement) else source.evaluate
     ndf = _ndf(evaluate)

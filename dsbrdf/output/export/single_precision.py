@@ -17,7 +17,7 @@ def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
     """Return the breaks (P + 1,) and coefficients (R, P, 4) of a model's parameters over theta_diff.
 
     The pieces and rows are those of `dsbrdf.DSBRDF.pieces`, followed by rows for the three channels
-    of the delta term.  Raises InvalidArgumentError if a parameter is too large for a program's single precision.
+    of the delta term. Raises InvalidArgumentError if a parameter is too large for a program's single precision.
     """
     breaks, terms = model.pieces
     rows = np.concatenate([terms, _delta_terms(model, breaks)], axis=1)
