@@ -142,7 +142,7 @@ export class Sphere {
   has(names) {
     const missing = names.filter((name) => !this.loaded.has(name));
     if (missing.length && this.moving && missing[0].startsWith("panorama")) return false; // not before it rests
-    for (const name of this.loaded.keys()) if (name.startsWith("panorama") && missing.length) this.loaded.delete(name);
+    for (const name of this.loaded.keys()) if (name.startsWith("panorama") && !names.includes(name)) this.loaded.delete(name);
     for (const name of missing) {
       this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
       this.fetch(name).then(() => {

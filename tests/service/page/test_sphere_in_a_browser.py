@@ -225,7 +225,8 @@ def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, tmp_pa
     file = tmp_path / "room.hdr"
     file.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 128 +X 256\n" + rgbe.tobytes())
     fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}#lighting=panorama").page
+    visitor = visit(f"/fits/{fit}#lighting=panorama")
+    page = visitor.page
     expect(page.locator(".hint")).to_contain_text("Choose a panorama")
     model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
     page.locator("#panorama").set_input_files(file)
@@ -240,6 +241,8 @@ def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, tmp_pa
         expected = displayed(rendered, exposure(rendered, mask))
         assert np.abs(seen[..., :3] - expected)[mask].mean() < 1.5 / 255
     repaint(page, page.locator("[data-component]").first.uncheck)
+    asked = [url.rpartition("/")[2] for _, url, _ in visitor.requests if "/environment/" in url]
+    assert sorted(asked) == ["diffuse.bin", "fit.bin", "fit.bin", "specular_lobe.bin"]  # the whole fit for each turn
     cut = tmp_path / "cut.hdr"
     cut.write_bytes(file.read_bytes()[:90_000])
     page.locator("#panorama").set_input_files(cut)
