@@ -146,10 +146,9 @@ def _messages(
     fitting = loop.create_task(_fit_all(engine, files, options, messages.put))
 
     def run() -> None:
-        with closing(loop):
-            loop.run_until_complete(asyncio.wait([fitting]))
-            messages.put(None if fitting.cancelled() else fitting.exception())
-            loop.run_until_complete(loop.shutdown_default_executor())
+        loop.run_until_complete(asyncio.wait([fitting]))
+        messages.put(None if fitting.cancelled() else fitting.exception())
+        loop.run_until_complete(loop.shutdown_default_executor())
 
     thread = threading.Thread(target=run, name="dsbrdf-engine")
     thread.start()
@@ -159,9 +158,9 @@ def _messages(
                 raise message
             yield message
     finally:
-        if thread.is_alive():
-            loop.call_soon_threadsafe(fitting.cancel)
+        loop.call_soon_threadsafe(fitting.cancel)  # the loop is not closed before: the thread may be about to end
         thread.join()
+        loop.close()
 
 
 async def _fit_all(
