@@ -2,6 +2,7 @@
 
 import _thread
 import ctypes
+import mmap
 import os
 import signal
 import threading
@@ -27,6 +28,7 @@ The matrices of a fit are so small that several threads are slower than one, on 
 _blas_lock = threading.Lock()
 _blas_limits: list[Any] = []  # the limit, which knows how many threads there were, then an entry for each computation
 
+_BLAS_MEMORY = 96 << 20  # bytes, more than the two libraries take, which is 64 MB
 _THREAD_TIMEOUT = 10.0  # seconds that a thread has to begin
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
@@ -95,10 +97,16 @@ def reserve_blas_memory() -> None:
     """Let the BLAS libraries of NumPy and SciPy take their working memory now, before a limit is set.
 
     OpenBLAS takes it with the first operation that needs it, keeps it, and asks for ever where there is none.
+
+    Raises MemoryError if a limit that is set already leaves too little.
     """
     import numpy as np
     from scipy.linalg import lapack
 
+    try:
+        mmap.mmap(-1, _BLAS_MEMORY).close()
+    except OSError:
+        raise MemoryError("there is too little memory for BLAS") from None
     matrix = np.eye(256)
     matrix @ matrix
     lapack.dpotrf(matrix)

@@ -6,9 +6,7 @@ import shutil
 
 from dsbrdf.data.grid import nodes_above_horizon
 from dsbrdf.engines.worker_process import SERVER_FOLDER
-from dsbrdf.process_settings import reserve_blas_memory
 
-reserve_blas_memory()
 nodes_above_horizon()  # the result is cached, and the workers share its memory
 
 if SERVER_FOLDER in os.environ:
