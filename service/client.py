@@ -353,6 +353,9 @@ class ClientEngine:
         except AccessError as error:
             reason = f"{self._url}: {error}; the environment variable DSBRDF_KEY gives the key"
             raise InvalidArgumentError(reason) from error
+        except httpx.ConnectError as error:
+            advice = "is a service running there? dsbrdf serve starts one"
+            raise ConnectionError(f"nothing answers at {self._url}: {advice} ({error})") from error
         except (ServiceError, httpx.TransportError) as error:
             raise ConnectionError(f"{self._url}: {error}") from error
 

@@ -18,9 +18,8 @@ function showPictures(id, names) {
     figure.append(image, caption);
     box.append(figure);
   }
-  document.getElementById("pictures-note").textContent = names.includes("measured")
-    ? "Three lights, one exposure. A black difference is a perfect fit."
-    : "The measurement is a table of samples, or is not stored any more: the fit is shown alone.";
+  const note = document.getElementById("pictures-note");
+  note.textContent = names.includes("measured") ? "Three lights, one exposure. A black difference is a perfect fit." : note.dataset.alone;
 }
 
 // Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels.

@@ -114,13 +114,15 @@ async def get_fit_page(request: Request, context: TheContext, fit: TheFit) -> Re
     row = await context.fit_row(fit)
     if row.status != "succeeded":
         return _render("unfinished.html", request, row=row, progress=context.jobs.progress(row))
-    measured = await run_in_threadpool(_has_picture, context, row)
+    stored = await run_in_threadpool(context.store.measurement, row.owner, row.measurement)
+    measured = stored is not None and stored.on_grid
     model = (await context.models.get(row.key)).model
     return _render(
         "fit.html",
         request,
         downloads=FORMATS,
         figures=FIGURES if measured and find_spec("matplotlib") else {},
+        stored=stored is not None,
         largest_light=LARGEST_LIGHT,
         light_step=LIGHT_STEP,
         model=f"{lobes_phrase(model)}, {model.n_numbers} numbers",

@@ -73,7 +73,7 @@ def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp
 
 def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
     assert sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1).startswith(
-        "dsbrdf: http://127.0.0.1:9: "
+        "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"
     )
 
 
