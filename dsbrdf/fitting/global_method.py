@@ -150,10 +150,7 @@ def _search_data(data: Profiles, weight: Array, split: tuple[Profiles, Profiles]
         held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
     else:
         each = weight_per_sample(data, weight)
-        parts = [(part, each * part.folded.weight) for part in split]
-        if not all(np.sum(counted * part.folded.mean) > 0.0 for part, counted in parts):  # one part is black
-            parts = [(data, weight)] * 2
-        fitted, held_out = (_select(part, counted, FIT_ROWS, FIT_COLUMNS) for part, counted in parts)
+        fitted, held_out = (_select(part, each * part.folded.weight, FIT_ROWS, FIT_COLUMNS) for part in split)
     thinned = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
     return thinned if thinned[0].signal > 0.0 else (fitted, held_out)
 
