@@ -106,13 +106,22 @@ class Application:
                 values,
             )
 
-    def ask(self, target: str, key: str, method: str = "GET", body: bytes = b"", *, stalled: bool = False) -> Exchange:
+    def ask(
+        self,
+        target: str,
+        key: str,
+        method: str = "GET",
+        body: bytes = b"",
+        media_type: str = "application/json",
+        *,
+        stalled: bool = False,
+    ) -> Exchange:
         """Begin a request; a stalled one never sends the last byte of its body."""
         path, _, query = target.partition("?")
         headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
         if body:
             headers.append((b"content-length", str(len(body) + stalled).encode()))
-            headers.append((b"content-type", b"application/json"))
+            headers.append((b"content-type", media_type.encode()))
         scope: dict[str, Any] = {
             "type": "http",
             "asgi": {"spec_version": "2.3"},

@@ -11,7 +11,7 @@ import pytest
 
 from dsbrdf.fitting import decomposition
 from service.jobs import results, steps
-from service.routes import brdf, figures, fits
+from service.routes import brdf, figures, fits, uploads
 from service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
@@ -113,6 +113,28 @@ async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Applic
     await asyncio.gather(second.end(), others.end())
     assert second.body == others.body != b""
     assert len(blocked.calls) == 2  # of one fit of each key
+
+
+async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
+    blocked = block(uploads, "conversion_step")
+    upload = running.ask("/v1/measurements", key, "POST", b"a table", "text/csv")
+    await blocked.until_called()
+    others = [running.ask(target, key) for target in (EXPORT, SPHERE)]
+    others.append(running.ask(f"{FIT_PATH}/brdf", key, "POST", LONG_BATCH))
+    assert [(await one.end()).status for one in others] == [200] * 3
+    blocked.may_return.set()
+    assert (await upload.end()).status == 422
+
+
+async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, key: str) -> None:
+    spheres = [SPHERE, SPHERE.replace("16", "17"), f"{SPHERE}&component=diffuse", f"{SPHERE}&lighting=environment"]
+    shaders = [
+        f"{FIT_PATH}/export?format=glsl{more}" for more in ("", "&component=diffuse", "&name=paint", "&sampling=true")
+    ]
+    asked = [running.ask(target, key) for target in (*spheres, *shaders, EXPORT, f"{EXPORT}&component=diffuse")]
+    answers = [await one.end() for one in asked]
+    assert [one.status for one in answers] == [200] * len(answers)
+    assert len({one.body for one in answers}) == len(answers)
 
 
 async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
