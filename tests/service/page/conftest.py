@@ -1,6 +1,6 @@
 """One browser, one service that wants keys, one key with two fits: for all tests of the pages."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -17,6 +17,8 @@ if CHROMIUM is not None and find_spec("playwright"):
     from tests.support.browser import Visitor, new_context, running_browser
 
 
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
+"""A page whose spheres are pictures of the service takes a quarter of the time."""
 NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'
 """Instead of figures that take the service seconds to draw; the shared browser has them, drawn once."""
 
@@ -63,32 +65,36 @@ def browser() -> "Iterator[Browser]":
 
 
 @pytest.fixture(scope="module")
-def signed_in(browser: "Browser", site: Site) -> "BrowserContext":
-    """The browser of the user, who looks at all pages in it: what the service has drawn once it need not draw again."""
-    return new_context(browser, site.address, site.key)
+def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]":
+    """The user's browser with WebGL and without; the user looks at all pages in it, each picture is drawn once."""
+    contexts = {webgl: new_context(browser, site.address, site.key) for webgl in (True, False)}
+    contexts[False].add_init_script(NO_WEBGL)
+    return contexts
 
 
 @pytest.fixture
-def visit(browser: "Browser", site: Site, signed_in: "BrowserContext") -> "Iterator[Callable[..., Visitor]]":
+def visit(
+    browser: "Browser", site: Site, signed_in: "Mapping[bool, BrowserContext]"
+) -> "Iterator[Callable[..., Visitor]]":
     """Open a page, for a key or with options of its own in a browser without cookies and files.
 
     Afterwards nothing may have gone wrong.
     """
     visitors: list[Visitor] = []
 
-    def open_page(path: str | None, *, key: str | None = site.key, **options: Any) -> "Visitor":
-        shared = key == site.key and not options
-        context = signed_in
-        if not shared:
+    def open_page(path: str, *, key: str | None = site.key, webgl: bool = True, **options: Any) -> "Visitor":
+        context = signed_in[webgl]
+        if key != site.key or options:
             context = new_context(browser, site.address, key, **options)
+            if not webgl:
+                context.add_init_script(NO_WEBGL)
             context.route("**/figures/*.svg", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
         visitors.append(Visitor(context, site.address))
-        if path is not None:
-            visitors[-1].page.goto(path)
+        visitors[-1].page.goto(path)
         return visitors[-1]
 
     yield open_page
     for visitor in visitors:
         visitor.close()
-        if visitor.context is not signed_in:
+        if visitor.context not in signed_in.values():
             visitor.context.close()

@@ -34,7 +34,7 @@ PAINTED = "canvas[data-painted]"
 
 def test_sign_in_keeps_the_key_in_a_cookie_and_out_of_addresses(visit: Visit, site: Site) -> None:
     wanted = f"/fits/{site.fits['glossy']}"
-    visitor = visit(wanted, key=None)
+    visitor = visit(wanted, key=None, webgl=False)
     page = visitor.page
     expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
     page.get_by_label("API key").fill("dsbrdf_wrong")
@@ -55,7 +55,7 @@ def test_sign_in_keeps_the_key_in_a_cookie_and_out_of_addresses(visit: Visit, si
 
 def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
     key = guarded.new_key("first")["Authorization"].removeprefix("Bearer ")
-    visitor = visit("/", key=key)
+    visitor = visit("/", key=key, webgl=False)
     page = visitor.page
     expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
     for number in (1, 2):
@@ -64,7 +64,6 @@ def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded
         page.get_by_label("Method").select_option("paper")
         page.locator("#file").set_input_files(plastic_file)
         page.wait_for_url("**/fits/*")
-        expect(page.locator(PAINTED)).to_have_count(1)
         expect(page.get_by_role("heading", name="plastic")).to_be_visible()
         expect(page.locator("#model-lobes")).to_contain_text(f"The model has {number} lobe")
         page.get_by_role("link", name="Fits").click()
@@ -84,7 +83,7 @@ def test_faults_of_a_file_are_told_in_the_services_words(visit: Visit, tmp_path:
 def test_running_fit_shows_its_progress_and_can_be_cancelled(visit: Visit, site: Site, data: bytes) -> None:
     options = {name: ",".join(map(str, value)) if isinstance(value, list) else value for name, value in ENDLESS.items()}
     fit = site.submit(data, "endless", prefer="respond-async", **options)
-    page = visit(f"/fits/{fit}").page
+    page = visit(f"/fits/{fit}", webgl=False).page
     expect(page.locator("#state")).to_have_text(re.compile("Fitting|Waiting for its turn"))
     expect(page.get_by_role("progressbar")).to_be_visible()
     page.get_by_role("button", name="Cancel the fit").click()
@@ -92,7 +91,7 @@ def test_running_fit_shows_its_progress_and_can_be_cancelled(visit: Visit, site:
 
 
 def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
+    page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
     curves, points = page.locator("#plot .curve"), page.locator("#plot .point")
     components = page.locator("[data-component]").count()
     assert components > 1
@@ -114,7 +113,7 @@ def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) ->
 
 def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> None:
     fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
+    page = visit(f"/fits/{fit}", webgl=False).page
     for panel, unit in (("#plot", "θ_half"), ("#polar-plot", "θ_out")):
         page.locator(f"{panel} svg").hover(position={"x": 200, "y": 100})
         expect(page.locator(f"{panel}-legend")).to_contain_text(f"at {unit}")
@@ -172,9 +171,7 @@ def test_page_of_a_fit_has_a_verdict_pictures_themes_and_downloads(visit: Visit,
 
 
 def test_picture_of_the_service_stands_where_webgl_is_missing(visit: Visit, site: Site) -> None:
-    page = visit(None).page
-    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
-    page.goto(f"/fits/{site.fits['glossy']}")
+    page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
     expect(page.get_by_text("This browser has no WebGL 2")).to_be_visible()
     picture = page.locator("img.fallback")
     expect(picture).to_be_visible()
@@ -236,7 +233,7 @@ def test_list_takes_several_files_and_is_sorted_and_shortened(
     visit: Visit, plastic_file: Path, guarded: Guarded, tmp_path: Path
 ) -> None:
     header = guarded.new_key("several")
-    page = visit("/?name=zzz", key=header["Authorization"].removeprefix("Bearer ")).page
+    page = visit("/?name=zzz", key=header["Authorization"].removeprefix("Bearer "), webgl=False).page
     expect(page.get_by_text("No fits found for “zzz”.")).to_be_visible()
     copies = [tmp_path / name for name in ("b.binary", "a.binary")]
     for roughness, copy in zip((0.2, 0.4), copies, strict=True):

@@ -28,8 +28,6 @@ COATED = OpenPBR(
     (0.6, 0.3, 0.1), 0.3, 0.7, (0.9, 0.8, 0.5), specular_roughness=0.5, coat_weight=0.6, coat_roughness=0.25
 )
 SURFACES = {
-    "plastic": OpenPBR((0.1, 0.3, 0.7), specular_weight=0.8, specular_roughness=0.2),
-    "metal": OpenPBR((0.9, 0.6, 0.4), base_metalness=1.0, specular_color=(0.5, 0.9, 0.7), specular_roughness=0.4),
     "coated mixture of both": COATED,
     "of less index than air": OpenPBR((0.4, 0.4, 0.4), specular_ior=0.8, specular_roughness=0.4),
 }
