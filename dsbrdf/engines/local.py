@@ -81,7 +81,7 @@ def _measurement(task: FitTask) -> Measurement | ScatteredSamples:
 
 
 def _measurement_now(task: FitTask) -> Measurement | ScatteredSamples:
-    """Return a measurement with the digest that its file has now, also where it has been checked before."""
+    """Return the measurement as its file is now, with its present digest, also if it has been read before."""
     measurement = _measurement(task)
     return read_merl(task.path) if isinstance(measurement, Measurement) and task.sha256 is not None else measurement
 

@@ -23,9 +23,9 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 
 PLAIN_SHARE = 1.0
-"""What the plain error counts beside the seen one."""
+"""Weight of the plain error in its sum with the seen one."""
 SEEN_POWER = 1.2
-"""Power of f that an error counts relative to."""
+"""Errors count relative to f to this power."""
 _DARK = 0.02  # of the mean that a lit material shows: errors of values below count alike
 _SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
 _TRUST_POWER = 8

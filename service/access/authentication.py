@@ -73,8 +73,7 @@ class AuthenticationMiddleware:
     def _begin(self, scope: Scope) -> str | None:
         """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
 
-        A caller may have as many requests in progress as there are free places left: whoever takes all that one can
-        get leaves as many to the others.
+        A caller may have at most as many requests in progress as places are free: one caller can take half of all.
 
         Raises ProblemError if it has more.
         """

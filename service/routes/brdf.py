@@ -51,8 +51,8 @@ from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, cont
 class _DirectRoute(APIRoute):
     """A route whose function gets its dependencies and path parameters without FastAPI's validation.
 
-    FastAPI describes it like any other. Without solving, validating and stacks of exits, a GET takes a third less time;
-    an id that nothing can have is not found.
+    FastAPI describes it like any other. A GET takes a third less time without FastAPI's solving of dependencies,
+    validation and exit stacks; an id that nothing can have is not found.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:

@@ -40,7 +40,7 @@ SHA256 = r"^[0-9a-f]{64}$"
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Plain = BeforeValidator(check_plain)
-"""Of numbers in a query or a path, behind their limits: those that only Python reads are none."""
+"""Stands after the limits of a number in a query or a path, and refuses what only Python reads as one: 1_000."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]

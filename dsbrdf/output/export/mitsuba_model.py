@@ -3,7 +3,7 @@
 Numbers are floats of Python or arrays of drjit, formulas and names those of `dsbrdf.model.evaluation` and
 `dsbrdf.model.sampling`, in single precision. What that would lose is kept: ``expm1`` and ``log1p``, which drjit does
 not have, are series near 0. In variants that differentiate, values have derivatives in the model's parameters, which
-are finite everywhere: also the branch that is not taken must not have an infinite one, for zero times it is not zero.
+are finite everywhere. Those of a branch that is not taken are finite too, because zero times infinity is not zero.
 """
 
 from dataclasses import replace
