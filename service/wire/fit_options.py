@@ -57,7 +57,7 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
-    """Return the wire form of the options, the method's own choices filled in: options that give the same fit become equal."""
+    """Return the wire form with the method's own choices filled in: options that give the same fit become equal."""
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
     horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
