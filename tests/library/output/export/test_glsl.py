@@ -44,8 +44,8 @@ PAIRS = known_models.pairs_of_directions(10_000, lowest=0.02, spread=0.03)
 def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     """What the browser computes for each model, and for pairs with one direction below the horizon."""
     up, down = [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
-    also_below = [np.vstack([part, ends]) for part, ends in zip(PAIRS, ([up, down], [down, up]), strict=True)]
-    calls = {name: ShaderCall(glsl_function(model), "dsbrdf(a, b)", *also_below) for name, model in MODELS.items()}
+    first, second = np.vstack([PAIRS[0], up, down]), np.vstack([PAIRS[1], down, up])
+    calls = {name: ShaderCall(glsl_function(model), "dsbrdf(a, b)", first, second) for name, model in MODELS.items()}
     weights = ", ".join(map(str, WEIGHTS.values()))
     for name, model in DECOMPOSED.items():
         source = glsl_function(next(iter(decompose(model))))
