@@ -117,8 +117,8 @@ def log_ticks(low: float, high: float) -> Array:
     return ticks[:: -(-ticks.size // _MOST)]
 
 
-COMPONENT_COLOURS = dict(zip(LABELS, ("#e8590c", "#7048e8", "#0c8599"), strict=True))
 LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
+COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from starlette.concurrency import run_in_threadpool
 
 from dsbrdf import DSBRDF, Component, Decomposition, FitReport
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.report_text import component_document
@@ -139,7 +140,10 @@ class FitView:
         def curves(model: ReflectanceModel) -> list[list[float | None]]:
             return [_rounded(channel) for channel in values(model).T]
 
-        components = [{"label": component.label, "values": curves(component)} for component in self.decomposition]
+        components = [
+            {"label": part.label, "place": LABELS.index(part.label), "values": curves(part)}
+            for part in self.decomposition
+        ]
         return {"fit": curves(self.decomposition.model), "components": components}
 
 

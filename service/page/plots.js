@@ -21,20 +21,20 @@ function choice(name) {
 function seriesOf({ fit, measured, components, both }, channel) {
   if (both) {
     return both.flatMap((one, i) => {
-      const [label, colour, c] = [document.querySelectorAll(".side-name")[i].textContent, ["specular_spike", "diffuse"][i], Number(channel)];
+      const [label, colour, c] = [document.querySelectorAll(".side-name")[i].textContent, ["part-0", "part-2"][i], Number(channel)];
       const points = one.measured ? [{ label: `${label}, measured`, colour, points: true, y: one.measured[c] }] : [];
       return [...points, { label: `${label}, fit`, colour, y: one.fit[c] }];
     });
   }
   if (channel !== "all") {
     const c = Number(channel);
-    const parts = components.map(({ label, values }) => ({ label: label.replace("_", " "), colour: label, y: values[c], part: true }));
+    const parts = components.map(({ label, place, values }) => ({ label: label.replace("_", " "), colour: `part-${place}`, y: values[c], part: true }));
     const points = measured ? [{ label: "measured", colour: "ink", points: true, y: measured[c] }] : [];
     return [...points, ...parts, { label: "fit", colour: "ink", y: fit[c] }];
   }
   const ofChannels = (values, more) => CHANNELS.map((name, c) => ({ colour: name, y: values[c], ...more(name) }));
   const points = measured ? ofChannels(measured, (name) => ({ label: `${name}, measured`, points: true })) : [];
-  const parts = components.flatMap(({ label, values }) => ofChannels(values, () => ({ label: label.replace("_", " "), dash: label, part: true })));
+  const parts = components.flatMap(({ label, place, values }) => ofChannels(values, () => ({ label: label.replace("_", " "), dash: `part-${place}`, part: true })));
   return [...points, ...parts, ...ofChannels(fit, (name) => ({ label: `${name}, fit` }))];
 }
 

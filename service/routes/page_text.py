@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.output.report_text import likeness
@@ -68,7 +69,8 @@ def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
     }
     swatch = "#" + bytes(np.rint(255.0 * displayed(np.array(color))).astype(np.uint8).tolist()).hex()
     label = component["label"]
-    return {"label": label, "name": label.replace("_", " "), "swatch": swatch, "numbers": numbers}
+    name, place = label.replace("_", " "), LABELS.index(label)
+    return {"label": label, "place": place, "name": name, "swatch": swatch, "numbers": numbers}
 
 
 def options_in_words(options: Mapping[str, Any]) -> str:

@@ -105,6 +105,12 @@ def test_profiles_follow_the_slider_and_the_choices(visit: Visit, site: Site) ->
     page.locator("#profiles").get_by_label("green").check()
     expect(page.locator("#plot-legend li")).to_have_count(components + 2)  # measured, and the fit
     expect(page.locator("#plot-legend")).to_contain_text("diffuse")
+    drawn = page.locator("#plot .curve").evaluate_all("curves => curves.map(curve => getComputedStyle(curve).stroke)")
+    named = page.locator(".components .name").evaluate_all(
+        "names => names.map(name => getComputedStyle(name).borderBottomColor)"
+    )
+    assert drawn[:-1] == named
+    assert len(set(drawn)) == components + 1
     page.locator("#profiles").get_by_label("linear").check()
     expect(page.locator("#plot svg")).to_have_attribute("aria-label", re.compile("linear axis"))
     page.get_by_label("the peak").check()
