@@ -34,8 +34,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
-from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure
-from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure, parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
 

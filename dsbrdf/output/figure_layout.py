@@ -7,57 +7,27 @@ on linear and on logarithmic axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from io import BytesIO
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.extras import require
 from dsbrdf.fitting.decomposition import LABELS, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.report_text import lobes_in_channel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, FigureBase, SubFigure
+    from matplotlib.figure import FigureBase
 
-PAIR_WIDTH, ROW_HEIGHT, SPHERES_HEIGHT = 5.5, 3.4, 2.5  # of two panels, and of a row of them, in inches
-_TITLE, _ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.4, 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
+PAIR_WIDTH, ROW_HEIGHT = 5.5, 3.4  # of two panels, and of a row of them, in inches
+_ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
 _MOST = 6  # ticks of a logarithmic axis
 _TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
 _MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
-
-
-def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
-    require("plot", "matplotlib", purpose="figures")
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
-    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
-    figure._repr_png_ = lambda: _preview(figure)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
-    return figure
-
-
-def _preview(figure: Figure) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=80.0)
-    return buffer.getvalue()
-
-
-def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
-    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
-    figure = empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
-    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
-    head, *rows = parts[:, 0]
-    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
-    return figure, rows
 
 
 def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:

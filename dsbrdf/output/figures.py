@@ -1,4 +1,4 @@
-"""Figures of a fit, in the style of Nishino 2009, Figure 1.
+"""Figures of a fit, in the style of Nishino 2009, Figure 1, and of how parameters run over theta_diff.
 
 Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
 be made in any thread. Matplotlib is the extra ``plot``.
@@ -13,7 +13,6 @@ in the paper.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from io import BytesIO
 from itertools import compress
 from typing import TYPE_CHECKING
@@ -23,22 +22,28 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
+from dsbrdf.extras import require
+from dsbrdf.fitting.decomposition import LobeParameters, decompose
 from dsbrdf.output.figure_layout import (
+    COMPONENT_COLOURS,
+    LOBE_COLOURS,
+    PAIR_WIDTH,
     ROW_HEIGHT,
-    SPHERES_HEIGHT,
     component_parts,
-    empty_figure,
-    figure_of_rows,
+    draw_legend,
     finish_row,
     lobe_parts,
     panel_pairs,
     set_ticks,
 )
+from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import draw_panels
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, FigureBase
+    from matplotlib.figure import Figure, FigureBase, SubFigure
 
     from dsbrdf.data.reduction import Profiles
     from dsbrdf.model.dsbrdf import DSBRDF
@@ -47,39 +52,33 @@ if TYPE_CHECKING:
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """The slices that are drawn by default [rad]."""
-
 IMAGE_FORMATS = ("png", "svg", "pdf")
 """Formats of `encode_figure`."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
+_ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
+_STYLES = ("-", "--", "-.", ":")
+_TITLE, _SPHERES = 0.4, 2.5  # heights in inches
 _LARGEST_PERCENT = 100.0  # larger residuals have the colour of this one
 _RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
 _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
 
 
-def profiles_figure(profiles: Profiles, model: DSBRDF, *, theta_diff: Sequence[float] = DEFAULT_THETA_DIFF) -> Figure:
+def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Row (a) of `overview_figure` alone."""
-    rows = _nearest_rows(theta_diff)
-    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT])
+    rows = _nearest_rows(DEFAULT_THETA_DIFF)
+    figure, (row,) = _figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT])
     _profiles_row(row, profiles, model, rows)
     return figure
 
 
-def lobes_figure(
-    profiles: Profiles,
-    model: DSBRDF,
-    *,
-    theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
-    channel: str = "red",
-    model_lobes: bool = False,
-) -> Figure:
-    """Row (b) of `overview_figure` alone."""
-    rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    what = _parts_name(model_lobes)
-    figure, (row,) = figure_of_rows(f"{profiles.name}: {what}, {channel} channel", len(rows), [ROW_HEIGHT])
-    _parts_row(row, profiles, model, rows, index, model_lobes)
+def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
+    """Row (b) of `overview_figure` alone, in red."""
+    rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
+    figure, (row,) = _figure_of_rows(title, len(rows), [ROW_HEIGHT])
+    _parts_row(row, profiles, model, rows, 0, model_lobes)
     return figure
 
 
@@ -116,13 +115,15 @@ def overview_figure(
     MissingExtraError
         If Matplotlib is not installed.
     """
-    rows, index = _nearest_rows(theta_diff), _channel_index(channel)
-    heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, SPHERES_HEIGHT]
-    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(rows), heights)
+    if channel not in CHANNELS:
+        raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
+    rows = _nearest_rows(theta_diff)
+    heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, _SPHERES]
+    figure, (above, below, *rest) = _figure_of_rows(profiles.name, len(rows), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
-    _parts_row(below, profiles, model, rows, index, model_lobes)
+    _parts_row(below, profiles, model, rows, CHANNELS.index(channel), model_lobes)
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
@@ -135,7 +136,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
     Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
     """
-    figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT)
+    figure = _empty_figure(profiles.name, 2, height=ROW_HEIGHT)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
@@ -145,24 +146,75 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
         image = ax.imshow(
             values,
             cmap="RdBu_r",
-            vmin=-_LARGEST_PERCENT,
-            vmax=_LARGEST_PERCENT,
+            clim=(-_LARGEST_PERCENT, _LARGEST_PERCENT),
             origin="lower",
             aspect="auto",
             interpolation="nearest",
         )
-        ax.set_facecolor("0.85")
-        ax.set_xticks(
-            np.interp(np.radians(_RESIDUAL_TICKS), THETA_HALF, np.arange(THETA_HALF.size)), map(str, _RESIDUAL_TICKS)
-        )
-        ax.set_yticks(range(0, 91, 15))
+        ax.set(facecolor="0.85", yticks=range(0, 91, 15), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
+        ax.set_xticks(np.interp(np.radians(_RESIDUAL_TICKS), THETA_HALF, range(90)), map(str, _RESIDUAL_TICKS))
         ax.set_title(channel, fontsize=9)
-        ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
         ax.tick_params(labelsize=8)
     axes[0].set_ylabel(r"$\theta_\mathrm{diff}$ [degrees]")
     bar = figure.colorbar(image, ax=axes, label="(fit - measured) / measured [%]", extend="both")
     bar.ax.tick_params(labelsize=8)
     return figure
+
+
+def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
+    """Height in red, green and blue, half width, tail and elongation over theta_diff: the components' own lobes.
+
+    With `model_lobes`, those of the model instead, with kappa as the tail, and the green channel's shape where each
+    channel has its own. The title is such as the name of the material.
+    """
+    figure = _empty_figure(title, 2, height=1.7 * ROW_HEIGHT)
+    heights, widths, tails, elongations = figure.subplots(2, 2).flat
+    degrees = np.degrees(_ANGLES)
+    for number, (label, colour, at) in enumerate(_model_lobes(model) if model_lobes else _own_lobes(model)):
+        style = _STYLES[number % len(_STYLES)]
+        for values, channel_colour in zip(at.height.T, CHANNEL_COLOURS, strict=True):
+            heights.plot(degrees, values, style, color=channel_colour, linewidth=1.2)
+        for ax, values in ((widths, np.degrees(at.half_width)), (tails, at.tail), (elongations, at.elongation)):
+            ax.plot(degrees, values, style, color=colour, linewidth=1.2, label=label)
+    heights.set(yscale="log", title="height in red, green and blue [1/sr]")
+    widths.set(yscale="log", title="half width [degrees]")
+    tails.set(title="kappa" if model_lobes else "tail, 2 for GGX, less for longer ones")
+    elongations.set(title="elongation, 0 for a round lobe")
+    _include(tails, 0.0, 2.5)
+    _include(elongations, -0.25, 1.25)
+    for ax in (heights, widths, tails, elongations):
+        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
+        ax.title.set_fontsize(9)
+        set_ticks(ax)
+    draw_legend(figure, [widths], columns=4)
+    return figure
+
+
+def _own_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
+    """Label, colour and own lobe of each component."""
+    return [
+        (part.label.replace("_", " "), COMPONENT_COLOURS[part.label], part.parameters_at(_ANGLES))
+        for part in decompose(model)
+    ]
+
+
+def _model_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
+    """Label, colour and parameters of each lobe of a model."""
+    heights, at = model.parameters_at(_ANGLES)["amplitude"], lobes_in_channel(model, _ANGLES, 1)
+    return [
+        (
+            f"{'ring lobe' if is_ring else 'lobe'} {k}",
+            LOBE_COLOURS[k % len(LOBE_COLOURS)],
+            LobeParameters(heights[..., k], at["half_width"][:, k], at["kappa"][:, k], at["elongation"][:, k]),
+        )
+        for k, is_ring in enumerate(model.is_ring)
+    ]
+
+
+def _include(ax: Axes, low: float, high: float) -> None:
+    """Widen the axis to usual values, so that small differences look small."""
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(min(low, bottom), max(high, top))
 
 
 def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
@@ -175,6 +227,28 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
     buffer = BytesIO()
     figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
+
+
+def _empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
+    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
+    require("plot", "matplotlib", purpose="figures")
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
+    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
+    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
+    return figure
+
+
+def _figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
+    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
+    figure = _empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
+    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
+    head, *rows = parts[:, 0]
+    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
+    return figure, rows
 
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
@@ -305,9 +379,3 @@ def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
     if angles.ndim != 1 or not angles.size or not np.all((angles >= 0.0) & (angles <= np.pi / 2)):
         raise InvalidArgumentError("theta_diff must be one or more angles from 0 to pi/2 [rad]")
     return [int(np.argmin(np.abs(THETA_DIFF - angle))) for angle in angles]
-
-
-def _channel_index(channel: str) -> int:
-    if channel not in CHANNELS:
-        raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
-    return CHANNELS.index(channel)

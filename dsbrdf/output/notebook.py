@@ -18,8 +18,7 @@ from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.figures import overview_figure
-from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.figures import overview_figure, parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import cut_out, encode_png
 

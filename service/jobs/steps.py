@@ -29,8 +29,7 @@ from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.figures import encode_figure, lobes_figure, profiles_figure, residual_figure
-from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.figures import encode_figure, lobes_figure, parameters_figure, profiles_figure, residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 
 if TYPE_CHECKING:

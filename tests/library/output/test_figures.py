@@ -1,7 +1,6 @@
 """Figures: what is drawn is the data and the model, and nothing global is touched."""
 
 import itertools
-import subprocess
 import sys
 from dataclasses import replace
 from io import BytesIO
@@ -9,43 +8,46 @@ from io import BytesIO
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from dsbrdf import extras
 from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF
+from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output import figures
 from dsbrdf.output.figure_layout import log_ticks
-from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, profiles_figure
-from dsbrdf.output.parameters_figure import parameters_figure
+from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, cut_out
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
+from tests.support.random_models import papers_model
 
-Fitted = tuple[Profiles, DSBRDF]
-
-
-@pytest.fixture(scope="module")
-def fitted(plastic: Measurement) -> Fitted:
-    summary = profiles(plastic)
-    # A delta term and several lobes: what a picture must not lose.
-    model = fit(summary, FitOptions(n_lobes=3, method="paper")).model
-    return summary, replace(model, delta=np.full_like(model.delta, 0.25))
+MODEL, PAINT = papers_model(), mixture(2, 0)  # the first has a delta term, and a shape for each channel
+ELONGATED = replace(MODEL, elongation=np.array([[1.5, 0.5, -0.5]]), delta=np.zeros_like(MODEL.delta))
 
 
 @pytest.fixture(scope="module")
-def paint_model() -> DSBRDF:
-    return mixture(2, 0)
+def spheres() -> SphereComparison:
+    return compare_spheres(MODEL, MODEL, size=16)
+
+
+@pytest.fixture(scope="module")
+def overview(plastic_profiles: Profiles, spheres: SphereComparison) -> Figure:
+    """At theta_diff of 0 and 45 degrees: axes 0 to 3 show profiles, 4 to 7 components in green, then come spheres."""
+    degrees = [0.0, float(np.radians(45.0))]
+    return overview_figure(plastic_profiles, MODEL, theta_diff=degrees, channel="green", spheres=spheres)
+
+
+@pytest.fixture(scope="module")
+def lobes(plastic_profiles: Profiles) -> Figure:
+    """The same slices in red, with the lobes of the model."""
+    return lobes_figure(plastic_profiles, MODEL, model_lobes=True)
 
 
 def y_of(line: Line2D) -> NDArray[np.float64]:
@@ -59,53 +61,40 @@ def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np
     ]
 
 
-@pytest.mark.parametrize("theta_diff_deg", [0, 45])
-def test_profiles_figure_draws_measured_means_and_the_fit_within_its_limits(
-    fitted: Fitted, theta_diff_deg: int
+def test_overview_draws_measured_means_and_the_fit_within_its_limits(
+    overview: Figure, plastic_profiles: Profiles
 ) -> None:
-    summary, model = fitted
-    figure = profiles_figure(summary, model, theta_diff=[np.radians(theta_diff_deg)])
-    assert len(figure.axes) == 2
-    for ax, (index, channel) in itertools.product(figure.axes, enumerate(("red", "green", "blue"))):
+    for (at, ax), (index, channel) in itertools.product(enumerate(overview.axes[:4]), enumerate(CHANNELS)):
+        row = (0, 0, 45, 45)[at]
         ((angles, values),) = lines_of(ax, f"{channel}, fit")
         assert angles.min() == pytest.approx(-np.pi / 2)
-        expected = model.evaluate(np.abs(angles).clip(max=np.pi / 2), np.radians(theta_diff_deg))[:, index]
+        expected = MODEL.evaluate(np.abs(angles).clip(max=np.pi / 2), np.radians(row))[:, index]
         np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-12)
         ((angles, values),) = lines_of(ax, f"{channel}, measured")
         nodes = np.rint(np.sqrt(np.degrees(np.abs(angles)) * 90.0)).astype(int)  # theta_half = (i / 90)**2 * 90
-        np.testing.assert_array_equal(values, summary.mean[index, theta_diff_deg, nodes])
-        assert np.all(summary.weight[index, theta_diff_deg, nodes] > 0)
+        np.testing.assert_array_equal(values, plastic_profiles.mean[index, row, nodes])
+        assert np.all(plastic_profiles.weight[index, row, nodes] > 0)
         low, high = ax.get_ylim()
         assert ax.get_yscale() == "linear" or low < values.min() < values.max() < high
 
 
-@pytest.fixture(scope="module")
-def elongated(fitted: Fitted) -> DSBRDF:
-    model = fitted[1]
-    elongation = np.tile([[1.5, 0.5, -0.5]], (model.elongation.shape[0], 1))
-    return replace(model, elongation=elongation, delta=np.zeros_like(model.delta))
-
-
-def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measured(
-    fitted: Fitted, elongated: DSBRDF
-) -> None:
-    summary, _ = fitted
-    ax = profiles_figure(summary, elongated, theta_diff=[np.radians(45.0)]).axes[0]
+def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measured(plastic_profiles: Profiles) -> None:
+    ax = profiles_figure(plastic_profiles, ELONGATED).axes[2]
     ((angles, values),) = lines_of(ax, "red, fit")
     phi_diff = np.radians(np.arange(0.05, 180.0, 0.1))
-    assert summary.horizon_cutoff is not None
+    assert plastic_profiles.horizon_cutoff is not None
     peak = np.radians(2.0)
-    assert abs(np.interp(peak, angles, values) / elongated.evaluate(peak, THETA_DIFF[45])[0] - 1.0) > 0.02
+    assert abs(np.interp(peak, angles, values) / ELONGATED.evaluate(peak, THETA_DIFF[45])[0] - 1.0) > 0.02
     for theta_half in np.radians([2.0, 20.0, 40.0, 60.0]):
-        used = above_horizon(theta_half, THETA_DIFF[45], phi_diff, summary.horizon_cutoff)
+        used = above_horizon(theta_half, THETA_DIFF[45], phi_diff, plastic_profiles.horizon_cutoff)
         assert used.any()
-        expected = elongated.evaluate(theta_half, THETA_DIFF[45], phi_diff[used])[:, 0].mean()
+        expected = ELONGATED.evaluate(theta_half, THETA_DIFF[45], phi_diff[used])[:, 0].mean()
         assert np.interp(theta_half, angles, values) == pytest.approx(expected, rel=5e-3)
 
 
-def test_parameters_figure_draws_the_own_lobe_of_each_component(paint_model: DSBRDF) -> None:
-    heights, widths, tails, elongations = parameters_figure(paint_model, title="paint").axes
-    components = list(decompose(paint_model))
+def test_parameters_figure_draws_the_own_lobe_of_each_component() -> None:
+    heights, widths, tails, elongations = parameters_figure(PAINT, title="paint").axes
+    components = list(decompose(PAINT))
     assert [line.get_label() for line in widths.lines] == [part.label.replace("_", " ") for part in components]
     for number, component in enumerate(components):
         at = np.radians(np.asarray(widths.lines[number].get_xdata(), float))
@@ -118,126 +107,96 @@ def test_parameters_figure_draws_the_own_lobe_of_each_component(paint_model: DSB
         np.testing.assert_allclose(y_of(elongations.lines[number]), component.parameters_at(at).elongation)
 
 
-def test_parameters_figure_draws_the_lobes_of_the_model_on_request(elongated: DSBRDF) -> None:
-    heights, widths, kappas, elongations = parameters_figure(elongated, model_lobes=True).axes
+def test_parameters_figure_draws_the_lobes_of_the_model_on_request() -> None:
+    heights, widths, kappas, elongations = parameters_figure(ELONGATED, model_lobes=True).axes
     at = np.radians(np.asarray(heights.lines[0].get_xdata(), float))
     drawn = np.sort([y_of(line) for line in heights.lines], axis=0)
-    expected = elongated.parameters_at(at)
+    expected = ELONGATED.parameters_at(at)
     np.testing.assert_allclose(drawn, np.sort(expected["amplitude"].reshape(at.size, -1), axis=1).T, rtol=1e-9)
     assert sorted(float(y_of(line)[0]) for line in elongations.lines) == [-0.5, 0.5, 1.5]
     np.testing.assert_allclose([y_of(line) for line in kappas.lines], expected["kappa"][:, 1].T)
     assert [line.get_label() for line in widths.lines] == ["lobe 0", "lobe 1", "lobe 2"]
 
 
-@pytest.mark.parametrize("model_lobes", [False, True])
-def test_drawn_parts_sum_to_the_fit(fitted: Fitted, model_lobes: bool) -> None:
-    summary, model = fitted
-    figure = lobes_figure(summary, model, theta_diff=[0.0], channel="green", model_lobes=model_lobes)
-    ax = figure.axes[0]
-    ((_, total),) = lines_of(ax, "fit")
-    named = [str(line.get_label()) for line in ax.lines]
-    parts = [label for label in named if "half width" in label or label == "delta term"]
-    assert len(parts) == len(set(parts)) == (model.n_lobes + 1 if model_lobes else len(decompose(model)))
-    values = [values for label in parts for _, values in lines_of(ax, label)]
-    np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
+def test_drawn_parts_sum_to_the_fit_in_the_channel_asked_for(overview: Figure, lobes: Figure) -> None:
+    of_components = overview.axes[4], "green", len(decompose(MODEL))
+    for ax, channel, count in (of_components, (lobes.axes[0], "red", MODEL.n_lobes + 1)):
+        ((_, total),) = lines_of(ax, "fit")
+        np.testing.assert_array_equal(total, lines_of(overview.axes[0], f"{channel}, fit")[0][1])
+        named = [str(line.get_label()) for line in ax.lines]
+        parts = [label for label in named if "half width" in label or label == "delta term"]
+        assert len(parts) == len(set(parts)) == count
+        values = [values for label in parts for _, values in lines_of(ax, label)]
+        np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
 
 
-def test_own_lobes_are_drawn_dashed_below_the_components(fitted: Fitted, paint_model: DSBRDF) -> None:
-    ax = lobes_figure(fitted[0], paint_model, theta_diff=[0.0]).axes[0]
+def test_own_lobes_are_drawn_dashed_below_the_components(plastic_profiles: Profiles) -> None:
+    ax = lobes_figure(plastic_profiles, PAINT).axes[0]
     dashed = [line for line in ax.lines if line.get_linestyle() == "--"]
-    for line, component in zip(dashed, decompose(paint_model), strict=True):
+    for line, component in zip(dashed, decompose(PAINT), strict=True):
         angles = np.radians(np.abs(np.asarray(line.get_xdata(), float))).clip(max=np.pi / 2)
         np.testing.assert_allclose(y_of(line), component.lobe.evaluate(angles, 0.0)[:, 0], rtol=1e-9)
         (named,) = [other for other in ax.lines if str(other.get_label()).startswith(component.label.replace("_", " "))]
         assert named.get_color() == line.get_color()
 
 
-def test_what_cannot_be_seen_is_not_in_the_legend(fitted: Fitted) -> None:
-    summary, model = fitted
-    dark = model.amplitude.copy()
+def test_what_cannot_be_seen_is_not_in_the_legend(plastic_profiles: Profiles) -> None:
+    dark = MODEL.amplitude.copy()
     dark[..., 0] = 0.0
-    figure = lobes_figure(summary, replace(model, amplitude=dark), model_lobes=True)
+    figure = lobes_figure(plastic_profiles, replace(MODEL, amplitude=dark), model_lobes=True)
     shown = [text.get_text() for text in figure.subfigs[1].legends[0].get_texts()]
     assert [label[:6] for label in shown] == ["fit", "measur", "lobe 1", "lobe 2", "delta "]
 
 
-def test_black_and_flat_models_and_slices_without_data_are_drawn(fitted: Fitted) -> None:
-    summary, model = fitted
-    black, flat = model.select((), with_delta=False), single_lobe(0.2, 0.0, 1.0)
-    assert not np.any(summary.weight[:, 89])
-    empty = profiles_figure(summary, model, theta_diff=[np.pi / 2])
-    for figure in (overview_figure(summary, black), parameters_figure(black), empty):
+def test_black_and_flat_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
+    black, flat = MODEL.select((), with_delta=False), single_lobe(0.2, 0.0, 1.0)
+    assert not np.any(plastic_profiles.weight[:, 89])
+    for figure in (overview_figure(plastic_profiles, black, theta_diff=[0.0, np.pi / 2]), parameters_figure(black)):
         assert encode_figure(figure, dpi=20).startswith(b"\x89PNG")
-    assert profiles_figure(summary, flat, theta_diff=[0.0]).axes[1].get_xlim() == (-90.0, 90.0)
+    assert profiles_figure(plastic_profiles, flat).axes[1].get_xlim() == (-90.0, 90.0)
 
 
-def test_figures_are_encoded_as_png_svg_and_pdf(fitted: Fitted) -> None:
-    figure = profiles_figure(*fitted, theta_diff=[0.0])
-    width, height = figure.get_size_inches()
-    image = imread(BytesIO(encode_figure(figure, dpi=50)), format="png")
+def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import of it would fail
+    width, height = lobes.get_size_inches()
+    image = imread(BytesIO(encode_figure(lobes, dpi=50)), format="png")
     assert image.shape == (round(height * 50), round(width * 50), 4)
     assert image[..., :3].std() > 0.05
-    assert b"<svg" in encode_figure(figure, "svg")
-    assert encode_figure(figure, "pdf").startswith(b"%PDF")
+    assert b"<svg" in encode_figure(lobes, "svg")
+    assert encode_figure(parameters_figure(PAINT), "pdf").startswith(b"%PDF")
     with pytest.raises(InvalidArgumentError, match="the image format must be png, svg or pdf, not 'bmp'"):
-        encode_figure(figure, "bmp")
+        encode_figure(lobes, "bmp")
 
 
-@pytest.mark.parametrize("theta_diff", [[], [-0.1], [2.0], [np.nan], [[0.0]]])
-def test_theta_diff_out_of_range_and_unknown_channels_are_refused(fitted: Fitted, theta_diff: list[float]) -> None:
-    with pytest.raises(InvalidArgumentError, match="theta_diff must be one or more angles from 0 to pi/2"):
-        profiles_figure(*fitted, theta_diff=theta_diff)
+def test_theta_diff_out_of_range_and_unknown_channels_are_refused(plastic_profiles: Profiles) -> None:
+    bad: tuple[list[float], ...] = ([], [-0.1], [2.0], [np.nan], [[0.0]])  # type: ignore[list-item]
+    for theta_diff in bad:
+        with pytest.raises(InvalidArgumentError, match="theta_diff must be one or more angles from 0 to pi/2"):
+            overview_figure(plastic_profiles, MODEL, theta_diff=theta_diff)
     with pytest.raises(InvalidArgumentError, match="channel must be red, green or blue, not 'alpha'"):
-        lobes_figure(*fitted, channel="alpha")
+        overview_figure(plastic_profiles, MODEL, channel="alpha")
 
 
-def test_missing_matplotlib_error_names_the_extra(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_matplotlib_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     said = r"matplotlib must be installed for figures: pip install 'dsbrdf\[plot\]'"
     with pytest.raises(extras.MissingExtraError, match=said):
-        profiles_figure(*fitted)
+        parameters_figure(PAINT)
 
 
-def test_figures_do_not_touch_pyplot() -> None:
-    code = """
-import sys
-from dsbrdf.output.figures import encode_figure
-from dsbrdf.output.parameters_figure import parameters_figure
-from tests.support.known_models import single_lobe
-encode_figure(parameters_figure(single_lobe(1.0, 9.0)), dpi=30)
-assert "matplotlib.pyplot" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_overview_ends_with_spheres(fitted: Fitted) -> None:
-    spheres = compare_spheres(fitted[1], fitted[1], size=16)
-    figure = overview_figure(*fitted, spheres=spheres)
-    panels = figure.axes[len(overview_figure(*fitted).axes) :]
+def test_overview_ends_with_spheres(overview: Figure, spheres: SphereComparison) -> None:
+    panels = overview.axes[8:]
     assert [ax.get_title() for ax in panels] == list(spheres.panels)
     shown = panels[1].images[0].get_array()
     assert shown is not None
-    inside = shown[..., 3] == 1.0
     np.testing.assert_array_equal(shown[3:13, 3:13, :3], spheres.panels["fit"][3:13, 3:13])
-    assert inside[3:13, 3:13].all()
+    assert np.all(shown[3:13, 3:13, 3] == 1.0)
 
 
-def test_lower_row_of_the_overview_is_of_the_channel_that_is_asked_for(fitted: Fitted) -> None:
-    overview, alone = (
-        lines_of(figure.axes[at], "fit")[0][1]
-        for figure, at in (
-            (overview_figure(*fitted, theta_diff=[0.0], channel="blue"), 2),
-            (lobes_figure(*fitted, theta_diff=[0.0], channel="blue"), 0),
-        )
-    )
-    np.testing.assert_array_equal(overview, alone)
-
-
-def test_legend_is_below_the_labels_of_the_axes(fitted: Fitted) -> None:
-    figure = lobes_figure(*fitted, model_lobes=True)
-    encode_figure(figure, dpi=50)
-    lowest = min(box.y0 for ax in figure.axes if (box := ax.get_tightbbox()) is not None)
-    (row,) = [part for part in figure.subfigs if part.legends]
+def test_legend_is_below_the_labels_of_the_axes(lobes: Figure) -> None:
+    encode_figure(lobes, dpi=50)
+    lowest = min(box.y0 for ax in lobes.axes if (box := ax.get_tightbbox()) is not None)
+    (row,) = [part for part in lobes.subfigs if part.legends]
     assert row.legends[0].get_window_extent().y1 <= lowest + 1.0
 
 
