@@ -4,16 +4,16 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from dsbrdf.data.files import write_atomically
+from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import LABELS, Component, decompose
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
-from dsbrdf.output.export.merl import merl_table
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import parameters_csv
 from dsbrdf.output.serialize import to_json, to_npz
@@ -26,29 +26,14 @@ PARTS = (*LABELS, GUIDE)
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One kind of file.
-
-    `encode` returns its content for a model and, if there is one, its report; `encode_component` for a component, None
-    where the format holds lobes, which a component has not.
-    """
+    """One kind of file."""
 
     purpose: str  # in a few words, for command line, HTTP reference and page
     suffix: str  # of the file's name, without the dot
     media_type: str  # for HTTP
-    encode: Callable[[DSBRDF, FitReport | None], bytes]
-    encode_component: Callable[[Component], bytes] | None = None
+    encode: Callable[[Any, FitReport | None], bytes | str]  # content for a model or a component, and its report
+    holds_lobes: bool = False  # of a model, not values, which a component has too
     time: Literal["short", "medium", "long"] = "short"  # at most some 50 ms, about a second, or longer
-
-
-def _of_values(
-    purpose: str,
-    suffix: str,
-    media_type: str,
-    encode: Callable[[DSBRDF | Component], bytes],
-    time: Literal["short", "medium"] = "short",
-) -> ExportFormat:
-    """Return a format that holds values, of a model as well as of a component."""
-    return ExportFormat(purpose, suffix, media_type, lambda model, _: encode(model), encode, time)
 
 
 _BRDF_EXPLORER = """\
@@ -68,42 +53,46 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
 """
 
 
-def _brdf_explorer_file(source: DSBRDF | Component) -> bytes:
+def _brdf_explorer_file(source: DSBRDF | Component) -> str:
     """Return an analytic ``.brdf`` file, in which ``BRDF(L, V, N, X, Y)`` gives the values in 1/sr, times ``scale``."""
-    return _BRDF_EXPLORER.format(function=glsl_function(source)).encode()
+    return _BRDF_EXPLORER.format(function=glsl_function(source))
 
 
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
-        "the model and its report, without loss",
-        "json",
-        "application/json",
-        lambda model, report: to_json(model, report).encode(),
+        "the model and its report, without loss", "json", "application/json", to_json, holds_lobes=True
     ),
-    "npz": ExportFormat("the model and its report for NumPy, without loss", "npz", _BINARY, to_npz),
-    "merl": _of_values("a table of values in the MERL format, 35 MB", "binary", _BINARY, merl_table),
-    "glsl": _of_values("a function for shaders", "glsl", _TEXT, lambda source: glsl_function(source).encode()),
-    "brdf": _of_values("for Disney's BRDF Explorer", "brdf", _TEXT, _brdf_explorer_file),
+    "npz": ExportFormat("the model and its report for NumPy, without loss", "npz", _BINARY, to_npz, holds_lobes=True),
+    "merl": ExportFormat(
+        "a table of values in the MERL format, 35 MB",
+        "binary",
+        _BINARY,
+        lambda source, _: encode_merl(source.tabulate()),
+    ),
+    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, lambda source, _: glsl_function(source)),
+    "brdf": ExportFormat("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source, _: _brdf_explorer_file(source)),
     "csv": ExportFormat(
         "a table of the parameters",
         "csv",
         "text/csv; charset=utf-8",
-        lambda model, _: parameters_csv(model).encode(),
+        lambda model, _: parameters_csv(model),
+        holds_lobes=True,
     ),
-    "bsdf": _of_values("for Mitsuba 3", "bsdf", _BINARY, rgl_bsdf, "medium"),
-    "bsdf-spectral": _of_values(
+    "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY, lambda source, _: rgl_bsdf(source), time="medium"),
+    "bsdf-spectral": ExportFormat(
         "for spectral variants of Mitsuba 3, and pbrt-v4",
         "bsdf",
         _BINARY,
-        lambda source: rgl_bsdf(source, spectral=True),
-        "medium",
+        lambda source, _: rgl_bsdf(source, spectral=True),
+        time="medium",
     ),
     "materialx": ExportFormat(
         "the OpenPBR surface that looks most like it, which takes some seconds",
         "mtlx",
         "application/xml",
-        lambda model, _: materialx_document(model).encode(),
+        lambda model, _: materialx_document(model),
+        holds_lobes=True,
         time="long",
     ),
 }
@@ -138,9 +127,10 @@ def export_model(
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
     if check_shader_options(file_format, name, sampling=sampling):
         return glsl_function(source, NAME if name is None else name, sampling=sampling).encode()
-    if isinstance(source, DSBRDF):
-        return FORMATS[file_format].encode(source, report)
-    return check_holds_component(file_format)(source)
+    if isinstance(source, Component):
+        check_holds_component(file_format)
+    content = FORMATS[file_format].encode(source, report)
+    return content.encode() if isinstance(content, str) else content
 
 
 def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> bool:
@@ -151,16 +141,14 @@ def check_shader_options(file_format: str, name: str | None, *, sampling: bool) 
     return given
 
 
-def check_holds_component(file_format: str) -> Callable[[Component], bytes]:
-    """Return what writes a component in a format; raise InvalidArgumentError if the format cannot hold one."""
-    encode = FORMATS[file_format].encode_component
-    if encode is None:
-        able = [name for name, kind in FORMATS.items() if kind.encode_component]
+def check_holds_component(file_format: str) -> None:
+    """Raise InvalidArgumentError if a format cannot hold a component."""
+    if FORMATS[file_format].holds_lobes:
+        able = [name for name, kind in FORMATS.items() if not kind.holds_lobes]
         raise InvalidArgumentError(
             f"{file_format} cannot hold a component, whose values are a share of the model's: take {one_of(able)}, or "
             "export the guide, which is the components' own lobes together"
         )
-    return encode
 
 
 def export(

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import dsbrdf
 from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.data.merl import parse_merl
+from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.output.export import FORMATS, export_model, part_of
-from dsbrdf.output.export.merl import merl_parts, merl_table
+from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_npz
 from tests.support.models import assert_same_bits
 from tests.support.server import Server
@@ -73,7 +73,7 @@ def test_the_openapi_document_lists_every_format(server: Server) -> None:
 
 
 def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected, computed = merl_table(model), []
+    expected, computed = encode_merl(model.tabulate()), []
     grid = dsbrdf.DSBRDF.evaluate_grid
 
     def counted(self: dsbrdf.DSBRDF, theta_half: Array, *rest: Array) -> Iterator[Array]:
