@@ -8,7 +8,7 @@ are finite everywhere. Those of a branch that is not taken are finite too, becau
 
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,17 +25,6 @@ Number = Any
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
 """Parameters that can be changed, arrays of `DSBRDF`."""
 _LEAST = 1e-9  # of a parameter whose logarithm is taken
-
-
-class _Angles(NamedTuple):
-    """Where a model is evaluated."""
-
-    theta_diff: Number
-    tan_half: Number
-    squared: Number
-    """tan(theta_half)**2, never infinite."""
-    cos2_phi: Number
-    log_cos: Number
 
 
 class Table:
@@ -75,17 +64,6 @@ def _safe_root(x: Number) -> Number:
     dr = import_module("drjit")
     positive = x > 0.0
     return dr.select(positive, dr.sqrt(dr.select(positive, x, 1.0)), 0.0)
-
-
-def _lobe_value(squared: Number, kappa: Number, gamma: Number, center: Number | None, family: str) -> Number:
-    """Value of a lobe of height 1; see `dsbrdf.model.lobes.lobe_values`."""
-    dr = import_module("drjit")
-    top_squared: Number = 0.0
-    if center is not None:
-        root, tan_center = _safe_root(squared), dr.tan(center)
-        tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
-        squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
-    return FAMILIES[family].value_of_squares(SeriesMath(dr.exp, _expm1, _log1p), squared, top_squared, kappa, gamma)
 
 
 class MitsubaModel:
@@ -160,23 +138,23 @@ class MitsubaModel:
 
     def brdf(self, omega_in: Number, omega_out: Number) -> list[Number]:
         """Values in red, green and blue [1/sr] of directions above the horizon."""
-        angles = self._angles(omega_in, omega_out)
-        place = self._place(angles.theta_diff)
+        theta_diff, tan_half, squared_half, cos2_phi, log_cos = self._angles(omega_in, omega_out)
+        place = self._place(theta_diff)
         dr, model, k = self._dr, self._model, self._model.n_lobes
         spline, n_shapes = model.interpolation == "spline", model.kappa.shape[0]
         result: list[Number] = [self._mitsuba.Float(0.0)] * 3
         for lobe in range(k):
-            squared = angles.squared
+            squared = squared_half
             if model.elongation[:, lobe].any():
-                ratio = dr.exp(self._row((3 + 3 * n_shapes) * k + lobe, place) * angles.log_cos)
-                squared = squared * (angles.cos2_phi / ratio + (1.0 - angles.cos2_phi) * ratio)
+                ratio = dr.exp(self._row((3 + 3 * n_shapes) * k + lobe, place) * log_cos)
+                squared = squared * (cos2_phi / ratio + (1.0 - cos2_phi) * ratio)
             values = [self._lobe(3 * k + c * k + lobe, n_shapes * k, lobe, place, squared) for c in range(n_shapes)]
             for channel in range(3):
                 height = self._row(channel * k + lobe, place)
                 amplitude = dr.exp(height) if spline else _expm1(height)
                 result[channel] = result[channel] + amplitude * values[channel % n_shapes]
         if model.delta.any():
-            inside = angles.tan_half < float(np.tan(CENTER_CUTOFF))
+            inside = tan_half < float(np.tan(CENTER_CUTOFF))
             for channel in range(3):
                 result[channel] += dr.select(inside, self._row(self._n_rows - 3 + channel, place), 0.0)
         return result
@@ -222,7 +200,8 @@ class MitsubaModel:
         toward, aside = along * (ring * dr.cos(turn) + seen.x), across * ring * dr.sin(turn)
         return dr.normalize(self._mitsuba.Vector3f(toward * x - aside * y, toward * y + aside * x, z + seen.y))
 
-    def _angles(self, omega_in: Number, omega_out: Number) -> _Angles:
+    def _angles(self, omega_in: Number, omega_out: Number) -> tuple[Number, ...]:
+        """theta_diff, tan(theta_half), its finite square, cos(phi_diff)**2, and the log(cosine) that stretches."""
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
@@ -240,7 +219,7 @@ class MitsubaModel:
         log_cos = 0.25 * dr.log(fourth + (1.0 - fourth) * cos2_diff * cos2_diff)
         theta_diff = dr.atan2(_safe_root(difference2), dr.sqrt(sum2))
         squared = dr.minimum(radius2 / (height * height), 1e30)
-        return _Angles(theta_diff, radius / height, squared, cos2_phi, log_cos)
+        return theta_diff, radius / height, squared, cos2_phi, log_cos
 
     def _place(self, theta_diff: Number) -> tuple[Number, Number]:
         """A piece of the polynomials, and where in it a point is, from 0 to 1."""
@@ -259,12 +238,17 @@ class MitsubaModel:
         return s * s * (s * first + 3.0 * t * second) + t * t * (3.0 * s * third + t * last)
 
     def _lobe(self, row: int, step: int, lobe: int, place: tuple[Number, Number], squared: Number) -> Number:
-        """Value of a lobe whose kappa is in a row, with gamma and center a step and two steps after it."""
-        kappa, gamma = self._row(row, place), self._row(row + step, place)
+        """Value of a lobe of height 1 whose kappa is in a row, with gamma and center a step and two steps after it."""
+        dr, kappa, gamma = self._dr, self._row(row, place), self._row(row + step, place)
         if self._model.interpolation == "spline":
-            kappa, gamma = self._dr.exp(kappa), self._dr.exp(gamma)
-        center = self._row(row + 2 * step, place) if self._model.is_ring[lobe] else None
-        return _lobe_value(squared, kappa, gamma, center, self._model.lobe)
+            kappa, gamma = dr.exp(kappa), dr.exp(gamma)
+        top_squared: Number = 0.0
+        if self._model.is_ring[lobe]:
+            root, tan_center = _safe_root(squared), dr.tan(self._row(row + 2 * step, place))
+            tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
+            squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
+        math = SeriesMath(dr.exp, _expm1, _log1p)
+        return FAMILIES[self._model.lobe].value_of_squares(math, squared, top_squared, kappa, gamma)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
         """Cosine and sine of the azimuth, 1 and 0 along the normal."""

@@ -15,7 +15,6 @@ here the spectra that `dsbrdf.output.export.rgl` gives the same values; no progr
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.geometry import half_difference, spherical
@@ -57,7 +56,7 @@ def rgl_bsdf(
     }
     if not spectral:
         return encode_tensors(fields | {"rgb": rgb})
-    spectra = spectra_of_rgb(rgb.swapaxes(2, 4)).swapaxes(2, 4).astype(np.float32)
+    spectra = (rgb.swapaxes(2, 4) @ SPECTRA).swapaxes(2, 4).astype(np.float32)
     return encode_tensors(fields | {"wavelengths": WAVELENGTHS.astype(np.float32), "spectra": spectra})
 
 
@@ -108,9 +107,4 @@ WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
 _RED = [0.0574, 0.0537, 0.0299, 0.0047, 0, 0, 0, 0, 0, 0.1347, 0.7972, 1, 1, 1, 1, 1]
 _GREEN = [0, 0, 0, 0, 0.2587, 0.7471, 1, 1, 1, 0.7935, 0.2002, 0, 0, 0, 0, 0]
 SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])
-"""Spectra of red, green and blue at the nodes, shape (3, 16)."""
-
-
-def spectra_of_rgb(rgb: NDArray[np.floating]) -> Array:
-    """Spectra (..., 16) at `WAVELENGTHS` of values (..., 3) in linear sRGB."""
-    return np.asarray(rgb @ SPECTRA)
+"""Spectra of red, green and blue in linear sRGB at the nodes, shape (3, 16)."""
