@@ -14,12 +14,9 @@ from typing import Any, ParamSpec, TypeVar
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-ONE_BLAS_THREAD = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "VECLIB_MAXIMUM_THREADS": "1",
-}
+ONE_BLAS_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
 """Environment variables that limit BLAS to one thread; they count when NumPy is imported, not later.
 
 The matrices of a fit are so small that several threads are slower than one, on a busy machine up to ten times.
@@ -76,9 +73,7 @@ def end_with_parent() -> None:
     parent = parent_process()
     if parent is None:
         return
-    sentinel = parent.sentinel
-
-    begun = threading.Lock()
+    sentinel, begun = parent.sentinel, threading.Lock()
     begun.acquire()
 
     def watch() -> None:
@@ -118,10 +113,7 @@ def keep_freed_memory() -> None:
     By default, glibc returns large buffers to the system, and every page of a new one costs a page fault: a tenth of
     the time of a fit. Other C libraries have no such setting.
     """
-    with suppress(AttributeError, OSError, TypeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, 1 << 25)  # the largest value that every version accepts
-        library.mallopt(_TRIM_THRESHOLD, 1 << 30)
+    _mallopt({_MMAP_THRESHOLD: 1 << 25, _TRIM_THRESHOLD: 1 << 30})  # the first is the largest that all versions accept
 
 
 def return_freed_memory() -> None:
@@ -131,11 +123,15 @@ def return_freed_memory() -> None:
     as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
     that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
     """
+    # Without the second, each large buffer would be taken from the system anew.
+    _mallopt({_MMAP_THRESHOLD: 1 << 20, _TRIM_THRESHOLD: 2 << 20, _ARENA_MAX: 2})
+
+
+def _mallopt(settings: dict[int, int]) -> None:
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, 1 << 20)
-        library.mallopt(_TRIM_THRESHOLD, 2 << 20)  # otherwise each large buffer is taken from the system anew
-        library.mallopt(_ARENA_MAX, 2)
+        for parameter, value in settings.items():
+            library.mallopt(parameter, value)
 
 
 def trim_memory() -> None:
