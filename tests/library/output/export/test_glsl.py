@@ -1,4 +1,4 @@
-"""The GLSL function, compiled and run by WebGL 2, against the model in double precision."""
+"""The GLSL function, and BRDF Explorer's file, compiled and run by WebGL 2, against the model in double precision."""
 
 import itertools
 import re
@@ -33,6 +33,8 @@ DIVIDED = "three components"
 PAINTS = {"mixture": "satin_paint", "elongated rings and cusps": "Wax2"}  # two materials in one program
 SAMPLED = ("mixture", "elongated rings and cusps")
 TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
+FRAME = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+"""Axes x, y, z of a turned surface, in its columns."""
 WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 
@@ -60,7 +62,17 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
         calls[f"{name}, pdf"] = ShaderCall(source, "vec3(dsbrdf_pdf(a, b))", *PAIRS)
         towards = np.broadcast_to(TOWARDS, PAIRS[0].shape), np.random.default_rng(4).random(PAIRS[0].shape)
         calls[f"{name}, sample"] = ShaderCall(source, "dsbrdf_sample(a, b)", *towards)
+    x, y, z = (f"vec3({', '.join(map(str, axis))})" for axis in FRAME.T.tolist())
+    shader = "const float scale = 2.0;\n" + brdf_sections()["shader"]
+    calls["turned"] = ShaderCall(shader, f"BRDF(a, b, {z}, {x}, {y})", *(one @ FRAME.T for one in PAIRS))
     return evaluate_glsl(calls, tmp_path_factory.mktemp("glsl"))
+
+
+def brdf_sections() -> dict[str, str]:
+    """Sections of a .brdf file, read as that program does: a line of the kind first, then blocks."""
+    text = export_model(MODELS["mixture"], "brdf").decode()
+    assert text.splitlines()[0] == "analytic"
+    return dict(re.findall(r"^::begin (\w+)\n(.*?)^::end \1$", text, re.MULTILINE | re.DOTALL))
 
 
 @needs_chromium
@@ -119,6 +131,19 @@ def test_webgl_draws_directions_with_that_density(name: str, values: dict[str, A
     for low, high in itertools.pairwise(edges):
         area = np.where((height > low) & (np.minimum(height, 1.0) <= high), inverse, 0.0)
         assert abs(area.mean() - 2.0 * np.pi * (high - low)) < 4.0 * area.std() / np.sqrt(area.size)
+
+
+def test_brdf_explorer_finds_a_parameter_and_a_function() -> None:
+    found = brdf_sections()
+    assert set(found) == {"parameters", "shader"}
+    assert re.fullmatch(r"float scale [\d.]+ [\d.]+ 1\n", found["parameters"])
+    assert "vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)" in found["shader"]
+
+
+@needs_chromium
+def test_brdf_explorer_gives_the_values_in_a_turned_frame(values: dict[str, Array]) -> None:
+    expected = 2.0 * MODELS["mixture"].evaluate(*half_difference(*PAIRS))
+    np.testing.assert_allclose(values["turned"], expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["", "2nd", "gl_paint", "a__b", "paint_", "flat", "mix", "a-b", "é", "p" * 65])

@@ -1,7 +1,8 @@
-"""The BSDF for Mitsuba 3 against the model itself, in scalar and LLVM variants, and Mitsuba's chi-square test."""
+"""The BSDF for Mitsuba 3 against the model itself, in scalar and LLVM variants: values, samples and derivatives."""
 
 import importlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,6 +16,7 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import mitsuba_bsdf
 from dsbrdf.output.export.mitsuba_bsdf import register
+from dsbrdf.output.export.mitsuba_model import PARAMETERS
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
@@ -22,6 +24,8 @@ from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 Array = NDArray[np.float64]
 
 UNIFORM = np.random.default_rng(0).random((3, 50_000)).astype(np.float32)
+STEP = 1e-5  # of a finite difference, relative
+UP, DOWN = [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,14 +37,13 @@ def tables_for_sampling_are_made_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module", params=["scalar_rgb", "llvm_ad_rgb"])
+@pytest.fixture(params=["scalar_rgb", "llvm_ad_rgb"])
 def variant(request: pytest.FixtureRequest) -> ModuleType:
     return prepared(request.param)
 
 
 @pytest.fixture
 def llvm() -> ModuleType:
-    """Return Mitsuba with a variant that another test may have changed meanwhile."""
     return prepared("llvm_ad_rgb")
 
 
@@ -117,8 +120,8 @@ def test_chi_square_of_mitsuba_passes(llvm: ModuleType, files: dict[str, Path]) 
 
 
 def test_nothing_is_reflected_below_the_horizon(variant: ModuleType, files: dict[str, Path]) -> None:
-    bsdf, up, down = loaded(variant, files["mixture"]), [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
-    for wi, wo in ((up, down), (down, up)):
+    bsdf = loaded(variant, files["mixture"])
+    for wi, wo in ((UP, DOWN), (DOWN, UP)):
         arguments = variant.BSDFContext(), surface_at(variant, wi), variant.Vector3f(wo)
         assert np.ravel(bsdf.eval(*arguments)).tolist() == [0.0, 0.0, 0.0]
         assert np.ravel(bsdf.pdf(*arguments)).tolist() == [0.0]
@@ -126,11 +129,11 @@ def test_nothing_is_reflected_below_the_horizon(variant: ModuleType, files: dict
 
 def test_spectral_variants_add_three_spectra(files: dict[str, Path]) -> None:
     module = prepared("scalar_spectral")
-    wi, wo = [0.6, 0.0, 0.8], [0.0, 0.28, 0.96]
-    surface = surface_at(module, wi)
+    wo = [0.0, 0.28, 0.96]
+    surface = surface_at(module, UP)
     surface.wavelengths = [400.0, 510.0, 615.0, 800.0]
     value = np.ravel(loaded(module, files["mixture"]).eval(module.BSDFContext(), surface, module.Vector3f(wo)))
-    rgb = MODELS["mixture"].evaluate_directions(wi, wo) * wo[2]
+    rgb = MODELS["mixture"].evaluate_directions(UP, wo) * wo[2]
     spectrum = np.stack([np.interp(surface.wavelengths, WAVELENGTHS, row) for row in SPECTRA], axis=-1)
     assert value == pytest.approx(spectrum @ rgb, rel=1e-5)
 
@@ -145,3 +148,112 @@ def test_missing_mitsuba_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("dsbrdf.extras.find_spec", lambda _: None)
     with pytest.raises(ImportError, match=r"^mitsuba must be installed .* pip install 'dsbrdf\[mitsuba\]'$"):
         mitsuba_bsdf.register()
+
+
+def unusual_pairs() -> tuple[Array, Array]:
+    """Pairs in single precision: exact mirror pairs, equal directions, grazing ones, the normal, and any others."""
+    random = np.random.default_rng(3)
+    cosine = np.concatenate([random.uniform(0.05, 1.0, 30), [1.0, 0.02, 0.02, 0.9, 0.4]])
+    turn = random.uniform(0.0, 6.28, cosine.size)
+    sine = np.sqrt(1.0 - cosine**2)
+    first = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1).astype(np.float32).astype(float)
+    second = np.roll(first, 7, axis=0)
+    second[:10] = first[:10] * [-1.0, -1.0, 1.0]
+    second[10:15] = first[10:15]
+    second[30:32] = first[30:32] * [-1.0, -1.0, 1.0]
+    return first, second
+
+
+def changed(model: dsbrdf.DSBRDF, name: str, place: tuple[int, ...], step: float) -> dsbrdf.DSBRDF:
+    array = getattr(model, name).copy()
+    array[place] += step
+    return replace(model, **{name: array})
+
+
+def places(model: dsbrdf.DSBRDF, name: str) -> list[tuple[int, ...]]:
+    """A few elements of a parameter, among them the first and the last."""
+    array = getattr(model, name)
+    if (name == "center" and not model.is_ring.any()) or (name == "elongation" and not array.any()):
+        return []
+    flat = np.random.default_rng(1).permutation(array.size)[:4]
+    found = [tuple(int(i) for i in np.unravel_index(place, array.shape)) for place in flat.tolist()]
+    return [place for place in found if name != "center" or model.is_ring[place[-1]]]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_derivatives_are_those_of_finite_differences(kind: str, llvm: ModuleType, files: dict[str, Path]) -> None:
+    dr, model = importlib.import_module("drjit"), MODELS[kind]
+    wi, wo = unusual_pairs()
+    angles = half_difference(wo, wi)
+    bsdf = loaded(llvm, files[kind])
+    parameters = llvm.traverse(bsdf)
+    surface, towards = surface_at(llvm, wi.T.astype(np.float32)), llvm.Vector3f(wo.T.astype(np.float32))
+    value = model.evaluate(*angles) * wo[:, 2:]
+    for name in PARAMETERS:
+        for place in places(model, name):
+            size = STEP * max(1.0, abs(float(getattr(model, name)[place])))
+            up, down = (changed(model, name, place, sign * size).evaluate(*angles) for sign in (1.0, -1.0))
+            expected = (up - down) / (2.0 * size) * wo[:, 2:]
+            tangent = np.zeros(getattr(model, name).shape, np.float32)
+            tangent[place] = 1.0
+            dr.enable_grad(parameters[name])
+            parameters.set_dirty(name)
+            parameters.update()
+            dr.set_grad(parameters[name], llvm.TensorXf(tangent))
+            found = dr.forward_to(bsdf.eval(llvm.BSDFContext(), surface, towards))
+            derivative = np.array(found, dtype=float).T
+            dr.disable_grad(parameters[name])
+            assert np.isfinite(derivative).all()
+            scale = np.abs(expected) + 1e-2 * value / max(1.0, abs(float(getattr(model, name)[place])))
+            error = np.abs(derivative - expected) / np.maximum(scale, 1e-9)
+            assert error.max() < 1e-3, (name, place, np.argmax(error.max(axis=1)))
+
+
+def test_derivatives_in_the_directions_are_finite(llvm: ModuleType, files: dict[str, Path]) -> None:
+    dr = importlib.import_module("drjit")
+    wi, wo = unusual_pairs()
+    for kind in MODELS:
+        bsdf = loaded(llvm, files[kind])
+        towards = llvm.Vector3f(wo.T.astype(np.float32))
+        surface = surface_at(llvm, wi.T.astype(np.float32))
+        dr.enable_grad(towards, surface.wi)
+        value = bsdf.eval(llvm.BSDFContext(), surface, towards)
+        if kind == "mixture":  # the density is a table of the same kind for all, and takes half a second to make
+            value += bsdf.pdf(llvm.BSDFContext(), surface, towards)
+        dr.backward(dr.sum(value))
+        for vector in (towards, surface.wi):
+            assert np.isfinite(np.array(dr.grad(vector))).all(), kind
+
+
+def test_changed_parameters_change_the_values(variant: ModuleType, files: dict[str, Path]) -> None:
+    model, bsdf = MODELS["mixture"], loaded(variant, files["mixture"])
+    parameters = variant.traverse(bsdf)
+    shapes = {name: tuple(parameters[name].shape) for name in PARAMETERS}
+    assert shapes == {name: getattr(model, name).shape for name in PARAMETERS}
+    parameters["amplitude"] = 2.0 * parameters["amplitude"]
+    parameters["elongation"] = parameters["elongation"] + 0.5
+    parameters.update()
+    now = bsdf.model()
+    np.testing.assert_allclose(now.amplitude, 2.0 * model.amplitude, rtol=1e-6)
+    wo = [-0.48, 0.36, 0.8]
+    value = np.ravel(bsdf.eval(variant.BSDFContext(), surface_at(variant, UP), variant.Vector3f(wo)))
+    np.testing.assert_allclose(value, now.evaluate_directions(wo, UP) * wo[2], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("properties", "words"),
+    [
+        ({}, 'the BSDF "dsbrdf" needs the property "filename"'),
+        ({"filename": 3.0}, 'the BSDF "dsbrdf" needs the property "filename"'),
+        ({"filename": "lost.json"}, "there is no file lost.json"),
+        ({"filename": "a.json"}, "a.json: The data is not a stored model"),
+    ],
+)
+def test_a_wrong_file_or_property_is_one_sentence(
+    properties: dict[str, Any], words: str, llvm: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RuntimeError) as caught:
+        llvm.load_dict({"type": "dsbrdf", **properties})
+    assert words in str(caught.value).strip().splitlines()[-1]
