@@ -52,8 +52,6 @@ def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: Fit
 def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path) -> None:
     with pytest.raises(InvalidArgumentError, match=r"paint\.obj: the file must end in one of \.json, \.npz, \.binary"):
         dsbrdf.export(MODEL, tmp_path / "paint.obj")
-    with pytest.raises(InvalidArgumentError, match=r"unlike 'paint\.glsl'; dsbrdf\.export writes other kinds"):
-        dsbrdf.save(MODEL, tmp_path / "paint.glsl")
     assert list(tmp_path.iterdir()) == []
 
 
