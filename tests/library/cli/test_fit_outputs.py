@@ -35,7 +35,8 @@ def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.usefixtures("three_files")
 def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp_path: Path) -> None:
     table = tmp_path / "fits.csv"
-    captured = run("fit", "good.binary", "none.binary", "bad.binary", "--csv", table, code=2)
+    command = ["fit", "good.binary", "none.binary", "bad.binary"]
+    captured = run(*command, "--csv", table, code=2)
     assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
     first, second, _, head, *rows, failed = captured.stdout.splitlines()
     assert first.startswith("good: close (")
@@ -51,6 +52,9 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
     assert (written[0]["n_lobes"], written[0]["ring_lobes"]) == ("2", "0")
     assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
+    items = document(*command, "--json", code=2)["items"]
+    assert [(item["file"], item["status"]) for item in items] == [(row["file"], row["status"]) for row in written]
+    assert items[1]["error"] == "no measurement"
 
 
 def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None:

@@ -1,9 +1,9 @@
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
 
@@ -12,9 +12,7 @@ from dsbrdf import extras
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from tests.support.command_line import QUICK, Capture, printed, sentence
-
-# serve, demo, and the command itself
+from tests.support.command_line import QUICK, Capture, printed, run, sentence
 
 
 @pytest.mark.parametrize(
@@ -32,7 +30,7 @@ def test_missing_extra_is_named(command: str, missing: str, extra: str, monkeypa
 
 
 def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dsbrdf.cli.commands.run_command", Mock(side_effect=ZeroDivisionError))
+    monkeypatch.setattr("dsbrdf.cli.commands.run_command", lambda _: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         cli.main(["show"])
 
@@ -41,21 +39,24 @@ def test_version_is_printed() -> None:
     assert printed("--version") == f"dsbrdf {dsbrdf.__version__}\n"
 
 
-def test_fit_computes_with_one_blas_thread_from_the_start() -> None:
-    program = "import atexit, os\nfrom dsbrdf.cli.main import main\n"
-    program += "atexit.register(lambda: print(os.environ['OMP_NUM_THREADS']))\nmain(['fit', 'none.binary'])"
-    environment = os.environ | {"OMP_NUM_THREADS": "7"}
-    answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    assert answer.stdout == "1\n"
+def test_fit_asks_for_one_blas_thread_before_numpy_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsbrdf.cli.commands.run_command", lambda _: int(os.environ["OMP_NUM_THREADS"]))
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delitem(sys.modules, "numpy")
+    run("fit", "none.binary", code=1)
 
 
-@pytest.mark.parametrize("words", [["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]])
-def test_command_that_computes_nothing_imports_no_numpy(words: list[str]) -> None:
-    """NumPy and SciPy would take most of the time of such a command."""
-    program = "import atexit, sys\nfrom dsbrdf.cli.main import main\n"
-    program += "atexit.register(lambda: print(sorted({'numpy', 'scipy'} & {*sys.modules})))\nsys.exit(main())"
-    answer = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True)
-    assert answer.stdout.splitlines()[-1] == "[]"
+def test_commands_that_compute_nothing_import_no_numpy() -> None:
+    """NumPy and SciPy would take most of the time of such a command; the version needs no extra either."""
+    program = """
+import sys
+from dsbrdf.cli.main import main
+for words in ["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]:
+    main(words)
+    print(words, sorted({"numpy", "scipy", *["cyclopts", "rich"] * (words == ["--version"])} & {*sys.modules}))
+"""
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert re.findall(r"^\['.*(\[.*\])$", answer.stdout, re.MULTILINE) == ["[]"] * 4
 
 
 @pytest.mark.parametrize("command", command_names())
@@ -93,3 +94,14 @@ def test_progress_goes_to_a_terminal_only(plastic_file: Path, monkeypatch: pytes
         captured = capsys.readouterr()
         assert "1/1 files" in captured.err if is_terminal else captured.err == ""
         assert json.loads(captured.out)["status"] == "succeeded"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_options_and_files(shell: str, tmp_path: Path) -> None:
+    text, script = printed("completion", shell), tmp_path / "completion.sh"
+    assert all(word in text for word in ("compare", "serve", "n-lobes", "theta-half", "specular_spike"))
+    if shell == "bash":
+        script.write_text(text)
+        ask = f"source '{script}'; COMP_WORDS=(dsbrdf comp); COMP_CWORD=1; _dsbrdf; echo ${{COMPREPLY[@]}}"
+        answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+        assert answer.stdout.split() == ["completion", "compare"]

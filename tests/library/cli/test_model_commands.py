@@ -1,6 +1,7 @@
+import re
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,12 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf.fitting.lobe_selection import SelectionStep
+from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import from_json, from_npz, load
 from tests.support.command_line import FEW_LOBES, document, printed, run
+from tests.support.random_models import random_model
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +73,10 @@ def test_text_holds_at_60_columns(words: list[str], model_file: Path, monkeypatc
 
 def test_components_are_those_of_the_library(model_file: Path) -> None:
     command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
-    angles = np.radians([0.5, 12.0, 60.0]), np.radians([0.0, 45.0, 20.0])
-    components = list(dsbrdf.decompose(load(model_file)))
-    assert len(components) == 2
-    for component in components:
+    for component in dsbrdf.decompose(load(model_file)):
         found = document(*command, "--component", component.label)["values"]
-        np.testing.assert_array_equal(found, component.evaluate(*angles))
+        expected = component.evaluate(*np.radians([[0.5, 12.0, 60.0], [0.0, 45.0, 20.0]]))
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_decompose_prints_the_components(model_file: Path) -> None:
@@ -123,14 +126,23 @@ def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None
     np.testing.assert_allclose(kappa, first.parameters_at(angles)["kappa"][:, 0, 0], rtol=1e-3)
 
 
-def test_show_prints_the_report_of_the_fit(printed_and_stored: tuple[list[str], Path], tmp_path: Path) -> None:
+def test_show_prints_the_report_that_the_fit_printed(
+    printed_and_stored: tuple[list[str], Path], tmp_path: Path
+) -> None:
     (*before, last), model_file = printed_and_stored
     assert last == f"saved: {model_file}"
+    result = dsbrdf.load_result(model_file)
+    assert re.match(r"plastic: (very )?close \(\d+\.\d dB\); 2 lobes; \d+\.\d\d s$", before[0])
     shown = printed("show", model_file).splitlines()
     assert shown[0].rpartition(";")[0] == before[0].rpartition(";")[0]  # the time is another
     assert shown[1:] == before[1:]
+    for name in ("relative_rms", "excess", "albedo_error", "psnr"):
+        assert f"{name} {result.report.metrics[name]:.4g}" in "\n".join(shown)
+    for component in dsbrdf.decompose(result):
+        line = next(line for line in shown if line.startswith(component.label))
+        assert [f"{value:.4f}" for value in component.albedo] == line.split()[-3:]
+        assert f"{np.degrees(component.half_width):.2f}°" in line
     answer = document("show", model_file, "--json")
-    result = dsbrdf.load_result(model_file)
     assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["model"]["amplitude"] == result.model.amplitude.tolist()
     assert [component["label"] for component in answer["components"]] == list(dsbrdf.decompose(result).labels)
@@ -138,6 +150,32 @@ def test_show_prints_the_report_of_the_fit(printed_and_stored: tuple[list[str], 
     shown = printed("show", tmp_path / "plain.npz").splitlines()
     assert shown[0] == "plain: 2 lobes"
     assert set(shown[2:]) <= set(before)
+
+
+def test_show_prints_the_lobes_tried_or_compared_and_the_largest_errors(
+    two_lobe_fit: FitResult, tmp_path: Path
+) -> None:
+    growth = GrowthStep(n_lobes=2, ring_lobes=1, error=1.23e-3, pays=True), GrowthStep(3, 1, 1.2e-3, pays=False)
+    compared = SelectionStep(1, -0.25, 1.5, None, 4.0, 2.5, True), SelectionStep(2, -0.5, 1.25, None, None, None, False)
+    report = replace(two_lobe_fit.report, growth=growth, selection=compared)
+    dsbrdf.save(FitResult(two_lobe_fit.model, report), tmp_path / "fit.json")
+    rows = [line.split() for line in printed("show", tmp_path / "fit.json").splitlines()]
+    start = rows.index(["lobes", "tried", "rings", "error", "held", "out"])
+    assert rows[start + 1 : start + 3] == [["2", "1", "0.00123", "kept"], ["3", "1", "0.0012", "does", "not", "pay"]]
+    start = rows.index(["lobes", "E_p", "squared", "error", "t", "critical"])
+    assert rows[start + 1 : start + 3] == [["1", "-0.2500", "1.5", "4.000", "2.500", "worse"], ["2", "-0.5000", "1.25"]]
+    for band in report.by_theta_diff:
+        low, high = (f"{angle:.0f}°" for angle in np.degrees(band.theta_diff))
+        errors = [f"{band.relative_rms:.4f}", f"{band.floor:.4f}", f"{band.excess:.3f}"]
+        assert ["theta_diff", low, "to", high, *errors] in rows
+
+
+def test_ring_lobe_is_printed_with_its_center(tmp_path: Path) -> None:
+    dsbrdf.save(random_model(), tmp_path / "ring.json")
+    out = printed("show", tmp_path / "ring.json", "--lobes")
+    assert out.startswith("ring: 4 lobes (1 ring)")
+    (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
+    assert line.count("°") == 4
 
 
 def test_export_without_loss(model_file: Path, tmp_path: Path) -> None:
