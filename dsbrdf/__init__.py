@@ -54,33 +54,26 @@ if TYPE_CHECKING:
 # Where each public name is defined. A name is imported when it is first used, so that `import dsbrdf` and the
 # commands that compute nothing do not wait for NumPy and SciPy.
 _DEFINED_IN = {
-    "dsbrdf.data.measurement": ("Measurement",),
-    "dsbrdf.data.measurement_files": ("read_measurement",),
-    "dsbrdf.data.merl": ("parse_merl", "read_merl", "write_merl"),
-    "dsbrdf.data.reduction": ("Profiles", "profiles"),
-    "dsbrdf.data.scattered_samples": ("ScatteredSamples",),
-    "dsbrdf.errors": (
-        "ConvergenceWarning",
-        "DSBRDFError",
-        "FitError",
-        "ImageFormatError",
-        "InvalidArgumentError",
-        "MeasurementFormatError",
-        "ModelFormatError",
-    ),
-    "dsbrdf.fitting.options": ("FitOptions",),
-    "dsbrdf.fitting.pipeline": ("fit",),
-    "dsbrdf.fitting.report": ("FitReport", "FitResult"),
-    "dsbrdf.fitting.decomposition": ("Component", "Decomposition", "decompose"),
-    "dsbrdf.model.dsbrdf": ("DSBRDF",),
-    "dsbrdf.model.environment": ("EnvironmentMap", "read_environment"),
-    "dsbrdf.model.furnace": ("FurnaceReport", "white_furnace"),
-    "dsbrdf.model.render": ("render_sphere",),
-    "dsbrdf.output.export": ("export",),
-    "dsbrdf.output.serialize": ("load", "load_result", "save"),
-    "dsbrdf.version": ("ALGORITHM_VERSION", "__version__"),
+    "data.measurement": "Measurement",
+    "data.measurement_files": "read_measurement",
+    "data.merl": "parse_merl read_merl write_merl",
+    "data.reduction": "Profiles profiles",
+    "data.scattered_samples": "ScatteredSamples",
+    "errors": "ConvergenceWarning DSBRDFError FitError ImageFormatError InvalidArgumentError MeasurementFormatError "
+    "ModelFormatError",
+    "fitting.options": "FitOptions",
+    "fitting.pipeline": "fit",
+    "fitting.report": "FitReport FitResult",
+    "fitting.decomposition": "Component Decomposition decompose",
+    "model.dsbrdf": "DSBRDF",
+    "model.environment": "EnvironmentMap read_environment",
+    "model.furnace": "FurnaceReport white_furnace",
+    "model.render": "render_sphere",
+    "output.export": "export",
+    "output.serialize": "load load_result save",
+    "version": "ALGORITHM_VERSION __version__",
 }
-_MODULE_OF = {name: module for module, names in _DEFINED_IN.items() for name in names}
+_MODULE_OF = {name: f"dsbrdf.{module}" for module, names in _DEFINED_IN.items() for name in names.split()}
 __all__ = sorted(_MODULE_OF)
 
 

@@ -1,14 +1,4 @@
-"""The errors of the library, as a tree.
-
-DSBRDFError
-├── MeasurementFormatError   a file or array is not an acceptable measurement
-├── InvalidArgumentError     an option, angle, direction or label is not acceptable
-├── ModelFormatError         a stored model cannot be read
-├── ImageFormatError         a picture of an environment cannot be read
-└── FitError                 an acceptable measurement cannot be fitted with these options
-
-ConvergenceWarning           a fit stopped before it converged; the result is usable
-"""
+"""The errors of the library: a `DSBRDFError` is raised on purpose, with a message for the user."""
 
 WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
 """Errors of the operating system that mean a wrong path, not a fault of the machine."""

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -199,7 +198,7 @@ _COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "secon
 def summary_table(items: Sequence[FileFit]) -> list[str]:
     """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
     fits = [(item.file, item.result) for item in items if item.result is not None]
-    fits.sort(key=lambda pair: _sortable(pair[1].report.metrics.relative_rms), reverse=True)
+    fits.sort(key=lambda pair: pair[1].report.metrics.relative_rms or 0.0, reverse=True)  # those without metrics last
     heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
     lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
     for file, result in fits:
@@ -235,11 +234,6 @@ def _row(item: FileFit) -> dict[str, Any]:
         "output": item.output,
         "warnings": " ".join(report.warnings),
     }
-
-
-def _sortable(error: float | None) -> float:
-    """Return what the table is sorted by; a fit without metrics comes last."""
-    return -math.inf if error is None else error
 
 
 def _progress_bar() -> Progress:

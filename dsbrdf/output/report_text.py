@@ -214,13 +214,9 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
 def component_document(component: Component) -> dict[str, Any]:
     """Return one component as JSON content; its own lobe as values at `LOBE_THETA_DIFF`."""
     at = component.parameters_at(np.radians(LOBE_THETA_DIFF))
-    lobe = {
-        "theta_diff_deg": list(LOBE_THETA_DIFF),
-        "height": at.height.tolist(),
-        "half_width_deg": np.degrees(at.half_width).tolist(),
-        "tail": at.tail.tolist(),
-        "elongation": at.elongation.tolist(),
-    }
+    lobe = {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": at.height.tolist()}
+    lobe |= {"half_width_deg": np.degrees(at.half_width).tolist(), "tail": at.tail.tolist()}
+    lobe["elongation"] = at.elongation.tolist()
     return {
         "label": component.label,
         "lobe": lobe,
@@ -231,21 +227,19 @@ def component_document(component: Component) -> dict[str, Any]:
     }
 
 
-_THETA_DIFF = np.radians([*range(0, 90, 5), 89.0])
-_QUANTITIES = ("amplitude", "kappa", "gamma", "center_deg", "elongation", "half_width_deg")
-
-
 def parameters_csv(model: DSBRDF) -> str:
     """Return a table of names and of one row for each lobe, channel and theta_diff, in steps of 5 degrees.
 
     The amplitude is in 1/sr, the half width is counted from the center.
     """
-    lines = [",".join(("lobe", "channel", "theta_diff_deg", *_QUANTITIES))]
-    found = [lobes_in_channel(model, _THETA_DIFF, index) for index in range(len(CHANNELS))]
+    names = ("amplitude", "kappa", "gamma", "center_deg", "elongation", "half_width_deg")
+    lines = [",".join(("lobe", "channel", "theta_diff_deg", *names))]
+    angles = np.radians([*range(0, 90, 5), 89.0])
+    found = [lobes_in_channel(model, angles, index) for index in range(len(CHANNELS))]
     for lobe in range(model.n_lobes):
         for channel, at in zip(CHANNELS, found, strict=True):
-            table = [np.degrees(_THETA_DIFF)]
-            for name in _QUANTITIES:
+            table = [np.degrees(angles)]
+            for name in names:
                 values = at[name.removesuffix("_deg")][:, lobe]
                 table.append(np.degrees(values) if name.endswith("_deg") else values)
             lead = f"{lobe},{channel},"

@@ -5,6 +5,7 @@ A lit sphere of the surface and one of the model are compared as a screen shows 
 difference is left: it is stated in the file, as PSNR.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -82,11 +83,11 @@ def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
 
     Raises InvalidArgumentError if the values are too large for a picture.
     """
-    targets = [_Target.of(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
+    targets = [_target(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
 
     def difference(numbers: Array) -> Array:
         surface = _surface(numbers)
-        return np.concatenate([target.difference(surface.evaluate) for target in targets])
+        return np.concatenate([target(surface.evaluate) for target in targets])
 
     color = np.clip(np.median(evaluate(*_AWAY_FROM_THE_HIGHLIGHT), axis=0) * np.pi, 0.02, 0.95)
     starts = [np.concatenate([color, np.full(3, 0.9), start]) for start in _STARTS]
@@ -98,28 +99,22 @@ def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
     return FittedSurface(surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS})
 
 
-@dataclass(frozen=True, eq=False)
-class _Target:
-    """A picture that the surface's should be like."""
+def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:
+    """Return what compares a surface with a picture: differences of the pixels of a sphere.
 
-    lighting: str
-    size: int
-    factor: float
-    seen: Array
+    Their mean square counts as much as that of any other picture.
+    """
+    picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
+    if not picture.max() < _BRIGHTEST:
+        raise InvalidArgumentError("the values of the model are too large for a picture")
+    factor = exposure(picture, mask)
+    wanted = displayed(picture, factor)[mask]
 
-    @classmethod
-    def of(cls, evaluate: Evaluate, lighting: str, size: int) -> "_Target":
-        picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
-        if not picture.max() < _BRIGHTEST:
-            raise InvalidArgumentError("the values of the model are too large for a picture")
-        factor = exposure(picture, mask)
-        return cls(lighting, size, factor, displayed(picture, factor)[mask])
+    def difference(surface: Evaluate) -> Array:
+        seen = displayed(render_sphere(surface, lighting=lighting, size=size), factor)[mask]
+        return np.ravel(seen - wanted) / np.sqrt(wanted.size)
 
-    def difference(self, evaluate: Evaluate) -> Array:
-        """Differences of the pixels of a sphere, whose mean square counts as much as that of any other picture."""
-        picture = render_sphere(evaluate, lighting=self.lighting, size=self.size)
-        seen = displayed(picture, self.factor)[sphere_normals(self.size)[1]]
-        return np.ravel(seen - self.seen) / np.sqrt(self.seen.size)
+    return difference
 
 
 def _surface(numbers: Array) -> OpenPBR:

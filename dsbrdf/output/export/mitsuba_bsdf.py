@@ -47,24 +47,18 @@ def register() -> None:
     mitsuba.register_bsdf("dsbrdf", _bsdf_class(mitsuba))
 
 
-def _filename(mitsuba: Any, properties: Any) -> str:
-    name = properties.get("filename", None)
+def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
+    """Return the name of the file that the properties give, and the model in it; an error names the file."""
+    name, wanted = properties.get("filename", None), "the .json or .npz file of a model"
     if not isinstance(name, str):
-        raise InvalidArgumentError(
-            'the BSDF "dsbrdf" needs the property "filename", a text: the .json or .npz file of a model'
-        )
-    return str(mitsuba.file_resolver().resolve(name))
-
-
-def _loaded(filename: str) -> DSBRDF:
-    if not Path(filename).is_file():
-        raise InvalidArgumentError(
-            f'there is no file {filename}; the BSDF "dsbrdf" needs the .json or .npz file of a model'
-        )
+        raise InvalidArgumentError(f'the BSDF "dsbrdf" needs the property "filename", a text: {wanted}')
+    path = Path(str(mitsuba.file_resolver().resolve(name)))
+    if not path.is_file():
+        raise InvalidArgumentError(f'there is no file {path}; the BSDF "dsbrdf" needs {wanted}')
     try:
-        return load(filename)
+        return str(path), load(path)
     except DSBRDFError as error:
-        raise type(error)(f"{filename}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _bsdf_class(mitsuba: Any) -> Any:
@@ -74,8 +68,8 @@ def _bsdf_class(mitsuba: Any) -> Any:
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            self.filename = _filename(mitsuba, properties)
-            self.material = MitsubaModel(_loaded(self.filename))
+            self.filename, model = _file_and_model(mitsuba, properties)
+            self.material = MitsubaModel(model)
             self.spectra = Table(SPECTRA)
             self.m_components = [mitsuba.BSDFFlags.GlossyReflection | mitsuba.BSDFFlags.FrontSide]
             self.m_flags = self.m_components[0]
