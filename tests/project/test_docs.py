@@ -212,14 +212,6 @@ def printed_address(process: "subprocess.Popen[bytes]", log: Path) -> str:
     raise AssertionError(f"the service said no address: {log.read_text()}")
 
 
-@pytest.mark.usefixtures("python_quick_start")
-def test_the_command_line_gives_components_in_the_form_of_the_service(service: str, folder: Path) -> None:
-    answer = httpx.post(f"{service}/v1/fits", content=(folder / "paint.binary").read_bytes(), timeout=60)
-    wire = httpx.get(f"{service}/v1/fits/{answer.json()['id']}/components").json()
-    there = run_main(cli.main, "decompose", str(folder / "paint.json"), "--json")
-    assert httpx.Response(200, text=there.stdout).json() == wire
-
-
 def test_the_targets_of_make_exist() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     documents = "".join(PAGES.values()) + README + (ROOT / "CONTRIBUTING.md").read_text()

@@ -5,7 +5,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
 
@@ -91,17 +91,6 @@ def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Pa
     (folder / "a.binary").symlink_to(plastic_file)
     (folder / "notes.txt").write_text("not a measurement")
     assert [item["file"] for item in document("fit", folder, "--json", *QUICK)["items"]] == [str(folder / "a.binary")]
-
-
-def test_interrupt_ends_a_fit_which_is_made_in_this_process(
-    plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: Any) -> NoReturn:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(batch, "compute", interrupted)
-    assert sentence("fit", plastic_file, "-o", tmp_path / "out", code=130) == "dsbrdf: interrupted\n"
-    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_second_run_keeps_existing_results(

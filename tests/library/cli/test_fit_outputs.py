@@ -75,11 +75,8 @@ def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp
     assert "1000" in sentence("fit", no_measurement, *address)
 
 
-def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
-    assert sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1).startswith(
-        "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"
-    )
-
-
-def test_server_that_wants_a_key_is_named(guarded: Guarded, plastic_file: Path) -> None:
+def test_server_that_does_not_answer_or_wants_a_key_is_named(guarded: Guarded, plastic_file: Path) -> None:
+    said = sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1)
+    nobody = "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"
+    assert said.startswith(nobody)
     assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, "--url", guarded.server.http.base_url)

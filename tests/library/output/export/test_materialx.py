@@ -31,18 +31,19 @@ SURFACES = {
     "coated mixture of both": COATED,
     "of less index than air": OpenPBR((0.4, 0.4, 0.4), specular_ior=0.8, specular_roughness=0.4),
 }
-DOCUMENT = """<materialx version="1.39">
-<open_pbr_surface name="dsbrdf_surface" type="surfaceshader">{}</open_pbr_surface>
-<surfacematerial name="m" type="material">
-<input name="surfaceshader" type="surfaceshader" nodename="dsbrdf_surface"/></surfacematerial></materialx>"""
+MODEL = mixture(3, 0)
 
 
-def document_of(surface: OpenPBR) -> str:
-    inputs = []
-    for name, value in vars(surface).items():
-        kind, text = ("color3", ", ".join(map(str, value))) if isinstance(value, tuple) else ("float", str(value))
-        inputs.append(f'<input name="{name}" type="{kind}" value="{text}"/>')
-    return DOCUMENT.format("".join(inputs))
+def document_of(found: FittedSurface) -> str:
+    """The document of a model for which a surface has been found."""
+
+    def known(evaluate: Evaluate) -> FittedSurface:
+        assert evaluate == MODEL.evaluate
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(materialx, "fit_openpbr", known)
+        return export_model(MODEL, "materialx").decode()
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +57,11 @@ def fitted() -> FittedSurface:
 def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     """What the shaders of MaterialX compute for each surface."""
     pairs = pairs_of_directions(2000)
-    sources = {name: generated_function(materialx_document(document_of(surface))) for name, surface in SURFACES.items()}
-    calls = {name: ShaderCall(source, "reflected(a, b)", *pairs) for name, source in sources.items()}
+    documents = {name: materialx_document(document_of(FittedSurface(one, {}))) for name, one in SURFACES.items()}
+    calls = {
+        name: ShaderCall(generated_function(document), "reflected(a, b)", *pairs)
+        for name, document in documents.items()
+    }
     return evaluate_glsl(calls, tmp_path_factory.mktemp("materialx"))
 
 
@@ -79,18 +83,8 @@ def test_a_surface_is_found_again_and_the_error_is_that_of_the_spheres(fitted: F
 
 
 @needs_materialx
-def test_the_document_is_valid_and_states_surface_and_error(
-    fitted: FittedSurface, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model, asked = mixture(3, 0), list[Evaluate]()
-
-    def known(evaluate: Evaluate) -> FittedSurface:
-        asked.append(evaluate)
-        return fitted
-
-    monkeypatch.setattr(materialx, "fit_openpbr", known)
-    document = materialx_document(export_model(model, "materialx").decode())
-    assert asked == [model.evaluate]
+def test_the_document_is_valid_and_states_surface_and_error(fitted: FittedSurface) -> None:
+    document = materialx_document(document_of(fitted))
     assert document.validate() == (True, "")
     for name, value in asdict(surface_of(document)).items():
         assert value == pytest.approx(getattr(fitted.surface, name), rel=1e-5)
