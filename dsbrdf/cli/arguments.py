@@ -33,11 +33,6 @@ def print_json(document: Any) -> None:
     print(json.dumps(document, allow_nan=False))
 
 
-def print_warning(sentence: str) -> None:
-    """Print one sentence to stderr that does not end the command."""
-    sys.stderr.write(f"dsbrdf: warning: {sentence}\n")
-
-
 def print_error(error: BaseException | str) -> None:
     """Print one sentence to stderr; an error of the operating system is reported with its file."""
     if isinstance(error, OSError) and error.filename is not None:

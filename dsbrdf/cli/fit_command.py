@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
-from dsbrdf.cli.parameters import DEFAULT, Flags, Jobs, Json, OutputFolder, RequiredFiles
+from dsbrdf.cli.commands import Whole
+from dsbrdf.cli.parameters import DEFAULT, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
@@ -53,9 +54,9 @@ class Work:
         Compute on the service there; DSBRDF_KEY in the environment is the key.
     """
 
-    output: OutputFolder | None = None
+    output: Annotated[Path | None, Parameter(alias="-o", metavar="DIR")] = None
     force: bool = False
-    jobs: Jobs = None
+    jobs: Annotated[int | None, Whole] = None
     scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None
     url: Annotated[str | None, Parameter(metavar="URL")] = None
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.cli.arguments import print_json, print_warning, print_written
+from dsbrdf.cli.arguments import print_error, print_json, print_written
 from dsbrdf.cli.parameters import (
     ComponentName,
     Json,
@@ -181,7 +181,7 @@ def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json
         content, sentences, about = _converted(source, suffix, spectral=spectral)
     write_atomically(target, [content])
     for sentence in sentences:
-        print_warning(f"{source}: {sentence}")
+        print_error(f"warning: {source}: {sentence}")
     print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file", suffix[1:], json=json, **about)
     if about and not json:
         print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
@@ -194,11 +194,8 @@ def _converted(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tup
     about: dict[str, Any] = {}
     if source.suffix.lower() in TABLE_SUFFIXES:
         result = fit(read_samples(source), FitOptions())
-        found, sentences, about = (
-            result.model,
-            result.report.warnings,
-            {"error_of_the_fit": result.report.metrics.relative_rms},
-        )
+        found, sentences = result.model, result.report.warnings
+        about = {"error_of_the_fit": result.report.metrics.relative_rms}
     elif source.suffix.lower() == ".bsdf":
         found = read_rgl(source)
         if suffix == ".bsdf" and not spectral:

@@ -28,12 +28,10 @@ ModelFile = Annotated[Path, Parameter(help="A .json or .npz file from dsbrdf fit
 SourceFile = Annotated[Path, Parameter(help="A .json or .npz model, or a .binary or .bsdf measurement.")]
 RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
-OutputFolder = Annotated[Path, Parameter(alias="-o", metavar="DIR")]
 ComponentName = Annotated[
     str | None,
     Parameter(choices=PARTS, help="One component, or the guide (all components' own lobes), instead of the model."),
 ]
-Jobs = Annotated[int | None, Whole]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
 

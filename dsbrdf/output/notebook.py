@@ -6,7 +6,6 @@ Wings to the left call this module, and no other of this wing, from the methods 
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterable
 from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
@@ -88,5 +87,5 @@ def _card(source: DSBRDF | Measurement, *parts: str) -> str:
 
 
 def _table(rows: dict[str, str]) -> str:
-    cells: Iterable[str] = (f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
+    cells = (f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
     return f"<table>{''.join(cells)}</table>" if rows else ""

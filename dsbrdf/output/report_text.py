@@ -27,7 +27,6 @@ LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 """theta_diff of the values of components' own lobes in JSON [degrees]."""
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 """theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
-_WIDTH = 60  # columns that tables and lists need at most
 # Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
 _VERDICTS = (
     (45.0, "hardly to be told apart"),
@@ -35,11 +34,10 @@ _VERDICTS = (
     (32.0, "close"),
     (26.0, "visibly different"),
 )
-_NO_COMPONENTS = "The model has no light, and so no components."
 
 
-def metrics_lines(metrics: Metrics, width: int = _WIDTH) -> list[str]:
-    """Return the metrics that have a value, on lines that end after one."""
+def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
+    """Return the metrics that have a value, on lines of at most so many columns that end after one."""
     known = {name: value for name, value in asdict(metrics).items() if value is not None}
     together = ", ".join(f"{name}\N{NO-BREAK SPACE}{value:.4g}" for name, value in known.items())
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(together, width)]
@@ -48,7 +46,7 @@ def metrics_lines(metrics: Metrics, width: int = _WIDTH) -> list[str]:
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table with a line for each component: half width, tail, clarity and albedo."""
     if not components:
-        return [_NO_COMPONENTS]
+        return ["The model has no light, and so no components."]
     lines = [f"{'component':<14}{'half width':>10}{'tail':>6}{'clarity':>8}{'albedo r, g, b':>21}"]
     for component in components:
         albedo = "".join(f"{value:>7.4f}" for value in component["albedo"])

@@ -10,13 +10,15 @@ from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.plain_content import model_from_dict, model_to_dict, report_from_dict
 from dsbrdf.output.serialize import (
     decomposition_from_json,
     from_json,
     from_npz,
     load,
     load_result,
+    model_from_dict,
+    model_to_dict,
+    report_from_dict,
     result_from_json,
     save,
     to_json,
