@@ -111,14 +111,6 @@ def test_weights_of_samples_are_those_of_the_model(name: str, llvm: ModuleType, 
     assert np.median(np.abs(np.array(drawn.pdf)[some] / density[some] - 1.0)) < 1e-4
 
 
-def test_chi_square_of_mitsuba_passes(llvm: ModuleType, files: dict[str, Path]) -> None:
-    chi2 = importlib.import_module("mitsuba.chi2")
-    file = f'<string name="filename" value="{files["elongated rings and cusps"]}"/>'
-    sample, pdf = chi2.BSDFAdapter("dsbrdf", file, wi=[0.6, 0.0, 0.8])
-    test = chi2.ChiSquareTest(chi2.SphericalDomain(), sample, pdf, sample_dim=3, sample_count=200_000, res=101, ires=8)
-    assert test.run(0.01, 2)
-
-
 def test_nothing_is_reflected_below_the_horizon(variant: ModuleType, files: dict[str, Path]) -> None:
     bsdf = loaded(variant, files["mixture"])
     for wi, wo in ((UP, DOWN), (DOWN, UP)):
