@@ -37,7 +37,7 @@ from dsbrdf.output.figure_layout import (
     set_ticks,
 )
 from dsbrdf.output.report_text import lobes_in_channel
-from dsbrdf.output.sphere_panels import draw_panels
+from dsbrdf.output.sphere_panels import SphereComparison, cut_out
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from dsbrdf.data.reduction import Profiles
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
-    from dsbrdf.output.sphere_panels import SphereComparison
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """The slices that are drawn by default [rad]."""
@@ -127,7 +126,7 @@ def overview_figure(
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
-        draw_panels(rest[0], spheres.seen)
+        _spheres_row(rest[0], spheres.seen)
     return figure
 
 
@@ -287,6 +286,16 @@ def _parts_row(
             for part, curve in compress(zip(parts, curves, strict=True), seen):
                 _draw_curve(ax, curve, part.colour, style=part.style, label=part.label)
     finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
+
+
+def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
+    """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
+    for ax, (title, picture) in zip(axes, panels.items(), strict=True):
+        ax.imshow(cut_out(picture), interpolation="antialiased")
+        ax.set_title(title, fontsize=9)
+        ax.set_axis_off()
 
 
 def slice_means(

@@ -177,15 +177,11 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
 
 def headline(file: Path, result: FitResult) -> str:
     """Return one line with the file, how close the fit is, the number of lobes and the time."""
-    seconds = sum(result.report.timings.values())
-    return f"{file.stem}: {verdict(result.report.metrics)}; {lobes_phrase(result.model)}; {seconds:.2f} s"
-
-
-def verdict(metrics: Metrics) -> str:
-    """Return in words how close a fit is, with the number that says so: ``very close (38.4 dB)``."""
-    if metrics.psnr is None:
-        return "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
-    return f"{likeness(metrics.psnr)} ({metrics.psnr:.1f} dB)"
+    metrics, seconds = result.report.metrics, sum(result.report.timings.values())
+    close = "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
+    if metrics.psnr is not None:
+        close = f"{likeness(metrics.psnr)} ({metrics.psnr:.1f} dB)"
+    return f"{file.stem}: {close}; {lobes_phrase(result.model)}; {seconds:.2f} s"
 
 
 def likeness(psnr: float) -> str:

@@ -4,13 +4,10 @@ All have one exposure, that of the measurement: its sphere's 99th percentile bec
 clipped to [0, 1] and shown with the sRGB curve.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +18,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
-
-if TYPE_CHECKING:
-    from matplotlib.figure import FigureBase
 
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
@@ -95,16 +89,6 @@ def cut_out(picture: Array) -> Array:
     nearest = ((part * inward + size / 2.0).astype(int) for part in (rows, columns))
     covered = np.clip(size / 2.0 - radius + 0.5, 0.0, 1.0)
     return np.concatenate([picture[tuple(nearest)], covered[..., np.newaxis]], axis=-1)
-
-
-def draw_panels(figure: FigureBase, panels: Mapping[str, Array]) -> None:
-    """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
-    axes = figure.subplots(1, len(panels), squeeze=False)[0]
-    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
-    for ax, (title, picture) in zip(axes, panels.items(), strict=True):
-        ax.imshow(cut_out(picture), interpolation="antialiased")
-        ax.set_title(title, fontsize=9)
-        ax.set_axis_off()
 
 
 def encode_png(image: Array) -> bytes:

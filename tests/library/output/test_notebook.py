@@ -43,9 +43,6 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
     assert warned.report._repr_html_() in html
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
     assert "<td>&lt;b&gt;</td>" in replace(plastic, name="<b>")._repr_html_()
-
-
-def test_notebook_shows_a_model_without_lobes(two_lobe_fit: FitResult) -> None:
     assert "0 lobes" in two_lobe_fit.model.select((), with_delta=False)._repr_html_()
 
 
