@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable, Collection, Iterator
 from graphlib import TopologicalSorter
 from importlib.metadata import entry_points
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -106,30 +107,23 @@ def modules_of(package: str) -> dict[str, Path]:
     return {module_name(path): path for path in sorted((ROOT / package).rglob("*.py"))}
 
 
-def imports_of(path: Path, modules: Collection[str]) -> set[str]:
-    """Modules of the project that a file imports, at the top or inside a function."""
-    found = set()
+def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
+    """Modules of the project that a file imports, at the top or inside a function.
+
+    The package that has two names has relative imports only, the other none.
+    """
+    found, package = set(), module if path.stem == "__init__" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            parent = _imported_from(node, path)
+            parent = resolve_name("." * node.level + (node.module or ""), package)
+            assert parent.startswith("service") is (node.level > 0), f"{path} imports {parent} by another name"
             names = {f"{parent}.{alias.name}" for alias in node.names}
             found |= names & set(modules)
             if names - set(modules):
                 found.add(parent)
     return found & set(modules) - OF_METHODS
-
-
-def _imported_from(node: ast.ImportFrom, path: Path) -> str:
-    """The full name of where a statement imports from; a package with two names has relative imports only."""
-    relative = path.relative_to(ROOT).parts[0] == "service"
-    if node.level == 0:
-        assert not (relative and (node.module or "").startswith("service")), f"{path} imports service by its name"
-        return node.module or ""
-    assert relative, f"{path} has a relative import"
-    package = path.relative_to(ROOT).parts[: -node.level]
-    return ".".join([*package, *filter(None, [node.module])])
 
 
 def wings_of(package: str) -> list[str]:
@@ -157,7 +151,7 @@ def test_wings_are_those_that_exist_and_contributing_describes(package: str) -> 
 @package
 def test_wing_imports_only_wings_to_its_left_and_no_two_modules_each_other(package: str) -> None:
     modules = modules_of(package)
-    graph = {module: imports_of(path, modules) for module, path in modules.items()}
+    graph = {module: imports_of(module, path, modules) for module, path in modules.items()}
     # A package whose own file imports nothing, only defines constants, is to the left of all wings; else to the right.
     top = len(modules) if graph[package] else -1
     order = {"": top} | {name: position for position, name in enumerate(wings_of(package))}

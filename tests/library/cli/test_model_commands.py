@@ -17,18 +17,6 @@ from tests.support.command_line import FEW_LOBES, document, printed, run
 from tests.support.random_models import random_model
 
 
-@pytest.fixture(scope="module")
-def printed_and_stored(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
-    """The lines that a fit printed, and the file that it wrote."""
-    folder = tmp_path_factory.mktemp("fits")
-    return printed("fit", plastic_file, "-o", folder, *FEW_LOBES).splitlines(), folder / "plastic.json"
-
-
-@pytest.fixture(scope="module")
-def model_file(printed_and_stored: tuple[list[str], Path]) -> Path:
-    return printed_and_stored[1]
-
-
 def test_eval_by_angles_as_a_table(model_file: Path) -> None:
     rows = printed("eval", model_file, "--theta-half", "0", "10", "--theta-diff", "30").splitlines()
     assert rows[0].split() == ["theta_half", "theta_diff", "phi_diff", "red", "green", "blue"]
@@ -125,11 +113,9 @@ def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None
     np.testing.assert_allclose(kappa, first.parameters_at(angles)["kappa"][:, 0, 0], rtol=1e-3)
 
 
-def test_show_prints_the_report_that_the_fit_printed(
-    printed_and_stored: tuple[list[str], Path], tmp_path: Path
-) -> None:
-    (*before, last), model_file = printed_and_stored
-    assert last == f"saved: {model_file}"
+def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_file: Path, tmp_path: Path) -> None:
+    *before, last = printed("fit", plastic_file, "-o", tmp_path, *FEW_LOBES).splitlines()
+    assert last == f"saved: {tmp_path / 'plastic.json'}"
     result = dsbrdf.load_result(model_file)
     assert re.match(r"plastic: (very )?close \(\d+\.\d dB\); 2 lobes; \d+\.\d\d s$", before[0])
     shown = printed("show", model_file).splitlines()

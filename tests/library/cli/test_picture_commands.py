@@ -12,15 +12,7 @@ from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import save
 from tests.support.command_line import document, printed, run
-
-
-@pytest.fixture(scope="module")
-def model_file(two_lobe_fit: FitResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("models") / "fitted.json"
-    save(two_lobe_fit, path)
-    return path
 
 
 def pixels_of(path: Path) -> NDArray[np.float64]:
@@ -98,7 +90,7 @@ def test_compare_a_measurement_with_its_fit(
 ) -> None:
     picture = tmp_path / "both.png"
     lines = printed("compare", plastic_file, model_file, "-o", picture).splitlines()
-    assert lines[0].split() == ["plastic", "fitted"]
+    assert lines[0].split() == ["plastic", "plastic"]
     assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
     (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
     assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
