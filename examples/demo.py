@@ -61,7 +61,7 @@ def running_service(folder: Path) -> Iterator[str]:
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
     try:
-        url = _address_when_ready(process, log)
+        url = address_when_ready(process, log)
         if url is None:
             raise RuntimeError(f"the service did not start; its log:\n{log.read_text(errors='replace')[-2000:]}")
         yield url
@@ -79,7 +79,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def _address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | None:
+def address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | None:
     """Wait until the service is ready and return its URL, found in its log; None if it ends or takes too long."""
     deadline = time.monotonic() + START_TIMEOUT
     while process.poll() is None and time.monotonic() < deadline:

@@ -7,7 +7,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import time
 import tomllib
 import warnings
 from collections.abc import Iterator
@@ -27,7 +26,7 @@ from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
-from examples.demo import stop
+from examples.demo import address_when_ready, stop
 from service.settings import Settings
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
@@ -92,8 +91,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
     try:
-        url = printed_address(process, folder / "log")
-        assert httpx.get(f"{url}/health/ready", timeout=30).json()["status"] == "ready"
+        url = address_when_ready(process, folder / "log")
+        assert url, (folder / "log").read_text()
         assert (folder / Settings().data_dir).is_dir()
         yield url
     finally:
@@ -201,15 +200,6 @@ def test_the_http_quick_start_in_python(service: str, folder: Path, monkeypatch:
     names = answered
     assert len(names["answer"]["values"]) == 3
     assert names["fit"]["status"] == "succeeded"
-
-
-def printed_address(process: "subprocess.Popen[bytes]", log: Path) -> str:
-    deadline = time.monotonic() + 60
-    while process.poll() is None and time.monotonic() < deadline:
-        if found := re.search(r"http://[\d.]+:\d+", log.read_text()):
-            return found[0]
-        time.sleep(0.05)
-    raise AssertionError(f"the service said no address: {log.read_text()}")
 
 
 def test_the_targets_of_make_exist() -> None:
