@@ -157,7 +157,8 @@ def test_black_and_flat_models_and_slices_without_data_are_drawn(plastic_profile
 
 
 def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import of it would fail
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import of it fails
+    monkeypatch.delattr("matplotlib.pyplot", raising=False)
     width, height = lobes.get_size_inches()
     image = imread(BytesIO(encode_figure(lobes, dpi=50)), format="png")
     assert image.shape == (round(height * 50), round(width * 50), 4)

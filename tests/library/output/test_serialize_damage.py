@@ -59,6 +59,7 @@ def _set(*path: Any, value: Any = ...) -> Callable[[Document], None]:
             for bad in ("1.0", None, 10**400)
         ),
         (_set("model", "gamma", 0, 4, 2, value=-1.0), "every gamma must be positive"),
+        (_set("model", "gamma", 0, 4, 2, value=np.nan), "contains NaN; every number must be finite"),
         (_set("model", "interpolation", value=3), "interpolation in the stored model is not a text"),
         (_set("model", "interpolation", value="magic"), "interpolation must be one of"),
         (_set("model", "lobe", value=None), "lobe in the stored model is not a text"),
@@ -66,8 +67,10 @@ def _set(*path: Any, value: Any = ...) -> Callable[[Document], None]:
         (_set("report", "metrics"), "stored report lacks the key 'metrics'"),
         (_set("report", "metrics", value=[]), "stored report.metrics must be a mapping"),
         (_set("report", "metrics", "male"), "stored report.metrics lacks the key 'male'"),
-        (_set("report", "metrics", "male", value="0.1"), "stored report.metrics.male is of the wrong kind, str"),
-        (_set("report", "metrics", "male", value=10**400), "metrics.male is of the wrong kind, int"),
+        *(
+            (_set("report", "metrics", "male", value=bad), f"report.metrics.male is of the wrong kind, {kind}")
+            for bad, kind in (("0.1", "str"), (True, "bool"), (10**400, "int"))
+        ),
         (_set("report", "n_numbers", value=True), "stored report.n_numbers is of the wrong kind, bool"),
         (_set("report", "growth", value={}), "stored report.growth is of the wrong kind, dict"),
         (_set("report", "timings", "em", value=None), "stored report.timings.em is of the wrong kind, NoneType"),
