@@ -111,13 +111,9 @@ def test_incomplete_head_times_out(impatient: Server, sent: bytes) -> None:
 def test_trickling_head_times_out(impatient: Server) -> None:
     first = b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n"
     with impatient.connection(first) as connection:
-        connection.settimeout(0.05)
         answered = b""
         while b'"live"' not in answered:
-            try:
-                answered += connection.recv(1 << 16)
-            except TimeoutError:
-                continue
+            answered += connection.recv(1 << 16)
         # The second request of the connection.
         assert problem(trickle(connection, first[:-2] + b"X-Slow: " + b"x" * 400)) == (408, "request-timeout")
 
@@ -231,19 +227,15 @@ def test_endless_trailers_are_refused(impatient: Server) -> None:
 def test_connections_over_eight_times_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False, limit_concurrency="4")
     server.http.close()
-    idle = [server.connection() for _ in range(32)]
-    try:
+    with ExitStack() as stack:
+        for _ in range(32):
+            stack.enter_context(closing(server.connection()))
         with server.connection(b"GET /health/live HTTP/1.1\r\nHost: x\r\n\r\n") as connection:
             assert problem(rest(connection)) == (503, "overloaded")
-    finally:
-        for connection in idle:
-            connection.close()
     wait_until(lambda: httpx.get(f"{server.http.base_url}/health/live", timeout=20).status_code == 200)
 
 
-def test_service_recovers_from_running_out_of_descriptors(
-    own_server: Callable[..., Server],
-) -> None:
+def test_service_recovers_from_running_out_of_descriptors(own_server: Callable[..., Server]) -> None:
     server = own_server(workers="1")
     resource.prlimit(server.process.pid, resource.RLIMIT_NOFILE, (40, 40))
     url = server.http.base_url

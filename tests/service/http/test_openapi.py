@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from openapi_schema_validator import validate
 from openapi_spec_validator import OpenAPIV31SpecValidator
-from pydantic import BaseModel
 
 import service
 from dsbrdf import FitOptions
 from service.app import create_app
 from service.http.problems import KINDS
 from service.settings import Settings
-from service.wire import schemas
 from service.wire.fit_options import to_wire
 from tests.support.server import Server
 
@@ -41,11 +40,11 @@ def media(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]
                 yield f"{name} {part}", media_type, entry
 
 
-def test_document_describes_every_route_of_the_interface(document: dict[str, Any], tmp_path: Path) -> None:
-    routes = create_app(Settings(data_dir=tmp_path / "data")).routes
-    served = {path for route in routes if (path := getattr(route, "path", "")).startswith(("/v1/", "/health/"))}
+def test_document_describes_every_route_of_the_interface_without_a_warning(tmp_path: Path) -> None:
+    app = create_app(Settings(data_dir=tmp_path / "data"))
+    served = {path for route in app.routes if (path := getattr(route, "path", "")).startswith(("/v1/", "/health/"))}
     assert len(served) > 10
-    assert served <= set(document["paths"])
+    assert served <= set(app.openapi()["paths"])
 
 
 def test_document_is_valid(document: dict[str, Any]) -> None:
@@ -63,33 +62,15 @@ def test_every_operation_has_a_description_and_examples(document: dict[str, Any]
             assert "example" in entry, name
 
 
-def examples(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], Any]]:
-    for name, _, entry in media(document):
-        shown = [entry["example"]] if "example" in entry else []
-        shown += [example["value"] for example in entry.get("examples", {}).values()]
-        for example in shown:
-            yield name, entry.get("schema", {"type": "string"}), example
-
-
 def test_every_example_is_valid(document: dict[str, Any]) -> None:
     count = 0
-    for name, schema, example in examples(document):
-        references = [entry["$ref"] for entry in (schema, *schema.get("oneOf", ())) if "$ref" in entry]
-        if not references:
-            assert isinstance(example, str), name
-            continue
-        models = [getattr(schemas, reference.rpartition("/")[2]) for reference in references]
-        assert any(is_valid(model, example) for model in models), (name, example)
-        count += 1
+    for _, _, entry in media(document):
+        schema = {**entry.get("schema", {"type": "string"}), "components": document["components"]}
+        shown = [entry["example"]] if "example" in entry else []
+        for example in [*shown, *(example["value"] for example in entry.get("examples", {}).values())]:
+            validate(example, schema)
+            count += 1
     assert count > 15
-
-
-def is_valid(model: type[BaseModel], example: object) -> bool:
-    try:
-        model.model_validate(example)
-    except ValueError:
-        return False
-    return True
 
 
 def test_operations_document_their_problems(document: dict[str, Any]) -> None:
@@ -123,7 +104,3 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any], ser
     server.http.delete(fit.headers["Location"])  # not finished, and in the way of other tests
     assert same.json()["id"] == fit.json()["id"]
     assert set(fit.json()["options"]) == set(described)
-
-
-def test_the_document_is_made_without_warnings(tmp_path: Path) -> None:
-    assert create_app(Settings(data_dir=tmp_path / "data")).openapi()["paths"]

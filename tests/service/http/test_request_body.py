@@ -5,7 +5,7 @@ import hashlib
 import io
 import json
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import zstandard
 
-import dsbrdf
 from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import filled, with_value
 from tests.support.processes import wait_until
@@ -23,31 +22,21 @@ from tests.support.server import Server, assert_problem
 # One for each check and each moment of it; the system tests send all kinds of malformed files.
 
 
-def in_pieces(content: bytes, size: int = 100_000) -> Iterator[bytes]:
-    for start in range(0, len(content), size):
-        yield content[start : start + size]
-
-
 def contents(server: Server) -> tuple[list[Path], list[object]]:
     """Files and rows that a server has."""
     return sorted(server.files()), [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
-
-
-def test_negative_values_are_accepted(server: Server, data: bytes) -> None:
-    answer = server.http.post("/v1/measurements", content=with_value(data, -1.0))
-    assert answer.status_code == 201
-    assert answer.json()["valid_nodes"] == dsbrdf.parse_merl(with_value(data, -1.0)).valid.sum()
-
-
-def zstd(content: bytes) -> bytes:
-    return zstandard.ZstdCompressor(level=1).compress(content)
 
 
 def gzip_quickly(content: bytes) -> bytes:
     return gzip.compress(content, compresslevel=1)
 
 
-@pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
+each_encoding = pytest.mark.parametrize(
+    ("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstandard.ZstdCompressor(level=1).compress)]
+)
+
+
+@each_encoding
 def test_compressed_upload_equals_the_plain_one(server: Server, name: str, compress: Callable[[bytes], bytes]) -> None:
     data = filled(0.5)  # which takes little time to compress
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
@@ -57,7 +46,7 @@ def test_compressed_upload_equals_the_plain_one(server: Server, name: str, compr
         assert answer.json()["sha256"] == sha256
 
 
-@pytest.mark.parametrize(("name", "compress"), [("gzip", gzip_quickly), ("zstd", zstd)])
+@each_encoding
 def test_damaged_compressed_upload_stores_nothing(
     server: Server, data: bytes, name: str, compress: Callable[[bytes], bytes]
 ) -> None:
@@ -65,10 +54,7 @@ def test_damaged_compressed_upload_stores_nothing(
     headers = {"Content-Encoding": name}
     packed = compress(data[:1_000_000])
     cut = server.http.post("/v1/measurements", content=packed[: len(packed) // 2], headers=headers)
-    assert cut.status_code in (400, 422)
-    assert_problem(cut, cut.status_code)
-    broken = server.http.post("/v1/measurements", content=packed[:5000] + b"\0" * 5000, headers=headers)
-    assert broken.status_code in (400, 422)
+    assert_problem(cut, 400, "bad-encoding")
     plain = server.http.post("/v1/measurements", content=data, headers=headers)
     assert name in assert_problem(plain, 400, "bad-encoding")
     even = filled(0.5)

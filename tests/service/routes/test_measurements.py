@@ -25,6 +25,7 @@ def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, s
     again = server.http.post("/v1/measurements", content=data)
     assert again.status_code == 200
     assert again.json()["sha256"] == stored
+    assert again.json()["valid_nodes"] == dsbrdf.parse_merl(data).valid.sum()
     assert again.headers["location"] == url
 
 

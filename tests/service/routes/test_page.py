@@ -25,26 +25,37 @@ def page_at(server: Server, path: str, status: int = 200) -> httpx.Response:
 
 
 def test_pages_load_nothing_from_other_hosts(server: Server, fitted: str) -> None:
-    for path in ("/", f"/fits/{fitted}", f"/compare?fit={fitted}&fit={fitted}", "/sign-in", f"/fits/{MISSING}"):
+    pages = ("/", f"/fits/{fitted}", f"/compare?fit={fitted}&fit={fitted}", "/sign-in", f"/fits/{MISSING}", "/docs")
+    for path in pages:
         answer = server.http.get(path)
         policy = dict(part.split(" ", 1) for part in answer.headers["content-security-policy"].split("; "))
         assert {source for sources in policy.values() for source in sources.split()} == {"'none'", "'self'", "data:"}
-        assert re.findall(r"<script(?! type=\"module\" src=)|<style| style=| on[a-z]+=", answer.text) == []
+        assert (policy["default-src"], policy["script-src"], policy["style-src"]) == ("'none'", "'self'", "'self'")
+        assert re.findall(r"<script(?! (type=\"module\" )?src=)|<style| style=| on[a-z]+=", answer.text) == []
         for address in re.findall(r'(?:src|href|action)="([^"]+)"', answer.text):
-            assert re.match(r"(\./|\.\./|#)", address), address
-        for address in re.findall(r'(?:src|href)="([^"]*page/[^"]+)"', answer.text):
+            assert re.match(r"(\./|\.\./|#|docs/|data:,$)", address), address
+        for address in re.findall(r'(?:src|href)="([^"]*(?:page|docs)/[^"]+)"', answer.text):
             assert server.http.get(answer.url.join(address)).status_code == 200
 
 
-def test_every_static_file_is_there_and_the_whole_is_small(server: Server) -> None:
-    answers = {path: server.http.get(path) for path in STATIC_FILES if path.startswith("/page/")}
-    assert answers
+def test_documentation_page_shows_the_openapi_document(server: Server) -> None:
+    page, script = server.http.get("/docs"), server.http.get("/docs/page.js").text
+    call = re.match(r'(\w+)\(\{ url: "([\w.]+)", dom_id: "#(\w+)"', script)
+    assert call is not None
+    assert f"{call[1]}=" in server.http.get("/docs/swagger-ui-bundle.js").text
+    assert server.http.get(page.url.join(call[2])).json()["openapi"]
+    assert f'id="{call[3]}"' in page.text
+
+
+def test_every_static_file_is_there_and_ours_are_small(server: Server) -> None:
+    answers = {path: server.http.get(path) for path in STATIC_FILES}
     for path, answer in answers.items():
-        assert answer.headers["content-type"].partition(";")[0] == STATIC_FILES[path][1]
+        assert answer.headers["content-type"].partition(";")[0] == STATIC_FILES[path][1].partition(";")[0]
         known = server.http.get(path, headers={"If-None-Match": answer.headers["etag"]})
         assert known.status_code == 304
-    assert sum(len(answer.content) for answer in answers.values()) < 100_000
-    assert_problem(server.http.get("/page/fit.html"), 404, "not-found")
+    assert sum(len(answer.content) for path, answer in answers.items() if path.startswith("/page/")) < 100_000
+    for path in ("/page/fit.html", "/docs/redoc.standalone.js", "/docs/..%2fcore.py", "/docs/"):
+        assert_problem(server.http.get(path), 404, "not-found")
 
 
 def test_errors_of_pages_are_pages(server: Server, fitted: str) -> None:

@@ -1,7 +1,8 @@
 """Bytes and queries from strangers as points: they are points, or refused."""
 
-import io
 import json
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,34 +12,26 @@ from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
 from service.wire.points import Points, from_query, npy_blocks, take_lists
+from tests.support.points import npy
 from tests.support.strategies import MODEL, arrays, examples
 
-# Points
 
-
-def check_points(points: Points) -> None:
-    """Points that were accepted have values, or are refused where the model looks at them."""
-    try:
+def check_points(blocks: Callable[[], Iterable[Points]]) -> None:
+    """Points that are accepted have values, or are refused where the model looks at them."""
+    with suppress(InvalidArgumentError):
+        (points,) = blocks()
         values = points.values(MODEL)
-    except InvalidArgumentError:
-        return
-    assert values.shape == (len(points), 3)
-    assert np.isfinite(values).all()
+        assert values.shape == (len(points), 3)
+        assert np.isfinite(values).all()
 
 
 @examples(10)
 @given(st.one_of(arrays(), st.binary(max_size=100), st.binary(max_size=100).map(b"\x93NUMPY\1\0".__add__)))
 def test_npy_bodies_are_points_or_refused(body: bytes) -> None:
-    try:
-        (points,) = npy_blocks(body)
-    except InvalidArgumentError:
-        return
-    check_points(points)
+    check_points(lambda: npy_blocks(body))
 
 
-BUFFER = io.BytesIO()
-np.save(BUFFER, np.array([[10.0, 30.0], [0.0, 90.0]]))
-POINTS = BUFFER.getvalue()
+POINTS = npy([[10.0, 30.0], [0.0, 90.0]])
 
 
 @examples(3)
@@ -47,11 +40,7 @@ def test_damaged_npy_bodies_are_points_or_refused(changes: list[tuple[int, bytes
     body = bytearray(POINTS)
     for place, content in changes:
         body[place : place + len(content)] = content
-    try:
-        (points,) = npy_blocks(bytes(body))
-    except InvalidArgumentError:
-        return
-    check_points(points)
+    check_points(lambda: npy_blocks(bytes(body)))
 
 
 names = st.one_of(
@@ -68,11 +57,7 @@ texts = st.one_of(
 @examples(5)
 @given(st.lists(st.tuples(names, texts), max_size=4))
 def test_queries_are_points_or_refused(items: list[tuple[str, str]]) -> None:
-    try:
-        points = from_query(items)
-    except InvalidArgumentError:
-        return
-    check_points(points)
+    check_points(lambda: [from_query(items)])
 
 
 def test_lists_of_numbers_are_taken_from_a_document_as_json_reads_them() -> None:
