@@ -1,6 +1,8 @@
-"""Values over HTTP are the library's."""
+"""Values over HTTP are the library's, of as many points as is said, and not one more."""
 
 import io
+import json
+from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -11,7 +13,7 @@ import dsbrdf
 from dsbrdf.output.serialize import from_json
 from service.wire.points import NPY
 from tests.support.points import npy
-from tests.support.server import Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 FROM_NPY = {"Content-Type": NPY}
 NPY_BOTH_WAYS = {"Content-Type": NPY, "Accept": NPY}
@@ -101,11 +103,8 @@ def test_points_at_the_edges_of_the_hemisphere_are_accepted(server: Server, url:
     query = {"theta_half_deg": [0, 90, 0, 90], "theta_diff_deg": [0, 0, 90, 90]}
     expected = model.evaluate(np.radians([0, 90, 0, 90]), np.radians([0, 0, 90, 90]))
     close(server.http.get(url, params=query), expected)
-    opposite = {"omega_in": "1,0,0", "omega_out": "-1,0,0"}
-    close(
-        server.http.get(url, params=opposite),
-        [model.evaluate_directions([1.0, 0, 0], [-1.0, 0, 0])],
-    )
+    opposite = server.http.get(url, params={"omega_in": "1,0,0", "omega_out": "-1,0,0"})
+    close(opposite, [model.evaluate_directions([1.0, 0, 0], [-1.0, 0, 0])])
 
 
 @pytest.mark.parametrize(("dtype", "order"), [(">f8", "C"), ("<f4", "F")])
@@ -181,6 +180,24 @@ def test_leading_white_space_of_a_batch_is_ignored(server: Server, url: str, mod
     assert answer.json()["values"] == [model.evaluate(0.0, 0.0).tolist()]
 
 
-def test_unsupported_media_types_are_refused(server: Server, url: str) -> None:
-    answer = server.http.post(url, content=b"1 2", headers={"Content-Type": "text/csv"})
-    assert "application/x-npy" in assert_problem(answer, 415, "unsupported-media-type")
+def test_batch_has_the_points_that_the_setting_allows(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(max_points="100")
+    url = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data).json()['id']}/brdf"
+    for count, status in ((100, 200), (101, 413)):
+        document = dict.fromkeys(("theta_half_deg", "theta_diff_deg", "phi_diff_deg"), [10] * count)
+        assert server.http.post(url, json=document).status_code == status
+        answer = server.http.post(url, content=npy(np.zeros((count, 3))), headers=NPY_BOTH_WAYS)
+        assert answer.status_code == status
+    assert_problem(answer, 413, "too-large")
+
+
+def test_json_batch_has_a_hundred_thousand_points_and_npy_a_million(server: Server, url: str) -> None:
+    def send(count: int) -> httpx.Response:
+        up = [[0, 0, 1]] * count
+        body = json.dumps({"omega_in": up, "omega_out": up}, separators=(",", ":"))
+        return server.http.post(url, content=body, headers={"Content-Type": "application/json", "Accept": NPY})
+
+    assert np.load(io.BytesIO(send(100_000).content)).shape == (100_000, 3)
+    assert "100000 points" in assert_problem(send(100_001), 413, "too-large")
+    too_many = server.http.post(url, content=npy(np.zeros((1_000_001, 3))), headers=NPY_BOTH_WAYS)
+    assert_problem(too_many, 413, "too-large")

@@ -7,22 +7,13 @@ import pytest
 
 import dsbrdf
 from dsbrdf.fitting.decomposition import LABELS
-from dsbrdf.output.serialize import from_json, to_json
+from dsbrdf.output.serialize import decomposition_from_json, from_json, to_json
 from service.errors import ProblemError
-from service.jobs.results import ModelCache
-from service.storage.schema import FitKey
+from service.jobs.results import LoadedFit
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
-pytestmark = pytest.mark.anyio
-
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
-
-
-@pytest.fixture(scope="session")
-def absent(model: dsbrdf.DSBRDF) -> str:
-    """The label of a component that the fit does not have."""
-    return next(label for label in LABELS if label not in dsbrdf.decompose(model).labels)
 
 
 def items_of(server: Server, fit: str) -> list[dict[str, Any]]:
@@ -71,8 +62,9 @@ def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str
     np.testing.assert_allclose(one[0], parts[-1][2], rtol=1e-12)
 
 
-def test_a_component_without_light_is_not_found(server: Server, fitted: str, model: dsbrdf.DSBRDF, absent: str) -> None:
-    there = " and ".join(dsbrdf.decompose(model).labels)
+def test_a_component_without_light_is_not_found(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    labels = dsbrdf.decompose(model).labels
+    absent, there = next(label for label in LABELS if label not in labels), " and ".join(labels)
     url = f"/v1/fits/{fitted}"
     point = {"theta_half_deg": 5, "theta_diff_deg": 20}
     for answer in (
@@ -124,24 +116,9 @@ def test_the_guide_is_exported_as_a_model(server: Server, fitted: str, model: ds
     assert "-guide.json" in answer.headers["content-disposition"]
 
 
-class _Results:
-    """A store that has one result, as its name says."""
-
-    def __init__(self, model: dsbrdf.DSBRDF) -> None:
-        self._text = to_json(model, None, dsbrdf.decompose(model))
-
-    def result(self, _: FitKey) -> str:
-        return self._text
-
-
-def black() -> dsbrdf.DSBRDF:
-    shape = np.ones((1, 1, 1))
-    return dsbrdf.DSBRDF(np.zeros(1), np.zeros((3, 1, 1)), shape, shape, interpolation="linear")
-
-
-async def test_a_black_fit_has_no_components() -> None:
-    black_fit = await ModelCache(_Results(black()), 1).get(FitKey("", "0" * 32))  # type: ignore[arg-type]
-    assert black_fit.components == []
+def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
+    black = dsbrdf.decompose(model.select((), with_delta=False))
+    restored = decomposition_from_json(to_json(black.model, None, black))
     with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-        black_fit.part("diffuse")
+        LoadedFit(restored, None, []).part("diffuse")
     assert raised.value.kind == "not-found"

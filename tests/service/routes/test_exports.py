@@ -38,14 +38,7 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
 
 @pytest.mark.parametrize(
     ("file_format", "component"),
-    [
-        ("glsl", "diffuse"),
-        ("brdf", "diffuse"),
-        ("bsdf", "diffuse"),
-        ("merl", "diffuse"),
-        ("csv", None),
-        ("csv", "guide"),
-    ],
+    [*((name, "diffuse") for name in ("glsl", "brdf", "bsdf", "merl")), ("csv", None), ("csv", "guide")],
 )
 def test_formats_of_other_programs_are_those_of_the_library(
     server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str, component: str | None

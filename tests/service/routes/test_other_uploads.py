@@ -3,7 +3,6 @@
 import hashlib
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import httpx
 import numpy as np
@@ -170,8 +169,3 @@ def test_a_long_body_without_a_length_is_refused_while_it_arrives(server: Server
     answer = server.http.post("/v1/measurements?name=a.csv", content=pieces())  # type: ignore[arg-type]
     assert_problem(answer, 413, "measurement-too-large")
     assert sorted(server.files()) == before
-
-
-def test_other_types_are_refused_with_those_that_are_taken(server: Server, tmp_path: Path) -> None:
-    answer = post(server, b"{}", "a", "application/json")
-    assert "text/csv" in assert_problem(answer, 415, "unsupported-media-type")

@@ -108,15 +108,14 @@ def test_unsupported_method_lists_the_allowed_ones(server: Server) -> None:
         assert answer.headers["allow"] == allowed
 
 
-def test_content_types_are_checked(server: Server, data: bytes) -> None:
-    for path in ("/v1/fits", "/v1/measurements"):
-        answer = server.http.post(path, content=data, headers={"Content-Type": "image/png"})
-        assert "application/octet-stream" in assert_problem(answer, 415, "unsupported-media-type")
-        answer = server.http.post(path, files={"file": b"x"})
-        detail = assert_problem(answer, 415, "unsupported-media-type")
-        assert "application/octet-stream" in detail
-        assert "--data-binary @FILE" in detail
-        assert "application/octet-stream" in answer.headers["accept-post"]
+def test_content_types_are_checked(server: Server, fitted: str) -> None:
+    files, batches = ("application/octet-stream", "text/csv"), ("application/x-npy", "application/json")
+    for path, taken in (("/v1/fits", files), ("/v1/measurements", files), (f"/v1/fits/{fitted}/brdf", batches)):
+        for sent in ({"content": b"x", "headers": {"Content-Type": "image/png"}}, {"files": {"file": b"x"}}):
+            answer = server.http.post(path, **sent)
+            detail = assert_problem(answer, 415, "unsupported-media-type")
+            assert [kind for kind in taken if kind not in detail or kind not in answer.headers["accept-post"]] == []
+            assert ("--data-binary @FILE" in detail) == ("files" in sent)
 
 
 def test_query_options_for_a_stored_measurement_are_refused(server: Server, stored: str) -> None:
