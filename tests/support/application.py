@@ -90,21 +90,18 @@ class Application:
     def new_key(self) -> str:
         """Return a key that has the fit `FIT`."""
         row, key = add_key(self.store.database, "a key", KeyLimits())
-        self.add_fit(row.id)
         self.app.state.keys.load(self.store.database)
-        return key
-
-    def add_fit(self, owner: str) -> None:
         model = random_model()
         document = to_json(model, None, dsbrdf.decompose(model))
         written = checksum(None, document.encode())
-        values = (owner, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
+        values = (row.id, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
         with self.store.database.transaction() as db:
             db.execute(
                 "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created, result,"
                 " checksum) VALUES (1, ?, ?, ?, ?, '1', '1', 'succeeded', ?, ?, ?)",
                 values,
             )
+        return key
 
     def ask(
         self,
@@ -122,21 +119,8 @@ class Application:
         if body:
             headers.append((b"content-length", str(len(body) + stalled).encode()))
             headers.append((b"content-type", media_type.encode()))
-        scope: dict[str, Any] = {
-            "type": "http",
-            "asgi": {"spec_version": "2.3"},
-            "http_version": "1.1",
-            "method": method,
-            "scheme": "http",
-            "path": path,
-            "raw_path": path.encode(),
-            "root_path": "",
-            "query_string": query.encode(),
-            "headers": headers,
-            "client": ("127.0.0.1", 1),
-            "server": ("127.0.0.1", 80),
-            "state": {},
-        }
+        scope: dict[str, Any] = {"type": "http", "method": method, "path": path, "headers": headers}
+        scope |= {"query_string": query.encode(), "client": ("127.0.0.1", 1)}
         messages: list[Message] = []
         gone, unsent = asyncio.Event(), [body]
 

@@ -35,7 +35,7 @@ Program = Literal["service", "dask"]
 
 
 class ForkedProcess:
-    """What tests use of `subprocess.Popen`, for a process that the launcher has forked."""
+    """What tests use of `subprocess.Popen`, for a process that the launcher has forked; it may end at any time."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
@@ -43,23 +43,19 @@ class ForkedProcess:
         self._code = 0
 
     def poll(self) -> int | None:
-        """Return the exit code, or None while the process runs."""
         return self._code if self._ended.is_set() else None
 
     def wait(self, timeout: float = 60.0) -> int:
-        """Wait for the end of the process and return its exit code, negative for a signal."""
         if not self._ended.wait(timeout):
             raise subprocess.TimeoutExpired(str(self.pid), timeout)
         return self._code
 
     def send_signal(self, number: int) -> None:
-        """Send a signal; the process may have ended."""
         if not self._ended.is_set():
             with suppress(ProcessLookupError):  # its end has not been reported yet
                 os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End the process at once."""
         self.send_signal(signal.SIGKILL)
 
     def _end(self, code: int) -> None:

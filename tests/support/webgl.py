@@ -84,22 +84,11 @@ for (const input of INPUTS) {
 
 @dataclass(frozen=True, eq=False)
 class ShaderCall:
-    """A GLSL expression of two vectors, and the vectors.
+    """A GLSL expression of two vectors, and the vectors."""
 
-    Attributes
-    ----------
-    source : str
-        Functions.
-    call : str
-        An expression of ``a`` and ``b``, the vectors, of type vec3.
-    first, second : ndarray, shape (n, 3)
-    precision : str
-        Statement before the source.
-    """
-
-    source: str
-    call: str
-    first: Array
+    source: str  # functions
+    call: str  # an expression of `a` and `b`, the vectors, of type vec3
+    first: Array  # (n, 3)
     second: Array
     precision: str = "precision highp float; precision highp int;"
 
@@ -124,24 +113,9 @@ void main() {{
 
 
 def evaluate_glsl(calls: Mapping[str, ShaderCall], folder: Path) -> dict[str, Array]:
-    """Values of GLSL expressions, compiled and run by one browser.
+    """Values (n, 3) of GLSL expressions, compiled and run by one browser in single precision; the page is in `folder`.
 
-    Parameters
-    ----------
-    calls : mapping of str to ShaderCall
-        By name.
-    folder : Path
-        For the page.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n, 3)
-        Single precision, by the names of the calls.
-
-    Raises
-    ------
-    RuntimeError
-        With the compiler's messages.
+    Raises RuntimeError with the compiler's messages.
     """
     values = (np.frombuffer(base64.b64decode(text), dtype="<f4").reshape(-1, 4) for text in _answers(calls, folder, 0))
     return {
@@ -161,14 +135,8 @@ def _answers(calls: Mapping[str, ShaderCall], folder: Path, repeats: int) -> lis
     page = folder / "page.html"
     text = _PAGE.replace("REPEATS", str(repeats))
     page.write_text(text.replace("INPUTS", json.dumps([call.document() for call in calls.values()])))
-    command = [
-        CHROMIUM,
-        "--headless",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        f"--user-data-dir={folder / 'profile'}",
-    ]
-    command += [*SOFTWARE_RENDERER, "--dump-dom", page.as_uri()]
+    flags = ("--headless", "--no-sandbox", "--disable-dev-shm-usage", f"--user-data-dir={folder / 'profile'}")
+    command = [CHROMIUM, *flags, *SOFTWARE_RENDERER, "--dump-dom", page.as_uri()]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT, check=True)
     found: list[str] = re.findall(r"<div>DATA ([\w+/=.]+)</div>", answer.stdout)
     if len(found) != len(calls):
