@@ -17,16 +17,11 @@ import dsbrdf
 _PACKAGE = __name__.partition(".")[0]  # service in a clone, dsbrdf_service where it is installed
 _OURS = files(_PACKAGE) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
-_SCRIPT, _STYLE_SHEET = "text/javascript", "text/css"
-_SCRIPTS = ("index", "progress", "fit", "sphere", "panorama", "plots", "address")
-STATIC_FILES = {
-    "/docs": (_OURS / "docs.html", "text/html; charset=utf-8"),
-    "/docs/page.js": (_OURS / "docs.js", _SCRIPT),
-    "/docs/swagger-ui-bundle.js": (_SWAGGER_UI / "swagger-ui-bundle.js", _SCRIPT),
-    "/docs/swagger-ui.css": (_SWAGGER_UI / "swagger-ui.css", _STYLE_SHEET),
-    "/page/page.css": (_OURS / "page.css", _STYLE_SHEET),
-    "/page/icon.svg": (_OURS / "icon.svg", "image/svg+xml"),
-} | {f"/page/{name}.js": (_OURS / f"{name}.js", _SCRIPT) for name in _SCRIPTS}
+_TYPES = {"js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
+_served = {f"/docs/{name}": _SWAGGER_UI / name for name in ("swagger-ui-bundle.js", "swagger-ui.css")}
+_served |= {f"/page/{file.name}": file for file in _OURS.iterdir() if not file.name.endswith(".html")}
+STATIC_FILES = {path: (file, _TYPES[path.rpartition(".")[2]]) for path, file in _served.items()}
+STATIC_FILES["/docs"] = _OURS / "docs.html", "text/html; charset=utf-8"
 """Path -> file and media type: the page of the OpenAPI document, and what this one and the other pages load."""
 PAGE_PATHS = re.compile(r"/|/compare|/fits/[0-9a-f]{32}")
 """Paths of the pages."""

@@ -18,7 +18,7 @@ from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server, assert_problem
 from tests.support.soak import SOAK
 
-OPEN = ("/health/live", "/health/ready", "/docs", "/docs/page.js", "/openapi.json")
+OPEN = ("/health/live", "/health/ready", "/docs", "/page/docs.js", "/openapi.json")
 
 
 def bad_headers(key: str) -> dict[str, list[tuple[bytes, bytes]]]:
