@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
+from typing import IO, Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import httpx
 from anyio import CapacityLimiter, to_thread
@@ -45,7 +45,6 @@ T = TypeVar("T")
 
 _POLL = 20.0  # seconds that one request waits for a fit
 _PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
-_PIECE = 1 << 20  # bytes of a file that are read at a time
 _WITHOUT_DOCUMENT = {401: "The service wants a valid API key.", 429: "The API key has made too many requests."}
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
@@ -192,31 +191,31 @@ class Client:
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
         document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
-        headers, params = {"Prefer": "respond-async"}, _given(name=name)
-        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, params=params).json())
+        headers = {"Prefer": "respond-async"}
+        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, name=name).json())
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _fit(self._call("GET", f"/v1/fits/{fit_id}", params={"wait": wait}).json())
+        return _fit(self._call("GET", f"/v1/fits/{fit_id}", wait=str(wait)).json())
 
     def result(self, fit_id: str) -> FitResult:
         """Return the model and the report of a fit that has succeeded."""
-        return result_from_json(self._call("GET", f"/v1/fits/{fit_id}/export", params={"format": "json"}).text)
+        return result_from_json(self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text)
 
     def fits(self, *, name: str | None = None) -> Iterator[Fit]:
         """Yield the service's fits, or those of one name, newest first."""
-        url: str | None = str(httpx.URL("/v1/fits", params=_given(name=name)))
-        while url is not None:
-            page = self._call("GET", url)
+        page = self._call("GET", "/v1/fits", name=name)
+        yield from map(_fit, page.json()["items"])
+        while "next" in page.links:
+            page = self._call("GET", page.links["next"]["url"])
             yield from map(_fit, page.json()["items"])
-            url = page.links.get("next", {}).get("url")
 
     def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
         """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
 
         With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
         """
-        return str(self._call("DELETE", f"/v1/fits/{fit_id}", params=_given(only=only)).json()["status"])
+        return str(self._call("DELETE", f"/v1/fits/{fit_id}", only=only).json()["status"])
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
@@ -230,18 +229,15 @@ class Client:
                 source = read_rgl(source).measurement()
         if isinstance(source, Measurement):
             own_name, source = source.name, encode_merl(source)
-        digest, size = hashlib.sha256(), 0
-        for piece in _pieces(source):
-            digest.update(piece)
-            size += len(piece)
-        sha256 = digest.hexdigest()
-        if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
-            if not name and own_name is not None:
-                with suppress(InvalidArgumentError):  # one that the service would not take
-                    name = check_name(own_name)
-            media_type = "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"
-            headers = {"Content-Type": media_type, "Content-Length": str(size)}
-            self._call("POST", "/v1/measurements", body=source, headers=headers, params=_given(name=name))
+        with BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
+                if not name and own_name is not None:
+                    with suppress(InvalidArgumentError):  # one that the service would not take
+                        name = check_name(own_name)
+                media_type = "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"
+                headers = {"Content-Type": media_type, "Content-Length": str(file.seek(0, os.SEEK_END))}
+                self._call("POST", "/v1/measurements", body=file, headers=headers, name=name)
         return sha256
 
     def measurement(self, sha256: str) -> Measurement:
@@ -257,14 +253,19 @@ class Client:
         method: str,
         url: str,
         *,
-        body: bytes | str | os.PathLike[str] | None = None,
+        body: IO[bytes] | None = None,
+        json: Any = None,
+        headers: Mapping[str, str] | None = None,
         missing: bool = False,
-        **more: Any,
+        **parameters: str | None,
     ) -> httpx.Response:
         """Return a response that is a success, or says that something is `missing`; repeat what is refused for now."""
+        params = {name: value for name, value in parameters.items() if value is not None} or None
         left = self._patience
         while True:
-            answer = self._http.request(method, url, content=None if body is None else _pieces(body), **more)
+            if body is not None:
+                body.seek(0)
+            answer = self._http.request(method, url, content=body, json=json, headers=headers, params=params)
             if answer.is_success or (missing and answer.status_code == 404):
                 return answer
             seconds = answer.headers.get("retry-after", "")
@@ -372,13 +373,6 @@ def _fit(document: Mapping[str, Any]) -> Fit:
     return Fit(**{**given, "options": from_wire(document["options"])})
 
 
-def _pieces(source: bytes | str | os.PathLike[str]) -> Iterator[bytes]:
-    """Yield bytes, or those of a file, piece by piece."""
-    with BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb") as file:
-        while piece := file.read(_PIECE):
-            yield piece
-
-
 def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
     """Return the exception for a response that is no success."""
     try:
@@ -394,7 +388,3 @@ def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
     if answer.status_code == 429 or problem.get("type") == "urn:dsbrdf:problem:storage-quota":
         return LimitError(problem, retry_after)
     return ServiceError(problem)
-
-
-def _given(**parameters: str | None) -> dict[str, str]:
-    return {name: value for name, value in parameters.items() if value is not None}
