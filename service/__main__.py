@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
@@ -112,7 +112,7 @@ def _run(settings: Settings, store: Store) -> int:
         signal.signal(number, _exit)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
         signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
-    server = _Server(config, app)
+    server = _Server(config)
     logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
     try:
         server.run()
@@ -125,10 +125,6 @@ def _run(settings: Settings, store: Store) -> int:
 
 class _Server(uvicorn.Server):
     """Releases the requests that wait for a fit or follow one before it waits for requests to end."""
-
-    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
-        super().__init__(config)
-        self._app = app
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 (uvicorn's signature)
         """Begin to end; a second Ctrl-C does not break that off, which takes some seconds at most."""
@@ -145,7 +141,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests and let those in progress end soon."""
-        context: Context = self._app.state.context
+        context: Context = cast(FastAPI, self.config.app).state.context
         deadline = threading.Timer(context.settings.shutdown_seconds + _CLEANUP_SECONDS, _exit_at_once)
         deadline.daemon = True
         deadline.start()

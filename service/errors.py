@@ -1,16 +1,4 @@
-"""Every error that the service raises on purpose, as one tree.
-
-DSBRDFServiceError
-├── DataFolderError                  the data folder cannot be opened
-│   └── DataFolderInUseError         another server has it open
-├── DatabaseBusyError                other transactions take too long (also a sqlite3.OperationalError)
-├── DatabaseLostError                the database's file has been removed or replaced (also an OSError)
-├── CheckFailedError                 a check of `dsbrdf doctor` has found a fault
-├── KnownAnswerError                 the client needs the head only, and nothing has to be computed
-└── ProblemError                     answered with the problem document of its kind
-    ├── FitNotFoundError
-    ├── MeasurementNotFoundError
-    └── MeasurementDamagedError
+"""Every error that the service raises on purpose.
 
 The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
 """

@@ -29,7 +29,7 @@ _MAX_HEAD = 1 << 16  # bytes of a request's head, and of what frames its body
 _MAX_FRAMING = 16  # bytes for each byte of a body that is sent in chunks
 
 
-class Connection(HttpToolsProtocol):
+class _Connection(HttpToolsProtocol):
     """One client's connection; `connection_class` gives it its limits."""
 
     max_connections: int
@@ -45,14 +45,12 @@ class Connection(HttpToolsProtocol):
     _write_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Start the timer of the first request's head."""
         super().connection_made(transport)
         self._read_at_a_time(_READ_SIZE)
         self._excess = len(self.connections) > self.max_connections
         self._update_header_timer()
 
     def data_received(self, data: bytes) -> None:
-        """Take the next bytes; an excess connection gets 503."""
         if self._excess:
             detail = f"{self.max_connections} connections are open, the most allowed; try again later."
             self._refuse(ProblemError("overloaded", detail, _CLOSE))
@@ -67,17 +65,14 @@ class Connection(HttpToolsProtocol):
         self._update_header_timer()
 
     def on_message_begin(self) -> None:
-        """Begin to count what belongs to a request."""
         super().on_message_begin()
         self._n_head = self._n_body = 0
 
     def on_url(self, url: bytes) -> None:
-        """Take a part of the target."""
         self._count_head(len(url))
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Take a header, or a trailer."""
         self._count_head(len(name) + len(value))
         super().on_header(name, value)
 
@@ -91,14 +86,12 @@ class Connection(HttpToolsProtocol):
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Take a part of the body."""
         self._n_body += len(body)
         if self._n_body > _LONG_BODY and len(self.connections) <= _FEW_CONNECTIONS:
             self._read_at_a_time(_LONG_READ_SIZE)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """Take the end of a request."""
         self._n_received = 0
         self._read_at_a_time(_READ_SIZE)
         super().on_message_complete()
@@ -132,12 +125,10 @@ class Connection(HttpToolsProtocol):
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
-        """Start the timer of a client that does not read what has been sent."""
         super().pause_writing()
         self._await_progress(None)
 
     def resume_writing(self) -> None:
-        """Stop that timer: the client reads again."""
         _cancel(self._write_timer)
         super().resume_writing()
 
@@ -168,7 +159,7 @@ class Connection(HttpToolsProtocol):
                 self.pipeline.popleft()
 
     def _update_header_timer(self) -> None:
-        """Run the header timeout only between requests."""
+        """Run the timer of a head only between requests."""
         if not self._idle():
             _cancel(self._header_timer)
             self._header_timer = None
@@ -176,7 +167,6 @@ class Connection(HttpToolsProtocol):
             self._header_timer = self.loop.call_later(self.header_timeout, self._on_header_timeout)
 
     def _idle(self) -> bool:
-        """Return whether no request is being answered."""
         return self._answering is None or self._answering.response_complete
 
     def _on_header_timeout(self) -> None:
@@ -195,7 +185,7 @@ class Connection(HttpToolsProtocol):
             self.transport.close()
 
 
-def connection_class(settings: Settings) -> type[Connection]:
+def connection_class(settings: Settings) -> type[_Connection]:
     """Return the class of connections with the limits of `settings`; it leaves descriptors for as many files."""
     # Many may be idle, or are about to get the answer that their caller has too many requests in progress.
     most = 8 * settings.limit_concurrency
@@ -205,7 +195,7 @@ def connection_class(settings: Settings) -> type[Connection]:
         "header_timeout": settings.header_timeout,
         "idle_timeout": settings.idle_timeout,
     }
-    return type("Connection", (Connection,), limits)
+    return type("Connection", (_Connection,), limits)
 
 
 def _unacknowledged(transport: asyncio.Transport) -> int:

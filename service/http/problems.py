@@ -6,7 +6,7 @@ A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one 
 import errno
 import logging
 import sqlite3
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -81,34 +81,25 @@ _FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 logger = logging.getLogger(__name__)
 
 
-def document(kind: str, detail: str, path: str) -> dict[str, object]:
-    """Return the problem document of `kind`."""
-    status, title = KINDS[kind].status, KINDS[kind].title
-    return {"type": TYPE_PREFIX + kind, "title": title, "status": status, "detail": detail, "instance": path}
-
-
 def problem_response(error: ProblemError, path: str) -> Response:
     """Return the problem document of `error` as a response."""
-    status, retry_after = KINDS[error.kind].status, KINDS[error.kind].retry_after
+    status, title, retry_after = KINDS[error.kind]
     headers = {} if retry_after is None else {"Retry-After": str(retry_after)}
-    content = document(error.kind, error.detail, path)
-    return JSONResponse(content, status, headers | error.headers, media_type=MEDIA_TYPE)
+    about = {"title": title, "status": status, "detail": error.detail, "instance": path}
+    return JSONResponse({"type": TYPE_PREFIX + error.kind, **about}, status, headers | error.headers, MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
     """Make `app` answer every exception with a problem document."""
-    ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
+    ours = (ProblemError, KnownAnswerError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
-        app.add_exception_handler(expected, _answer_exception)
-    app.add_exception_handler(KnownAnswerError, _answer_head)
+        app.add_exception_handler(expected, _answer)
 
 
-async def _answer_head(_: Request, error: Any) -> Response:
-    return Response(None, error.status, error.headers)
-
-
-async def _answer_exception(request: Request, error: Exception) -> Response:
+async def _answer(request: Request, error: Exception) -> Response:
+    if isinstance(error, KnownAnswerError):
+        return Response(None, error.status, error.headers)
     return problem_response(problem_of(request, error), request.url.path)
 
 

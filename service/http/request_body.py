@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any
+from typing import Any, NamedTuple
 
 from backports import zstd
 from starlette.concurrency import run_in_threadpool
@@ -22,7 +22,6 @@ Sink = Callable[[bytes], None]
 
 PIECE = 1 << 18
 IN_MEMORY = 1 << 16  # bytes of a body that are kept in memory
-SUPPORTED_ENCODINGS = "gzip, zstd"
 _BLOCK = 1 << 14  # encoded bytes that are decoded at a time, so that the answer does not depend on how a body was cut
 _MAX_MEMBERS = 10_000
 _ZSTD_WINDOW_LOG = 23  # 8 MiB, what RFC 9659 asks every decoder of zstd content to support
@@ -52,8 +51,28 @@ async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mm
 
     Raises ProblemError if it is longer, or its encoding is unknown or damaged.
     """
+    too_large = ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
     with SpooledTemporaryFile(IN_MEMORY, dir=str(folder)) as file:
-        await _receive(request, limit, file)
+
+        def keep(data: bytes) -> None:
+            if file.tell() + len(data) > limit:
+                raise too_large
+            file.write(data)
+
+        encoded = decoder(encoding_of(request), keep)
+        declared = request.headers.get("content-length", "")
+        if declared.isdecimal() and int(declared) > limit:
+            raise too_large
+        n_encoded = 0
+        async for piece in request.stream():
+            n_encoded += len(piece)
+            if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing could go on
+                raise too_large
+            if n_encoded > IN_MEMORY:
+                await run_in_threadpool(encoded.feed, piece)
+            else:
+                encoded.feed(piece)
+        encoded.finish()
         size = file.tell()
         if size > IN_MEMORY:
             file.flush()
@@ -62,31 +81,14 @@ async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mm
         return file.read()
 
 
-async def _receive(request: Request, limit: int, file: "SpooledTemporaryFile[bytes]") -> None:
-    too_large = ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
+class Decoder(NamedTuple):
+    """Takes a body in pieces, and its end."""
 
-    def keep(data: bytes) -> None:
-        if file.tell() + len(data) > limit:
-            raise too_large
-        file.write(data)
-
-    encoded = decoder(encoding_of(request), keep)
-    declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > limit:
-        raise too_large
-    n_encoded = 0
-    async for piece in request.stream():
-        n_encoded += len(piece)
-        if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing could go on
-            raise too_large
-        if n_encoded > IN_MEMORY:
-            await run_in_threadpool(encoded.feed, piece)
-        else:
-            encoded.feed(piece)
-    encoded.finish()
+    feed: Sink
+    finish: Callable[[], None]
 
 
-def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
+def decoder(content_encoding: str, sink: Sink) -> Decoder:
     """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
 
     Raises ProblemError if it is not one that the service decodes.
@@ -94,27 +96,16 @@ def decoder(content_encoding: str, sink: Sink) -> "_Identity | _MemberDecoder":
     given = (name.strip().lower() for name in content_encoding.split(","))
     name = ", ".join(name for name in given if name not in ("", "identity"))
     if not name:
-        return _Identity(sink)
+        return Decoder(sink, lambda: None)
     if name in ("gzip", "x-gzip"):
-        return _MemberDecoder("gzip", partial(zlib.decompressobj, wbits=16 + zlib.MAX_WBITS), sink)
-    if name == "zstd":
+        members = _MemberDecoder("gzip", partial(zlib.decompressobj, wbits=16 + zlib.MAX_WBITS), sink)
+    elif name == "zstd":
         options = {int(zstd.DecompressionParameter.window_log_max): _ZSTD_WINDOW_LOG}
-        return _MemberDecoder("zstd", partial(zstd.ZstdDecompressor, options=options), sink)
-    detail = f"The content encoding {name[:40]!r} is not supported; send the body as it is, or as gzip or zstd."
-    raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": SUPPORTED_ENCODINGS})
-
-
-class _Identity:
-    """A body without encoding."""
-
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-
-    def feed(self, data: bytes) -> None:
-        self._sink(data)
-
-    def finish(self) -> None:
-        """Do nothing: every end is a complete one."""
+        members = _MemberDecoder("zstd", partial(zstd.ZstdDecompressor, options=options), sink)
+    else:
+        detail = f"The content encoding {name[:40]!r} is not supported; send the body as it is, or as gzip or zstd."
+        raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip, zstd"})
+    return Decoder(members.feed, members.finish)
 
 
 class _MemberDecoder:
