@@ -42,9 +42,7 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert fit["metrics"] == asdict(expected.report.metrics)
     assert fit["warnings"] == list(expected.report.warnings)
     assert any("before they converged" in sentence for sentence in fit["warnings"])
-    own = fit["model"]
-    np.testing.assert_array_equal(own["amplitude"]["control_values"], expected.model.amplitude)
-    np.testing.assert_allclose(np.radians(own["amplitude"]["knots_deg"]), expected.model.theta_diff, atol=1e-11)
+    np.testing.assert_array_equal(fit["model"]["amplitude"]["control_values"], expected.model.amplitude)
     assert [component["label"] for component in fit["components"]] == list(dsbrdf.decompose(expected).labels)
 
 
@@ -78,21 +76,24 @@ def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: d
     assert not [path for path in server.files() if path.parent.name == "tmp"]
 
 
-def test_request_without_wait_gets_202_and_a_location(server: Server, stored: str) -> None:
+def test_request_that_may_not_wait_long_gets_202_and_a_location(server: Server, stored: str) -> None:
     answer = server.submit(stored, prefer="respond-async", mask=0.11, **ENDLESS)
     assert answer.status_code == 202
-    fit = answer.json()
-    assert answer.headers["location"] == f"/v1/fits/{fit['id']}"
+    fit, url = answer.json(), answer.headers["location"]
+    assert url == f"/v1/fits/{fit['id']}"
     assert int(answer.headers["retry-after"]) >= 1
     assert fit["status"] in ("accepted", "running")
-    assert fit["components"] is None
-    assert fit["metrics"] is None
-    assert fit["warnings"] == []
+    assert (fit["components"], fit["metrics"], fit["warnings"]) == (None, None, [])
 
-    same = server.submit(stored, prefer="wait=0", mask=0.11, **ENDLESS)
-    assert same.status_code == 202
-    assert same.json()["id"] == fit["id"]
-    assert server.http.delete(answer.headers["location"]).json()["status"] == "cancelled"
+    start = time.monotonic()
+    same = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.11, **ENDLESS)
+    assert (same.status_code, same.json()["id"]) == (202, fit["id"])
+    assert time.monotonic() - start > 0.15
+    server.until_running(fit["id"])
+    start = time.monotonic()
+    assert server.http.get(url, params={"wait": 0.1}).json()["status"] == "running"
+    assert time.monotonic() - start > 0.09
+    assert server.http.delete(url).json()["status"] == "cancelled"
 
 
 def test_long_poll_returns_the_finished_fit(server: Server, stored: str) -> None:
@@ -101,18 +102,6 @@ def test_long_poll_returns_the_finished_fit(server: Server, stored: str) -> None
     assert ended.status_code == 200
     assert ended.json()["status"] == "succeeded"
     assert "retry-after" not in ended.headers
-
-
-def test_wait_is_bounded(server: Server, stored: str) -> None:
-    start = time.monotonic()
-    answer = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.12, **ENDLESS)
-    assert answer.status_code == 202  # and so it did not wait for the end of the fit
-    assert time.monotonic() - start > 0.15
-    server.until_running(answer.json()["id"])
-    start = time.monotonic()
-    assert server.http.get(f"/v1/fits/{answer.json()['id']}", params={"wait": 0.1}).json()["status"] == "running"
-    assert time.monotonic() - start > 0.09
-    server.http.delete(f"/v1/fits/{answer.json()['id']}")
 
 
 def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> None:
@@ -132,19 +121,29 @@ def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> Non
     assert_problem(points, 409, "fit-without-result")
 
 
-def test_cancelling_ends_the_process_of_the_fit(server: Server, stored: str) -> None:
+def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: str) -> None:
     fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
+    url = f"/v1/fits/{fit_id}"
     server.until_running(fit_id)
     (worker,) = server.workers()
+    assert_problem(server.http.delete(url, params={"only": "delete"}), 409, "fit-not-finished")
+    assert server.status(fit_id) == "running"
     start = time.monotonic()
-    answer = server.http.delete(f"/v1/fits/{fit_id}")
-    assert answer.status_code == 200
-    assert answer.json()["status"] == "cancelled"
+    cancelled = server.http.delete(url, params={"only": "cancel"})
+    assert (cancelled.status_code, cancelled.json()) == (200, {"id": fit_id, "status": "cancelled"})
     wait_until(lambda: not alive(worker))
     if SOAK:
         assert time.monotonic() - start < 1.0
-    points = server.http.get(f"/v1/fits/{fit_id}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
+    points = server.http.get(f"{url}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
     assert_problem(points, 409, "fit-without-result")
+    detail = assert_problem(server.http.delete(url, params={"only": "cancel"}), 409, "fit-ended")
+    assert detail == "The fit has ended as cancelled, there is nothing to cancel; only=delete deletes it."
+    for wrong in ("both", ""):
+        assert_problem(server.http.delete(url, params={"only": wrong}), 422, "invalid-argument")
+    deleted = server.http.delete(url, params={"only": "delete"})
+    assert deleted.json() == {"id": fit_id, "status": "deleted"}
+    for only in ("cancel", "delete"):
+        assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
 
 
 def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, stored: str) -> None:
@@ -157,24 +156,6 @@ def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, sto
     for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
         assert_problem(gone, 404, "not-found")
     assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
-
-
-def test_client_cancels_or_deletes_only(server: Server, stored: str) -> None:
-    fit_id = server.submit(stored, prefer="respond-async", mask=0.15, **ENDLESS).json()["id"]
-    url = f"/v1/fits/{fit_id}"
-    assert_problem(server.http.delete(url, params={"only": "delete"}), 409, "fit-not-finished")
-    assert server.status(fit_id) in ("accepted", "running")
-    cancelled = server.http.delete(url, params={"only": "cancel"})
-    assert (cancelled.status_code, cancelled.json()) == (200, {"id": fit_id, "status": "cancelled"})
-    detail = assert_problem(server.http.delete(url, params={"only": "cancel"}), 409, "fit-ended")
-    assert detail == "The fit has ended as cancelled, there is nothing to cancel; only=delete deletes it."
-    assert server.status(fit_id) == "cancelled"
-    for wrong in ("both", ""):
-        assert_problem(server.http.delete(url, params={"only": wrong}), 422, "invalid-argument")
-    deleted = server.http.delete(url, params={"only": "delete"})
-    assert deleted.json() == {"id": fit_id, "status": "deleted"}
-    for only in ("cancel", "delete"):
-        assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:
@@ -190,13 +171,8 @@ def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> N
     assert progress == sorted(progress)
     assert progress[-1] == 1.0
     assert len({share for share in progress if 0 < share < 1}) > 3
+    assert server.http.get(f"/v1/fits/{fit_id}/events").text.count("event: ") == 1
     assert_problem(server.http.get(f"/v1/fits/{'0' * 32}/events"), 404, "not-found")
-
-
-def test_event_stream_of_a_finished_fit_has_one_event(server: Server, fitted: str) -> None:
-    text = server.http.get(f"/v1/fits/{fitted}/events").text
-    assert text.count("event:") == 1
-    assert "event: succeeded" in text
 
 
 def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Server], data: bytes) -> None:
