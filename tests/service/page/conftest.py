@@ -8,6 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.serialize import from_json
 from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
 
@@ -39,11 +41,20 @@ class Site:
     def key(self) -> str:
         return self.header["Authorization"].removeprefix("Bearer ")
 
+    def read(self, path: str) -> httpx.Response:
+        """What the user gets at a path."""
+        return self.http.get(path, headers=self.header)
+
+    def model(self, fit: str) -> DSBRDF:
+        return from_json(self.read(f"/v1/fits/{fit}/export?format=json").text)[0]
+
+    def exposure(self, fit: str) -> float:
+        factor: float = self.read(f"/fits/{fit}/view").json()["exposure"]
+        return factor
+
     def submit(self, data: bytes, name: str, *, prefer: str = "wait=60", **options: Any) -> str:
-        kind = {"Content-Type": "application/octet-stream", "Prefer": prefer}
-        answer = self.http.post(
-            "/v1/fits", params={"name": name, **options}, content=data, headers={**self.header, **kind}
-        )
+        headers = {**self.header, "Content-Type": "application/octet-stream", "Prefer": prefer}
+        answer = self.http.post("/v1/fits", params={"name": name, **options}, content=data, headers=headers)
         fit: str = answer.json()["id"]
         return fit
 

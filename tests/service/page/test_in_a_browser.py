@@ -12,7 +12,6 @@ from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.image_metrics import displayed, psnr
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import from_json
 from tests.service.page.conftest import Site
 from tests.support.guarded import Guarded
 from tests.support.server import ENDLESS
@@ -71,15 +70,6 @@ def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded
     assert sent == [("HEAD", ""), ("POST", "application/octet-stream"), ("HEAD", ""), ("POST", "application/json")]
 
 
-def test_faults_of_a_file_are_told_in_the_services_words(visit: Visit, tmp_path: Path) -> None:
-    page = visit("/").page
-    bad = tmp_path / "bad.binary"
-    bad.write_bytes(bytes(1000))
-    page.locator("#file").set_input_files(bad)
-    expect(page.locator("#upload-fault")).to_contain_text(re.compile(r"dimensions|bytes"))
-    expect(page.get_by_text("Drop measurements here")).to_be_visible()
-
-
 def test_running_fit_shows_its_progress_and_can_be_cancelled(visit: Visit, site: Site, data: bytes) -> None:
     options = {name: ",".join(map(str, value)) if isinstance(value, list) else value for name, value in ENDLESS.items()}
     fit = site.submit(data, "endless", prefer="respond-async", **options)
@@ -124,7 +114,7 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
         page.locator(f"{panel} svg").hover(position={"x": 200, "y": 100})
         expect(page.locator(f"{panel}-legend")).to_contain_text(f"at {unit}")
         expect(page.locator(f'{panel}-legend [data-label="red, fit"] b')).to_have_text(re.compile(r" [\d.e-]+$"))
-    curve = site.http.get(f"/fits/{fit}/polar/45", headers=site.header).json()
+    curve = site.read(f"/fits/{fit}/polar/45").json()
     place = re.search(r"at θ_out (-?[\d.]+)°", page.locator("#polar-plot-legend").inner_text())
     assert place is not None
     at = np.abs(np.array(curve["theta_out_deg"]) - float(place[1])).argmin()
@@ -156,7 +146,7 @@ def test_plane_of_incidence_and_figures_are_drawn(visit: Visit, site: Site) -> N
 def test_page_of_a_fit_has_a_verdict_pictures_themes_and_downloads(visit: Visit, site: Site) -> None:
     fit = site.fits["glossy"]
     page = visit(f"/fits/{fit}").page
-    value = site.http.get(f"/v1/fits/{fit}", headers=site.header).json()["metrics"]["psnr"]
+    value = site.read(f"/v1/fits/{fit}").json()["metrics"]["psnr"]
     expect(page.locator("#metrics-title")).to_have_text(re.compile(rf"[A-Z][a-z ]+: {value:.1f} dB"))
     expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
     page.get_by_text("More metrics").click()
@@ -221,10 +211,9 @@ def test_likeness_of_two_spheres_is_that_of_their_pictures(visit: Visit, site: S
     expect(page.locator(PAINTED)).to_have_count(2)
     expect(page.locator("#likeness")).to_contain_text("dB")
     size = page.locator("canvas").first.evaluate("canvas => canvas.width")
-    views = [site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"] for fit in fits]
-    documents = [site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text for fit in fits]
+    views = [site.exposure(fit) for fit in fits]
     assert max(views) > 1.05 * min(views)
-    images = [render_sphere(from_json(text)[0], size=size) for text in documents]
+    images = [render_sphere(site.model(fit), size=size) for fit in fits]
     for factors in ([min(views)] * 2, views):
         if factors is views:
             page.get_by_label("each its own exposure").check()
@@ -263,15 +252,23 @@ def test_list_takes_several_files_and_is_sorted_and_shortened(
     expect(names).to_have_text(["a", "b"])
 
 
-def test_upload_is_cancelled(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
+def test_upload_is_refused_in_the_services_words_or_cancelled(
+    visit: Visit, plastic_file: Path, guarded: Guarded, tmp_path: Path
+) -> None:
     key = guarded.new_key("cancel")["Authorization"].removeprefix("Bearer ")
     page = visit("/", key=key).page
+    fault, drop = page.locator("#upload-fault"), page.get_by_text("Drop measurements here")
+    bad = tmp_path / "bad.binary"
+    bad.write_bytes(bytes(1000))
+    page.locator("#file").set_input_files(bad)
+    expect(fault).to_contain_text(re.compile(r"dimensions|bytes"))
+    expect(drop).to_be_visible()
     page.route("**/v1/fits?*", lambda route: None)  # never answered
     page.locator("#file").set_input_files(plastic_file)
     expect(page.locator("#sending-title")).to_contain_text(re.compile("Sending|Checking"))
     page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("#upload-fault")).to_have_text("The upload was cancelled.")
-    expect(page.get_by_text("Drop measurements here")).to_be_visible()
+    expect(fault).to_have_text("The upload was cancelled.")
+    expect(drop).to_be_visible()
 
 
 def test_fit_is_renamed(visit: Visit, site: Site) -> None:

@@ -5,17 +5,18 @@ import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dsbrdf.data.hdr_image import read_hdr_image
-from dsbrdf.data.merl import read_merl, write_merl
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.environment import THREE_LIGHTS, EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import from_json
 from tests.service.page.conftest import Site
 from tests.support.webgl import CHROMIUM
 
@@ -55,30 +56,25 @@ def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
     return pixels(page)
 
 
-def test_sphere_shows_the_fit_as_the_library_renders_it(visit: Visit, site: Site) -> None:
-    fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
+def painted(visit: Visit, site: Site, **options: Any) -> Page:
+    """The page of a fit whose sphere is there."""
+    page: Page = visit(f"/fits/{site.fits['glossy']}", **options).page
     page.locator(PAINTED).wait_for()
-    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
-    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
+    return page
+
+
+def test_fit_and_measurement_are_shown_as_the_library_renders_them(
+    visit: Visit, site: Site, plastic: Measurement
+) -> None:
+    page, model = painted(visit, site), site.model(site.fits["glossy"])
     shown = pixels(page)
     size = len(shown)
     _, mask = sphere_normals(size)
-    expected = displayed(render_sphere(model, size=size), factor)
+    expected = displayed(render_sphere(model, size=size), site.exposure(site.fits["glossy"]))
     assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
     assert np.array_equal(shown[..., 3] == 1.0, mask)
-
-
-def test_measurement_is_shown_beside_the_fit(visit: Visit, site: Site, plastic_file: Path) -> None:
-    fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
-    page.locator(PAINTED).wait_for()
-    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
-    measurement = read_merl(plastic_file)
-    size = len(pixels(page))
-    _, mask = sphere_normals(size)
     for lighting in ("three", "environment"):
-        rendered = [render_sphere(s, lighting=LIGHTINGS[lighting], size=size) for s in (measurement, model)]
+        rendered = [render_sphere(s, lighting=LIGHTINGS[lighting], size=size) for s in (plastic, model)]
         factor = exposure(rendered[lighting == "environment"], mask)
         measured, fitted = (displayed(image, factor) for image in rendered)
         page.get_by_label("fit", exact=True).check()
@@ -98,8 +94,7 @@ def test_measurement_is_shown_beside_the_fit(visit: Visit, site: Site, plastic_f
 
 
 def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
-    page.locator(PAINTED).wait_for()
+    page = painted(visit, site)
     page.locator("[data-component]").first.uncheck()
     page.get_by_label("one light only").check()
     page.get_by_label("measured", exact=True).check()
@@ -121,9 +116,8 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
 
 
 def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}", device_scale_factor=1).page
-    canvas = page.locator(PAINTED)
-    canvas.wait_for()
+    page = painted(visit, site, device_scale_factor=1)
+    canvas = page.locator("canvas")
     size = canvas.evaluate("canvas => canvas.width")
     box = canvas.bounding_box()
     assert box is not None
@@ -139,9 +133,7 @@ def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site:
 
 
 def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
-    fit = site.fits["glossy"]
-    page = visit(f"/fits/{fit}").page
-    page.locator(PAINTED).wait_for()
+    page = painted(visit, site)
     page.locator("canvas").hover(position={"x": 150, "y": 180})
     hint = page.locator(".hint")
     expect(hint).to_contain_text("1/sr")
@@ -156,15 +148,13 @@ def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None
     normal = np.array([x, y, np.sqrt(1 - x * x - y * y)])
     assert half == pytest.approx(np.degrees(np.arccos(normal @ middle / np.linalg.norm(middle))), abs=0.2)
     assert diff == pytest.approx(20.0, abs=0.1)
-    query = {"theta_half_deg": half, "theta_diff_deg": diff}
-    near = site.http.get(f"/v1/fits/{fit}/brdf", params=query, headers=site.header).json()["values"][0]
+    near = site.model(site.fits["glossy"]).evaluate(np.radians(half), np.radians(diff))
     assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
 
 
 def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
-    page = visit(f"/fits/{site.fits['glossy']}").page
-    canvas = page.locator(PAINTED)
-    canvas.wait_for()
+    page = painted(visit, site)
+    canvas = page.locator("canvas")
     first = pixels(page)
     box = canvas.bounding_box()
     assert box is not None
@@ -208,9 +198,8 @@ def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: S
     assert shown[peak].min() > 0.9
     assert ground[peak].max() < 0.8  # gone with the specular component
     # The ground is that of the paint without its highlight, and nothing is left or missing where that was.
-    factor = site.http.get(f"/fits/{fit}/view", headers=site.header).json()["exposure"]
     bare = synthetic_measurement(**paint, specular=(0.0,) * 3)  # type: ignore[arg-type]
-    expected = displayed(0.96 * render_sphere(bare, size=len(ground)), factor)
+    expected = displayed(0.96 * render_sphere(bare, size=len(ground)), site.exposure(fit))
     normals, mask = sphere_normals(len(ground))
     facing = np.zeros_like(mask)
     facing[mask] = normals[:, 2] > 0.85  # farther out, what has no highlight at normal incidence has one
@@ -228,7 +217,7 @@ def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, tmp_pa
     visitor = visit(f"/fits/{fit}#lighting=panorama")
     page = visitor.page
     expect(page.locator(".hint")).to_contain_text("Choose a panorama")
-    model, _ = from_json(site.http.get(f"/v1/fits/{fit}/export?format=json", headers=site.header).text)
+    model = site.model(fit)
     page.locator("#panorama").set_input_files(file)
     page.locator(PAINTED).wait_for()
     shown = pixels(page)
