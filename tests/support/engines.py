@@ -3,9 +3,10 @@
 import asyncio
 import json
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from functools import wraps
+from inspect import isawaitable
 from pathlib import Path
 from typing import Any, ParamSpec
 
@@ -65,28 +66,25 @@ async def fault_of(engine: Engine) -> str | None:
     return None
 
 
-async def until(ask: Callable[[], Awaitable[Any]], good: Callable[[Any], bool]) -> Any:
+async def until(ask: Callable[[], Any], good: Callable[[Any], bool]) -> Any:
+    """Return the first good answer of a function, or of a coroutine function."""
     async with asyncio.timeout(PATIENCE):
-        while not good(answer := await ask()):
+        while True:
+            answer = ask()
+            answer = await answer if isawaitable(answer) else answer
+            if good(answer):
+                return answer
             await asyncio.sleep(0.02)
-    return answer
 
 
 async def until_fitting(stage: Stage) -> list[int]:
-    async def fitting() -> list[int]:
-        return stage.fitting()
-
-    found: list[int] = await until(fitting, bool)
+    found: list[int] = await until(stage.fitting, bool)
     return found
 
 
 async def until_busy(cluster: DaskCluster) -> ForkedProcess:
     """Return a worker that fits."""
-
-    async def busy() -> ForkedProcess | None:
-        return next((worker for worker in cluster.workers if forked(worker.pid)), None)
-
-    worker: ForkedProcess = await until(busy, bool)
+    (worker, *_) = await until(lambda: [worker for worker in cluster.workers if forked(worker.pid)], bool)
     return worker
 
 

@@ -13,6 +13,7 @@ import zstandard
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import HEADER, NODES, filled, header, with_value
+from tests.support.points import npy
 
 CHANNEL = 8 * NODES
 
@@ -37,12 +38,6 @@ def zipped(data: bytes) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("paint.binary", data[:100_000])
-    return buffer.getvalue()
-
-
-def npy(data: bytes) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, values_of(data).reshape(3, 90, 90, 180))
     return buffer.getvalue()
 
 
@@ -99,7 +94,7 @@ OTHER_FILES: dict[str, Make] = {
     "base64": lambda data: base64.b64encode(data),
     "a byte order mark": lambda data: b"\xef\xbb\xbf" + data,
     "as utf-8": lambda data: data[:2_000_000].decode("latin-1").encode(),
-    "npy": npy,
+    "npy": lambda data: npy(values_of(data).reshape(3, 90, 90, 180)),
     "zip": zipped,
     "gzip without its header": lambda data: gzip.compress(data[:1_000_000], 1),
     "zstd without its header": lambda data: zstandard.ZstdCompressor(level=1).compress(data[:1_000_000]),

@@ -1,11 +1,11 @@
 """The real service as a process of its own, and what tests want to know of it."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -36,18 +36,13 @@ class Server:
 
     own_interpreter = False
     fits = True
+    process: "subprocess.Popen[bytes] | ForkedProcess"
 
     def __init__(self, data_dir: Path, **environment: str) -> None:
         self.data_dir = data_dir
         self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
         self.log = data_dir.parent / f"{data_dir.name}.log"
         self.http = httpx.Client()  # of no use until there is an address
-        self._process: subprocess.Popen[bytes] | ForkedProcess | None = None
-
-    @property
-    def process(self) -> "subprocess.Popen[bytes] | ForkedProcess":
-        assert self._process is not None
-        return self._process
 
     @classmethod
     @contextmanager
@@ -66,11 +61,17 @@ class Server:
         return self
 
     def connect(self, begin: int) -> None:
-        """Find out where the process listens; it may not be ready."""
-        address = self._address(begin)
+        """Find out where the process listens, as its log says; it may not be ready."""
+
+        def told() -> re.Match[str] | None:
+            return re.search(r"Uvicorn running on (\S+)", self.log.read_bytes()[begin:].decode())
+
+        wait_until(lambda: told() is not None or self.process.poll() is not None, 60.0)
+        found = told()
+        assert found, f"the server did not start:\n{self.log.read_text()}"
         self.http.close()
         # A connection is not used once more when the service may be about to close it.
-        self.http = httpx.Client(base_url=address, timeout=60.0, limits=httpx.Limits(keepalive_expiry=0.5))
+        self.http = httpx.Client(base_url=found[1], timeout=60.0, limits=httpx.Limits(keepalive_expiry=0.5))
 
     def launch(self) -> int:
         """Start the process, without waiting for anything; return where its log begins."""
@@ -80,9 +81,9 @@ class Server:
             begin = log.tell()
             if self.own_interpreter:
                 command = [sys.executable, "-m", "service", *arguments]
-                self._process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+                self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self._process = launcher("service").launch(arguments, environment, self.log, fits=self.fits)
+                self.process = launcher("service").launch(arguments, environment, self.log, fits=self.fits)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:
@@ -93,21 +94,8 @@ class Server:
 
     def close(self) -> None:
         self.http.close()
-        if self._process is not None:
+        if hasattr(self, "process"):
             self.stop(signal.SIGKILL)
-
-    def _address(self, start: int) -> str:
-        """Find the address in the log, which says it when the server listens."""
-        mark = "Uvicorn running on "
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
-            text = self.log.read_bytes()[start:].decode()
-            if mark in text:
-                return text.partition(mark)[2].split()[0]
-            if self.process.poll() is not None:
-                break
-            time.sleep(0.02)
-        raise AssertionError(f"the server did not start:\n{self.log.read_text()}")
 
     def connection(self, sent: bytes = b"", seconds: float = 60.0) -> socket.socket:
         """Open a connection, and send some bytes as they are."""
