@@ -143,10 +143,10 @@ def test_invalid_point_at_the_end_of_a_large_batch_is_refused(server: Server, ur
     assert "omega_out" in assert_problem(answer, 422, "invalid-argument")
 
 
-@pytest.mark.parametrize("shape", [(0, 2), (0, 3), (0, 6), (0, 2, 3)])
-def test_empty_npy_batch_has_no_values(server: Server, url: str, shape: tuple[int, ...]) -> None:
-    answer = server.http.post(url, content=npy(np.zeros(shape)), headers=NPY_BOTH_WAYS)
-    assert np.load(io.BytesIO(answer.content)).shape == (0, 3)
+def test_empty_npy_batch_has_no_values(server: Server, url: str) -> None:
+    for shape in ((0, 2), (0, 3), (0, 6), (0, 2, 3)):
+        answer = server.http.post(url, content=npy(np.zeros(shape)), headers=NPY_BOTH_WAYS)
+        assert np.load(io.BytesIO(answer.content)).shape == (0, 3)
 
 
 @pytest.mark.parametrize(

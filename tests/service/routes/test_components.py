@@ -16,14 +16,20 @@ from tests.support.server import Server, assert_problem
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
 
-def items_of(server: Server, fit: str) -> list[dict[str, Any]]:
-    items: list[dict[str, Any]] = server.http.get(f"/v1/fits/{fit}/components").json()["items"]
-    return items
+@pytest.fixture(scope="session")
+def items(server: Server, fitted: str) -> list[dict[str, Any]]:
+    """The components as the service shows them."""
+    found: list[dict[str, Any]] = server.http.get(f"/v1/fits/{fitted}/components").json()["items"]
+    return found
 
 
-def test_components_are_those_of_the_library(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+def test_components_are_those_of_the_library_and_lead_the_fits_document(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, items: list[dict[str, Any]]
+) -> None:
     decomposition = dsbrdf.decompose(model)
-    items = items_of(server, fitted)
+    fit = server.http.get(f"/v1/fits/{fitted}").json()
+    assert fit["components"] == items
+    assert list(fit).index("components") < list(fit).index("model")
     assert [item["label"] for item in items] == list(decomposition.labels)
     for item, component in zip(items, decomposition, strict=True):
         np.testing.assert_allclose(item["albedo"], component.directional_albedo(0.0), rtol=1e-9)
@@ -33,9 +39,9 @@ def test_components_are_those_of_the_library(server: Server, fitted: str, model:
 
 
 def test_a_components_lobe_is_read_as_values_at_the_stated_angles(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF
+    model: dsbrdf.DSBRDF, items: list[dict[str, Any]]
 ) -> None:
-    for item, component in zip(items_of(server, fitted), dsbrdf.decompose(model), strict=True):
+    for item, component in zip(items, dsbrdf.decompose(model), strict=True):
         lobe = item["lobe"]
         theta_diff, elongation = np.radians(lobe["theta_diff_deg"]), np.array(lobe["elongation"])
         assert {len(values) for values in lobe.values()} == {theta_diff.size}
@@ -77,12 +83,6 @@ def test_a_component_without_light_is_not_found(server: Server, fitted: str, mod
         assert detail == f"The fit has no component {absent}: it has {there}."
 
 
-def test_the_fits_document_leads_with_the_components(server: Server, fitted: str) -> None:
-    fit = server.http.get(f"/v1/fits/{fitted}").json()
-    assert fit["components"] == items_of(server, fitted)
-    assert list(fit).index("components") < list(fit).index("model")
-
-
 def test_the_own_parameters_of_a_model_say_what_they_are(server: Server, fitted: str, stored: str) -> None:
     spline = server.submit(stored, method="global", n_lobes=1, ring_lobes=0).json()["id"]
     for fit, interpolation in ((fitted, "linear"), (spline, "spline")):
@@ -112,7 +112,7 @@ def test_the_guide_is_exported_as_a_model(server: Server, fitted: str, model: ds
     guide, report = from_json(answer.text)
     assert_same_bits(guide, dsbrdf.decompose(model).guide)
     assert report is None
-    assert guide.n_lobes == len(items_of(server, fitted))
+    assert guide.n_lobes == len(dsbrdf.decompose(model).labels)
     assert "-guide.json" in answer.headers["content-disposition"]
 
 

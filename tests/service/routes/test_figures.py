@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from numpy.typing import NDArray
 from PIL import Image
 
 import dsbrdf
@@ -17,21 +18,21 @@ from service.http import problems
 from tests.support.server import QUICK, Server, assert_problem
 
 
+def assert_shows(answer: httpx.Response, expected: NDArray[np.float64]) -> None:
+    assert answer.headers["content-type"] == "image/png"
+    with Image.open(BytesIO(answer.content)) as image:
+        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+
+
 @pytest.mark.parametrize("component", [None, "diffuse"])
 def test_a_sphere_is_drawn_with_the_exposure_of_the_fit(
     server: Server, fitted: str, model: dsbrdf.DSBRDF, component: str | None
 ) -> None:
-    url = f"/v1/fits/{fitted}/figures/sphere.png"
     query = {"size": "32", "lighting": "environment"} | ({} if component is None else {"component": component})
-    answer = server.http.get(url, params=query)
-    assert answer.headers["content-type"] == "image/png"
-    whole = dsbrdf.render_sphere(model, lighting="environment", size=32)
-    factor = exposure(whole, sphere_normals(32)[1])
-    part = whole
-    if component is not None:
-        part = dsbrdf.render_sphere(dsbrdf.decompose(model)[component], lighting="environment", size=32)
-    with Image.open(BytesIO(answer.content)) as image:
-        assert np.abs(np.asarray(image) / 255.0 - displayed(part, factor)).max() < 0.003
+    answer = server.http.get(f"/v1/fits/{fitted}/figures/sphere.png", params=query)
+    shown = model if component is None else dsbrdf.decompose(model)[component]
+    whole, part = (dsbrdf.render_sphere(one, lighting="environment", size=32) for one in (model, shown))
+    assert_shows(answer, displayed(part, exposure(whole, sphere_normals(32)[1])))
 
 
 def test_the_sphere_of_a_measurement_has_its_own_exposure(
@@ -40,9 +41,7 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     url = f"/v1/measurements/{stored}/figures/sphere.png"
     answer = server.http.get(url, params={"size": "32"})
     picture = dsbrdf.render_sphere(plastic, size=32)
-    expected = displayed(picture, exposure(picture, sphere_normals(32)[1]))
-    with Image.open(BytesIO(answer.content)) as image:
-        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
+    assert_shows(answer, displayed(picture, exposure(picture, sphere_normals(32)[1])))
     current = {"If-None-Match": answer.headers["etag"]}
     assert server.http.get(url, params={"size": "32"}, headers=current).status_code == 304
     assert server.http.get(url, params={"size": "16"}, headers=current).status_code == 200
