@@ -131,32 +131,26 @@ def _serve_requests(program: str) -> None:
         _warm_up()
     gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
-    woken, wake = os.pipe()
-    os.set_blocking(wake, False)
-    signal.set_wakeup_fd(wake)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    running: set[int] = set()
+    running: dict[int, int] = {}  # by the descriptor that tells of the end
     with selectors.DefaultSelector() as selector:
         selector.register(sys.stdin.fileno(), selectors.EVENT_READ)
-        selector.register(woken, selectors.EVENT_READ)
         while True:
-            ready = [key.fd for key, _ in selector.select()]
-            if woken in ready:
-                os.read(woken, 4096)
-                _report_ends(running)
-            if sys.stdin.fileno() in ready:
-                line = sys.stdin.readline()
-                if not line:
-                    break
-                request = json.loads(line)
-                pid = os.fork()
-                if pid == 0:
-                    selector.close()
-                    _become(program, request)
-                running.add(pid)
-                _say(pid=pid)
-    for pid in running:
-        os.kill(pid, signal.SIGKILL)
+            for key, _ in selector.select():
+                if key.fd in running:
+                    selector.unregister(key.fd)
+                    os.close(key.fd)
+                    pid, status = os.waitpid(running.pop(key.fd), 0)
+                    _say(pid=pid, code=os.waitstatus_to_exitcode(status))
+                elif line := sys.stdin.readline():
+                    pid = os.fork() or _become(program, json.loads(line))
+                    descriptor = os.pidfd_open(pid)
+                    running[descriptor] = pid
+                    selector.register(descriptor, selectors.EVENT_READ)
+                    _say(pid=pid)
+                else:
+                    for pid in running.values():
+                        os.kill(pid, signal.SIGKILL)
+                    return
 
 
 def _warm_up() -> None:
@@ -169,22 +163,12 @@ def _warm_up() -> None:
         library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
 
 
-def _report_ends(running: set[int]) -> None:
-    for pid in list(running):
-        done, status = os.waitpid(pid, os.WNOHANG)
-        if done:
-            running.remove(pid)
-            _say(pid=pid, code=os.waitstatus_to_exitcode(status))
-
-
 def _say(**document: int) -> None:
     print(json.dumps(document), flush=True)
 
 
-def _become(program: str, request: dict[str, Any]) -> None:
+def _become(program: str, request: dict[str, Any]) -> NoReturn:
     """Run a program in this process, as a fresh interpreter would."""
-    signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     log = os.open(request["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     nothing = os.open(os.devnull, os.O_RDONLY)
