@@ -1,13 +1,22 @@
-"""Pages of the service in a headless Chromium, and what the browser says of them."""
+"""Pages of the service in a headless Chromium, and what the browser says of them; tests without one are skipped."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+import pytest
 
 from tests.support.webgl import CHROMIUM, SOFTWARE_RENDERER
 
+if CHROMIUM is None:
+    pytest.skip('"chromium" is not installed', allow_module_level=True)
+pytest.importorskip("playwright", reason='"playwright" is not installed')
+
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+
+__all__ = ["PAINTED", "Page", "Visit", "Visitor", "expect", "new_context", "running_browser"]
+
+PAINTED = "canvas[data-painted]"
 _PATIENCE = 60_000  # milliseconds until what should appear on a page is given up, on a busy machine
 # The browser reports each answer above 399 itself; the page shows what it says.
 _REPORTED = "Failed to load resource: the server responded with a status of 4"
@@ -35,6 +44,9 @@ def new_context(browser: Browser, site: str, key: str | None, **options: Any) ->
         cookie = {"name": "dsbrdf_key", "value": key, "url": site, "httpOnly": True, "sameSite": "Strict"}
         context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members
     return context
+
+
+Visit = Callable[..., "Visitor"]
 
 
 class Visitor:

@@ -69,8 +69,6 @@ def site(guarded: Guarded, data: bytes) -> Site:
 
 @pytest.fixture(scope="module")
 def browser() -> "Iterator[Browser]":
-    if CHROMIUM is None:
-        pytest.skip('"chromium" is not installed')
     with running_browser() as running:
         yield running
 

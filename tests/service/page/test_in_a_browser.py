@@ -1,7 +1,6 @@
 """The pages in a browser: every state and control, no message of the browser, no request to another host."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,22 +12,13 @@ from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.image_metrics import displayed, psnr
 from dsbrdf.model.render import render_sphere, sphere_normals
 from tests.service.page.conftest import Site
+from tests.support.browser import PAINTED, Visit, expect
 from tests.support.guarded import Guarded
 from tests.support.server import ENDLESS
-from tests.support.webgl import CHROMIUM
 
-if CHROMIUM is None:
-    pytest.skip('"chromium" is not installed', allow_module_level=True)
-pytest.importorskip("playwright", reason='"playwright" is not installed')
 pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is not installed')
 
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
-from playwright.sync_api import expect
-
-from tests.support.browser import Visitor
-
-Visit = Callable[..., Visitor]
-PAINTED = "canvas[data-painted]"
 
 
 def test_sign_in_keeps_the_key_in_a_cookie_and_out_of_addresses(visit: Visit, site: Site) -> None:

@@ -18,18 +18,8 @@ from dsbrdf.model.environment import THREE_LIGHTS, EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from tests.service.page.conftest import Site
-from tests.support.webgl import CHROMIUM
+from tests.support.browser import PAINTED, Page, Visit, expect
 
-if CHROMIUM is None:
-    pytest.skip('"chromium" is not installed', allow_module_level=True)
-pytest.importorskip("playwright", reason='"playwright" is not installed')
-
-from playwright.sync_api import Page, expect
-
-from tests.support.browser import Visitor
-
-Visit = Callable[..., Visitor]
-PAINTED = "canvas[data-painted]"
 LIGHTINGS = {"three": "three_lights", "environment": "environment"}
 PIXELS = """canvas => {
   const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
