@@ -67,7 +67,6 @@ class _Application(FastAPI):
         return self.openapi_schema
 
     def build_middleware_stack(self) -> ASGIApp:
-        """Return the application with all middleware."""
         state = self.state
         authenticated = AuthenticationMiddleware(super().build_middleware_stack(), state.settings, state.keys)
         return RequestLogMiddleware(authenticated, state.settings, state.metrics)

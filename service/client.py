@@ -374,7 +374,6 @@ def _fit(document: Mapping[str, Any]) -> Fit:
 
 
 def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
-    """Return the exception for a response that is no success."""
     try:
         problem = answer.json()
     except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request

@@ -255,7 +255,6 @@ def _accepted_type(request: Request) -> str:
 
 
 def _npy_head(n_points: int) -> bytes:
-    """Return the head of a .npy file of shape (n, 3)."""
     header = BytesIO()
     npy_format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
     return header.getvalue()

@@ -58,7 +58,6 @@ class _PageRoute(APIRoute):
     """A route whose errors are pages too."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the handler of a request."""
         handler = super().get_route_handler()
 
         async def answer(request: Request) -> Response:
@@ -86,7 +85,8 @@ async def get_index(
     shown = rows[: page.limit]
     query = {"name": name} if name else {}
     older = urlencode({**query, "cursor": shown[-1].seq}) if len(rows) > page.limit else ""
-    measured = await run_in_threadpool(lambda: {row.measurement for row in shown if _has_picture(context, row)})
+    stored = await run_in_threadpool(lambda: [context.store.measurement(row.owner, row.measurement) for row in shown])
+    measured = {measurement.sha256 for measurement in stored if measurement is not None and measurement.on_grid}
     names = Counter(row.name for row in shown)
     items = [
         {
@@ -100,12 +100,6 @@ async def get_index(
     return _render(
         "index.html", request, items=items, measured=measured, name=name or "", older=older, max_lobes=MAX_LOBES
     )
-
-
-def _has_picture(context: Context, row: FitRow) -> bool:
-    """Return whether the measurement of a fit is still stored, and on a grid."""
-    measurement = context.store.measurement(row.owner, row.measurement)
-    return measurement is not None and measurement.on_grid
 
 
 @pages.get("/fits/{fit_id}")

@@ -74,19 +74,14 @@ def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def options_in_words(options: Mapping[str, Any]) -> str:
-    """Return the options that are not the default."""
-    return ", ".join(f"{name} = {_word(value)}" for name, value in _unusual(options).items()) or "default options"
+    """Return the options that are not what their method does by default, and a method that is not the default."""
+    usual = canonical(FitOptions(method=options["method"])) | {"method": DEFAULTS["method"]}
+    given = {name: options[name] for name in ("method", *options) if options[name] != usual[name]}
+    return ", ".join(f"{name} = {_word(value)}" for name, value in given.items()) or "default options"
 
 
 def _written(values: Sequence[float], form: str) -> list[str]:
     return [format(value, form) for value in values]
-
-
-def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that are not what their method does by default."""
-    usual = canonical(FitOptions(method=options["method"]))
-    given = {name: value for name, value in options.items() if value != usual[name]}
-    return given if options["method"] == DEFAULTS["method"] else {"method": options["method"], **given}
 
 
 def _word(value: Any) -> str:

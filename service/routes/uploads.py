@@ -82,19 +82,13 @@ async def receive_upload(
             else:
                 await _write(request, partial(_write_convertible, incoming), at_once=at_once)
                 await in_thread(incoming.close)
-                await _convert(request, context, incoming, kind)
+                try:
+                    incoming.sha256, incoming.size, incoming.valid_nodes = await context.computations.run_in_process(
+                        request, ("upload", incoming.path), conversion_step, incoming.path, kind, head={}, place="long"
+                    )
+                except InvalidArgumentError as error:  # as every fault of a step's arguments
+                    raise MeasurementFormatError(str(error)) from None
             return await in_thread(context.store.add_measurement, caller, incoming, name)
-
-
-async def _convert(request: Request, context: Context, incoming: Incoming, kind: Kind) -> None:
-    """Check a file that is no MERL file, and replace its content by what is stored of it."""
-    key = ("upload", incoming.path)
-    try:
-        incoming.sha256, incoming.size, incoming.valid_nodes = await context.computations.run_in_process(
-            request, key, conversion_step, incoming.path, kind, head={}, place="long"
-        )
-    except InvalidArgumentError as error:  # as every fault of a step's arguments
-        raise MeasurementFormatError(str(error)) from None
 
 
 async def _write_merl(request: Request, incoming: Incoming, *, at_once: bool) -> int:
@@ -184,7 +178,6 @@ async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:
 
 
 def _check_not_longer(n_bytes: int) -> None:
-    """Check that a file is not longer than a measurement."""
     if n_bytes > FILE_SIZE:
         try:
             check_length(n_bytes)
@@ -193,7 +186,6 @@ def _check_not_longer(n_bytes: int) -> None:
 
 
 def _check_convertible(n_bytes: int) -> None:
-    """Check the length of a file that is no MERL file."""
     if n_bytes > _MAX_CONVERTED:
         most = f"A .bsdf file or a table has at most {_MAX_CONVERTED} bytes here, and this one is longer."
         raise ProblemError("measurement-too-large", most)
