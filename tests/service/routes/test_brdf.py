@@ -12,6 +12,7 @@ import pytest
 import dsbrdf
 from dsbrdf.output.serialize import from_json
 from service.wire.points import NPY
+from tests.support.known_models import pairs_of_directions
 from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -31,13 +32,6 @@ def url(server: Server, stored: str) -> str:
 def model(server: Server, url: str) -> dsbrdf.DSBRDF:
     """The model of that fit, without loss."""
     return from_json(server.http.get(url.replace("brdf", "export?format=json")).text)[0]
-
-
-def directions(count: int, seed: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    vectors = np.random.default_rng(seed).normal(size=(count, 3))
-    vectors[:, 2] = np.abs(vectors[:, 2])
-    unit: np.ndarray[Any, np.dtype[np.float64]] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return unit
 
 
 def as_text(vectors: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
@@ -66,7 +60,7 @@ def test_angles_equal_the_library(server: Server, url: str, model: dsbrdf.DSBRDF
 
 @pytest.mark.parametrize("count", [1, 100])
 def test_direction_pairs_equal_the_library(server: Server, url: str, model: dsbrdf.DSBRDF, count: int) -> None:
-    omega_in, omega_out = directions(count, 1), directions(count, 2)
+    omega_in, omega_out = pairs_of_directions(count)
     expected = model.evaluate_directions(omega_in, omega_out)
     close(server.http.get(url, params={"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}), expected)
     close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
@@ -80,7 +74,8 @@ def test_what_is_given_once_counts_for_all_points(server: Server, url: str, mode
     query = {"theta_half_deg": [0, 10, 20], "theta_diff_deg": [30], "phi_diff_deg": [5, 25, 85]}
     close(server.http.get(url, params=query), expected)
     close(server.http.post(url, json=query), expected)
-    omega_in, omega_out = directions(4, 0), directions(1, 1)
+    omega_in, omega_out = pairs_of_directions(4)
+    omega_out = omega_out[:1]
     expected = model.evaluate_directions(omega_in, omega_out)
     close(server.http.get(url, params={"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}), expected)
     close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
@@ -137,7 +132,7 @@ def test_invalid_point_at_the_end_of_a_large_batch_is_refused(server: Server, ur
     angles[-1, 1] = 90.5
     answer = server.http.post(url, content=npy(angles), headers=NPY_BOTH_WAYS)
     assert "90.5" in assert_problem(answer, 422, "invalid-argument")
-    omega = np.stack([directions(20_000, 4), directions(20_000, 5)], axis=1)
+    omega = np.stack(pairs_of_directions(20_000), axis=1)
     omega[-1, 1] = 0.6, 0.0, -0.9
     answer = server.http.post(url, content=npy(omega), headers=NPY_BOTH_WAYS)
     assert "omega_out" in assert_problem(answer, 422, "invalid-argument")
