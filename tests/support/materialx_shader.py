@@ -2,29 +2,13 @@
 
 import importlib
 import re
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import asdict, fields
 from typing import Any
 
 from dsbrdf.output.export.openpbr import OpenPBR
 
 _SHADER = "dsbrdf_surface"
-_OTHER_INPUTS = {
-    "base_weight": "1.0",
-    "transmission_color": "vec3(1.0)",
-    "transmission_dispersion_abbe_number": "20.0",
-    "subsurface_color": "vec3(0.8)",
-    "subsurface_radius": "1.0",
-    "subsurface_radius_scale": "vec3(1.0, 0.5, 0.25)",
-    "fuzz_color": "vec3(1.0)",
-    "fuzz_roughness": "0.5",
-    "coat_color": "vec3(1.0)",
-    "coat_darkening": "1.0",
-    "thin_film_thickness": "0.5",
-    "thin_film_ior": "1.4",
-    "emission_color": "vec3(1.0)",
-    "geometry_opacity": "1.0",
-}
-"""Inputs that are not 0 and that the library's own documents leave as they are by default."""
 
 
 def materialx_document(text: str) -> Any:
@@ -61,19 +45,18 @@ def generated_function(document: Any) -> str:
     light = document.getDataLibrary().getNodeDef("ND_directional_light")
     shader_module.HwShaderGenerator.bindLightShader(light, 1, context)
     source = generator.generate("check", document.getMaterialNodes()[0], context).getSourceCode("pixel")
-    return _as_function(source, surface_of(document))
+    declared = document.getDataLibrary().getNodeDef("ND_open_pbr_surface_surfaceshader").getInputs()
+    inputs = {one.getName(): one.getValue() for one in declared if one.getType() in ("float", "color3")}  # by default
+    return _as_function(source, inputs | asdict(surface_of(document)))
 
 
-def _as_function(source: str, surface: OpenPBR) -> str:
+def _as_function(source: str, inputs: Mapping[str, Any]) -> str:
     """Turn a shader's inputs into variables, and its ``main`` into a function."""
     source = re.sub(r"#version.*|precision .*;|uniform \w*shader\w* .*", "", source)
     source = "const bool u_refractionTwoSided = false;\n" + source  # used without an environment, but not declared
     source = re.sub(r"^(uniform|in|out) (?=\w)", "", source, flags=re.MULTILINE).replace("void main()", "void shade()")
-    inputs = dict(_OTHER_INPUTS)
-    for field in fields(OpenPBR):
-        value = getattr(surface, field.name)
-        inputs[field.name] = f"vec3{value}" if isinstance(value, tuple) else repr(float(value))
-    assigned = "\n".join(f"  {_SHADER}_{name} = {value};" for name, value in inputs.items())
+    written = {name: value if isinstance(value, float) else f"vec3{tuple(value)}" for name, value in inputs.items()}
+    assigned = "\n".join(f"  {_SHADER}_{name} = {value};" for name, value in written.items())
     return (
         source
         + f"""
