@@ -8,6 +8,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
 from starlette.routing import BaseRoute
 
 import dsbrdf
@@ -169,15 +170,12 @@ def document_of(app: FastAPI) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`."""
     routes = [_without_head(route) for route in app.routes]
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
-    components = document.setdefault("components", {})
-    schemas = components.setdefault("schemas", {})
-    for model in _REFERENCED:
-        schema = model.model_json_schema(ref_template=_REFERENCE)
-        schemas.update(schema.pop("$defs", {}))
-        schemas[model.__name__] = schema
+    schemas = document["components"]["schemas"]
+    _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
+    schemas.update(described["$defs"])
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
-    components["securitySchemes"] = {"key": _KEY}
+    document["components"]["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
         for operation in methods.values():
             operation["security"] = [] if path.startswith(HEALTH) else [{}, {"key": []}]
