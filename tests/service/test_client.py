@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import inspect
+import re
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -68,15 +69,13 @@ def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measur
         for content in (b"", plastic_file.read_bytes()[:-1], plastic_file.read_bytes() + b"\0"):
             with pytest.raises(dsbrdf.MeasurementFormatError) as expected:
                 dsbrdf.parse_merl(content)
-            with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
+            with pytest.raises(dsbrdf.MeasurementFormatError, match=f"^{re.escape(str(expected.value))}$"):
                 client.fit(content)
-            assert str(raised.value) == str(expected.value)
         impossible = dsbrdf.FitOptions(method="paper", n_lobes=8, mask=10, horizon_cutoff=0.03)
         with pytest.raises(dsbrdf.FitError) as expected_fit:
             dsbrdf.fit(plastic, impossible)
-        with pytest.raises(dsbrdf.FitError) as raised_fit:
+        with pytest.raises(dsbrdf.FitError, match=f"^{re.escape(str(expected_fit.value))}$"):
             client.fit(plastic, impossible)
-        assert str(raised_fit.value) == str(expected_fit.value)
         with pytest.raises(ServiceError, match="There is no fit") as missing:
             client.get("0" * 32)
         assert missing.value.problem["status"] == 404
