@@ -9,6 +9,7 @@ import numpy as np
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.output.export import export_model
 from dsbrdf.output.serialize import from_json
+from tests.support.points import npy
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
@@ -24,17 +25,12 @@ def in_progress(server: Server) -> float:
 
 def stalled(path: str, fit: str, data: bytes) -> Iterator[tuple[bytes, ...]]:
     """Requests that stop: a batch and an upload in the middle of their bodies, an export and a batch as answers."""
-    batch = b"\x93NUMPY\1\0" + bytes(6_000_000)
-    points = np.zeros((200_000, 3))
-    npy = (
-        b"\x93NUMPY\1\0v\0" + f"{{'descr': '<f8', 'fortran_order': False, 'shape': {points.shape}}}".ljust(117).encode()
-    )
-    npy += b"\n" + points.tobytes()
+    batch, points = b"\x93NUMPY\1\0" + bytes(6_000_000), npy(np.zeros((200_000, 3)))
     head = "Host: x\r\nContent-Type: application/x-npy\r\nAccept: application/x-npy\r\nContent-Length:"
     upload = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
     for _ in range(CLIENTS):
         yield f"POST {path}/brdf HTTP/1.1\r\n{head} 48000128\r\n\r\n".encode(), batch
-        yield f"POST {path}/brdf HTTP/1.1\r\n{head} {len(npy)}\r\n\r\n".encode(), npy
+        yield f"POST {path}/brdf HTTP/1.1\r\n{head} {len(points)}\r\n\r\n".encode(), points
         yield (f"GET {path}/export?format=merl HTTP/1.1\r\nHost: x\r\n\r\n".encode(),)
         yield upload.encode(), data[:1_000_000]
 

@@ -68,11 +68,6 @@ def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: s
     assert server.files() == before
 
 
-def test_a_second_name_is_refused(server: Server) -> None:
-    answer = server.http.post("/v1/fits?name=a&name=b", content=b"")
-    assert "more than once" in assert_problem(answer, 422, "invalid-argument")
-
-
 @pytest.mark.parametrize(
     ("header", "name"),
     [
