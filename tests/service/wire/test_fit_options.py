@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from openapi_schema_validator import OAS31Validator
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
@@ -17,48 +18,29 @@ from tests.support.server import Server, assert_problem
 PROPERTIES: dict[str, dict[str, Any]] = OPTIONS_SCHEMA["properties"]
 
 
-def branches(schema: dict[str, Any]) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = schema.get("anyOf", [schema])
-    return found
-
-
-def bounds(name: str) -> Iterator[tuple[Any, bool]]:
-    """Values at the edges of what the document allows for an option, and whether they are inside."""
-    for branch in branches(PROPERTIES[name]):
-        if branch["type"] == "integer":
-            yield from ((branch["minimum"], True), (branch["maximum"], True))
-            yield from (
-                (branch["minimum"] - 1, False),
-                (branch["maximum"] + 1, False),
-                (branch["minimum"] + 0.5, False),
-            )
-        elif branch["type"] == "number":
-            yield branch["maximum"], True
-            yield math.nextafter(branch["maximum"], math.inf) + 1e-8, False
-            if "minimum" in branch:
-                yield from ((branch["minimum"], True), (-1e-300, False))
-            else:
-                yield from ((branch["exclusiveMinimum"], False), (1e-6, True))
+def values_at_edges(schema: dict[str, Any]) -> Iterator[Any]:
+    """Values at the edges of what the document allows for an option, on both sides, and of other types."""
+    yield from (None, True, False, 1, "other")
+    for branch in schema.get("anyOf", [schema]):
+        if branch["type"] in ("integer", "number"):
+            for bound in (branch.get("exclusiveMinimum", branch.get("minimum")), branch["maximum"]):
+                yield from (bound, bound - 1, bound + 1, bound + 0.5, bound - 1e-8, bound + 1e-8)
         elif branch["type"] == "array":
             low, high = branch["items"]["minimum"], branch["items"]["maximum"]
-            yield from (([low, high], True), (list(range(branch["maxItems"])), True))
-            yield from (([high], False), ([low, high + 1], False), ([low - 1, high], False), ([low, low], False))
-        elif "enum" in branch or "const" in branch:
+            yield from ([low, high], [*range(branch["maxItems"])])
+            yield from ([], [high], [low, high + 1], [low - 1, high], [low, low])
+        elif branch["type"] == "string":
             for word in branch.get("enum", [branch.get("const")]):
-                yield from ((word, True), (f"{word}x", False))
-        else:
-            assert branch["type"] in ("null", "boolean")
-            yield from ((None, True),) if branch["type"] == "null" else ((True, True), (False, True), (1, False))
+                yield from (word, f"{word}x")
 
 
-CASES = [(name, value, inside) for name in PROPERTIES for value, inside in bounds(name)]
-
-
-@pytest.mark.parametrize(("name", "value", "inside"), CASES, ids=str)
-def test_option_ranges_equal_those_of_the_library(name: str, value: object, inside: bool) -> None:
-    text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-    assert accepted(from_wire, {name: value}) == inside
-    assert accepted(from_query, [(name, text)]) == inside
+@pytest.mark.parametrize("name", PROPERTIES)
+def test_option_ranges_equal_those_of_the_library(name: str) -> None:
+    valid = OAS31Validator(PROPERTIES[name]).is_valid
+    for value in values_at_edges(PROPERTIES[name]):
+        text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+        assert accepted(from_wire, {name: value}) == valid(value), value
+        assert accepted(from_query, [(name, text)]) == valid(value), value
 
 
 def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
@@ -69,9 +51,8 @@ def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
     return True
 
 
-def test_every_option_has_a_documented_range_and_a_sentence() -> None:
-    assert len(CASES) > 35
-    assert {name for name, _, inside in CASES if not inside} == set(PROPERTIES) == set(DEFAULTS)
+def test_every_option_is_described() -> None:
+    assert set(PROPERTIES) == set(DEFAULTS)
     for name, schema in PROPERTIES.items():
         assert schema["description"].endswith("."), name
         assert "[rad]" not in schema["description"]
@@ -79,9 +60,8 @@ def test_every_option_has_a_documented_range_and_a_sentence() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("n_lobes", "3"), ("n_lobes", True), ("robust", 1), ("robust", "true"), ("mask", "none"), ("mask", "1"),
-     ("knots_deg", "0,30"), ("knots_deg", [0, "30"]), ("knots_deg", [[0, 30]]), ("em_iterations", None),
-     ("method", 1), ("n_lobes", [3]), ("mask", {"a": 1}), ("mask", math.nan), ("mask", math.inf)],
+    [("n_lobes", "3"), ("robust", "true"), ("mask", "none"), ("mask", "1"), ("knots_deg", "0,30"), ("mask", {"a": 1}),
+     ("knots_deg", [0, "30"]), ("knots_deg", [[0, 30]]), ("n_lobes", [3]), ("mask", math.nan), ("mask", math.inf)],
 )  # fmt: skip
 def test_json_options_of_wrong_type_are_refused(name: str, value: object) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
