@@ -1,6 +1,7 @@
 """Exports hold the fitted model without loss."""
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -57,7 +58,9 @@ def test_a_shader_has_the_name_and_the_sampling_asked_for(server: Server, fitted
     assert server.http.get(url, params=query).content == export_model(model, "glsl", name="paint", sampling=True)
 
 
-def test_the_openapi_document_lists_every_format(server: Server) -> None:
+def test_the_openapi_document_and_the_page_list_every_format(server: Server, fitted: str) -> None:
+    page = server.http.get(f"/fits/{fitted}").text
+    assert re.findall(rf'href="\.\./v1/fits/{fitted}/export\?format=([\w-]+)"', page) == [*FORMATS]
     operation = server.http.get("/openapi.json").json()["paths"]["/v1/fits/{fit_id}/export"]["get"]
     (parameter,) = [one for one in operation["parameters"] if one["name"] == "format"]
     assert parameter["schema"]["enum"] == [*FORMATS]

@@ -10,7 +10,6 @@ import pytest
 import dsbrdf
 from dsbrdf.data.merl import parse_merl
 from service.http.pages import STATIC_FILES
-from service.wire.schemas import Export
 from tests.support.guarded import Guarded
 from tests.support.server import QUICK, SLOW, Server, assert_problem
 
@@ -191,9 +190,3 @@ def test_list_has_pages(server: Server, fitted: str, stored: str) -> None:
     second = page_at(server, f"/?{found[1]}")
     assert re.findall(r'value="([0-9a-f]{32})"', first.text)[0] not in second.text
     assert re.search('id="no-match" class="note" >No fits found.*>nobody<', page_at(server, "/?name=nobody").text)
-
-
-def test_every_format_can_be_downloaded(server: Server, fitted: str) -> None:
-    text = page_at(server, f"/fits/{fitted}").text
-    offered = set(re.findall(rf'href="\.\./v1/fits/{fitted}/export\?format=([\w-]+)"', text))
-    assert offered == set(Export.model_json_schema()["properties"]["format"]["enum"])
