@@ -19,7 +19,7 @@ _OURS = files(_PACKAGE) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _TYPES = {"js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _served = {f"/docs/{name}": _SWAGGER_UI / name for name in ("swagger-ui-bundle.js", "swagger-ui.css")}
-_served |= {f"/page/{file.name}": file for file in _OURS.iterdir() if not file.name.endswith(".html")}
+_served |= {f"/page/{file.name}": file for file in _OURS.iterdir() if file.name.rpartition(".")[2] in _TYPES}
 STATIC_FILES = {path: (file, _TYPES[path.rpartition(".")[2]]) for path, file in _served.items()}
 STATIC_FILES["/docs"] = _OURS / "docs.html", "text/html; charset=utf-8"
 """Path -> file and media type: the page of the OpenAPI document, and what this one and the other pages load."""
