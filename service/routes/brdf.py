@@ -243,12 +243,9 @@ def _accepted_type(request: Request) -> str:
             weight = min(float(quality[1]), 1.0) if quality else 1.0
             ranges[media_type.strip()] = max(ranges.get(media_type.strip(), 0.0), weight)
 
-    def quality_of(name: str, in_range: float) -> float:
-        if name in ranges:
-            return ranges[name]
-        return in_range * ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
-
-    json, npy = quality_of(JSON, 0.5), quality_of(NPY, 0.25)  # a type that is named counts more; JSON is the default
+    of_range = ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
+    # A type that is named counts more; JSON is the default.
+    json, npy = ranges.get(JSON, 0.5 * of_range), ranges.get(NPY, 0.25 * of_range)
     if not (json or npy):
         raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
     return NPY if npy > json else JSON
