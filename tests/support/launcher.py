@@ -201,13 +201,11 @@ def _leave(main: Callable[[], object]) -> NoReturn:
     except BaseException:
         traceback.print_exc()
         code = 1
-    if isinstance(code, str):
-        print(code, file=sys.stderr)
     vars(threading)["_shutdown"]()  # waits for threads
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code if isinstance(code, int) else int(code is not None))
+    os._exit(code if isinstance(code, int) else 0)  # None, as a server of processes ends
 
 
 def _prepare_fork_server() -> None:
