@@ -11,11 +11,10 @@ and the M-step fits each lobe alone to its share by Levenberg-Marquardt,
 where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherical exponential power distribution without
 its normalisation (eqs. 3 and 5): gamma = 0 is a constant, a Lambertian lobe, gamma -> infinity a mirror.
 
-Because q depends on theta_half only, the sum over the raw samples and the sum over the profile differ by a
-constant, so that the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together:
-each Levenberg-Marquardt step is one pass over an array of shape (problems, theta_half) and a 2 x 2 system in
-(log kappa, log gamma) for each problem. A step needs the paper's lobe, which is not divided by its height, and its two
-derivatives in the same few operations; `dsbrdf.model.lobes` would compute four more and a division to be undone.
+Because q depends on theta_half only, the sums over the raw samples and over the profile differ by a constant, so that
+the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together, each Levenberg-Marquardt step
+is a 2 x 2 system in (log kappa, log gamma) for each problem. The lobe is not that of `dsbrdf.model.lobes`, which is
+divided by its height and would cost four more derivatives.
 """
 
 from collections.abc import Callable
@@ -25,47 +24,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.arrays import Array, Mask
-
-
-def lobe(theta: ArrayLike, kappa: ArrayLike, gamma: ArrayLike) -> Array:
-    """Value of the lobe without its normalisation, ``exp(kappa cos(theta)**gamma) - 1``; the arguments broadcast.
-
-    `theta` is the angle from the normal, 0 to pi/2 [rad], kappa > 0 the scale, gamma >= 0 the shape.
-    """
-    kappa, gamma = np.asarray(kappa, float), np.asarray(gamma, float)
-    return np.expm1(kappa * _power(_log_cos(np.asarray(theta, float)), gamma))
-
-
-def half_width(kappa: ArrayLike, gamma: ArrayLike) -> Array:
-    """Angle at which the lobe has half its peak value [rad]; pi/2 where it never falls that low.
-
-    Solves ``exp(kappa cos(theta)**gamma) - 1 = (exp(kappa) - 1) / 2``.
-    """
-    kappa, gamma = np.asarray(kappa, float), np.asarray(gamma, float)
-    # log1p(expm1(kappa) / 2) without overflow for a large kappa.
-    log_ratio = np.log((kappa + np.log1p(np.exp(-kappa)) - np.log(2.0)) / kappa)
-    log_ratio = np.where(kappa < 1e-3, np.log(0.5) + np.log1p(kappa / 4.0), log_ratio)
-    with np.errstate(divide="ignore"):
-        log_cos = log_ratio / gamma
-    # arccos(exp(x)) through the sine, which keeps narrow lobes exact.
-    return np.arctan2(np.sqrt(-np.expm1(2.0 * log_cos)), np.exp(log_cos))
-
-
-def _log_cos(theta: Array) -> Array:
-    """Logarithm of the cosine, exact for small angles too; -infinity from pi/2 on."""
-    with np.errstate(divide="ignore"):
-        return np.where(
-            np.abs(theta) < np.pi / 4,
-            0.5 * np.log1p(-(np.sin(theta) ** 2)),
-            np.log(np.maximum(np.cos(theta), 0.0)),
-        )
-
-
-def _power(log_cos: Array, gamma: Array) -> Array:
-    """Power cos**gamma from its logarithm, with 0**0 = 1 and 1**infinity = 1."""
-    with np.errstate(invalid="ignore"):
-        return np.where((gamma == 0) | (log_cos == 0), 1.0, np.exp(gamma * log_cos))
-
 
 KAPPA_BOUNDS = (1e-9, 40.0)
 """Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
@@ -98,7 +56,7 @@ def fit_slices(
     *,
     iterations: int = 100,
     robust: bool = False,
-    largest_kappa: Array | None = None,
+    largest_kappa: ArrayLike = np.inf,
     on_iteration: Callable[[int], None] | None = None,
 ) -> SliceFits:
     """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice, of angles (N,) [rad].
@@ -110,8 +68,7 @@ def fit_slices(
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER, (len(mean), 1))
-    if largest_kappa is not None:
-        upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1]))
+    upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1]))
     parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
     used = np.zeros(len(mean), np.int64)
     converged = np.zeros(len(mean), bool)
@@ -151,11 +108,20 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
     above = (data >= 0.5 * peak[:, None]) & (weight > 0)
     last = np.where(above.any(axis=1), above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1), 0)
     width = theta_half[np.minimum(last + 1, theta_half.size - 1)]
-    # A lobe of shape 1 and this kappa has a known half width; its log-cosine scales with 1 / gamma.
-    gamma = np.log(np.cos(half_width(kappa, 1.0))) / np.log(np.cos(width))
+    # The half width of a lobe with this kappa and gamma = 1; its log-cosine scales with 1 / gamma.
+    gamma = np.log(np.cos(_half_width(kappa))) / np.log(np.cos(width))
     halving = 0.5 ** np.arange(n_lobes)
     start = np.log(np.stack([kappa, np.clip(gamma, *GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
     return np.clip(start, _LOWER, _UPPER)
+
+
+def _half_width(kappa: Array) -> Array:
+    """Solution of ``exp(kappa cos(theta)) - 1 = (exp(kappa) - 1) / 2`` [rad]."""
+    # log1p(expm1(kappa) / 2) without overflow for a large kappa.
+    log_cos = np.log((kappa + np.log1p(np.exp(-kappa)) - np.log(2.0)) / kappa)
+    log_cos = np.where(kappa < 1e-3, np.log(0.5) + np.log1p(kappa / 4.0), log_cos)
+    # arccos(exp(x)) through the sine, which keeps narrow lobes exact.
+    return np.arctan2(np.sqrt(-np.expm1(2.0 * log_cos)), np.exp(log_cos))
 
 
 def lobe_curves(log_cos: Array, parameters: Array) -> Array:
@@ -180,15 +146,14 @@ def huber_weights(residual: Array, weight: Array) -> Array:
     return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
 
 
-def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array | None = None) -> Array:
+def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array) -> Array:
     """Fit every lobe alone to its share q_k L of the data, `targets` (slices, lobes, N), from log-parameters `start`.
 
     The log-parameters, and those returned, have the shape (slices, lobes, 2); `upper` (slices, 2) are the largest
-    allowed, by default those of `KAPPA_BOUNDS` and `GAMMA_BOUNDS`. `log_cos` (N,) and `weights` (slices, N) are those
-    of the samples.
+    allowed. `log_cos` (N,) and `weights` (slices, N) are those of the samples.
     """
     slices, lobes, n = targets.shape
-    upper = np.tile(_UPPER, (slices * lobes, 1)) if upper is None else np.repeat(upper, lobes, axis=0)
+    upper = np.repeat(upper, lobes, axis=0)
     target = targets.reshape(-1, n)
     root = np.repeat(np.sqrt(weights), lobes, axis=0)
     parameters = start.reshape(-1, 2).copy()

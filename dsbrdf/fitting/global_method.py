@@ -86,18 +86,17 @@ def fit_global(
         options.ring_lobes,
         lambda: progress(0.5 * min(next(tries) / _EXPECTED_TRIES, 1.0)),
     )
-    amplitude_knots, shape_knots, elongation_knots = _with_data(KNOTS[options.variation], weight)
+    knots = _with_data(KNOTS[options.variation], weight)
     if options.knots is not None:
-        amplitude_knots = np.asarray(options.knots)
-    fine = _structure(weight, (amplitude_knots, shape_knots, elongation_knots), options)
-    structure = replace(fine, rings=mixture.structure.rings)
-    mixture = Mixture(structure, change_knots(mixture.structure, mixture.unknowns, structure))
+        knots = (np.asarray(options.knots), *knots[1:])
+    fine = _structure(weight, knots, options)
+    mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
     solution = _refine(
         _select(data, weight, FIT_ROWS, FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
     )
     on_stage("refine")
-    return _found(structure, solution, weight.sum(axis=(2, 3)) > 0, tuple(growth))
+    return _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0, tuple(growth))
 
 
 def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep, ...]) -> tuple[FoundModel, Mixture]:
@@ -193,7 +192,7 @@ def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> 
 
     amplitude, shape, elongation = (within(group) for group in knots)
     theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, _FEWEST_IN_COLUMN * amplitude.size)
-    return Structure((), amplitude, shape, elongation, options.lobe, np.array(theta_half))
+    return Structure((), (amplitude, shape, elongation), options.lobe, np.array(theta_half))
 
 
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:

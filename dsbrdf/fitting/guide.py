@@ -32,23 +32,15 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.splines import smooth_control_values
 
 FAMILY = "student"
-AMPLITUDE_KNOTS = np.radians([0.0, 40.0, 65.0, 80.0, 89.0])
-SHAPE_KNOTS = np.radians([0.0, 60.0, 89.0])
-ELONGATION_KNOTS = np.radians([0.0, 89.0])
+_KNOTS = np.radians([0.0, 40.0, 65.0, 80.0, 89.0]), np.radians([0.0, 60.0, 89.0]), np.radians([0.0, 89.0])
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """Border between the specular spike and the specular lobe [rad of theta_half]."""
 
 
-def _bounds(kappa: tuple[float, float], *half_widths: float) -> ShapeBounds:
-    low, high = reach_of_width(np.array(half_widths), FAMILY).tolist()
-    return ShapeBounds(kappa, (low, high))
-
-
-_NARROWEST, _WIDEST_OF_TWO, _WIDEST = (float(np.radians(angle)) for angle in (0.15, 15.0, 25.0))
-_ANY = _bounds((0.6, 10.0), _NARROWEST, _WIDEST)
-_SPIKE = _bounds((0.6, 10.0), _NARROWEST, SPIKE_HALF_WIDTH)
-_LOBE = _bounds((0.6, 10.0), SPIKE_HALF_WIDTH, _WIDEST_OF_TWO)
-_DIFFUSE = _bounds((0.05, 10.0), np.radians(30.0), np.radians(89.0))
+_ANY, _SPIKE, _LOBE, _DIFFUSE = (
+    ShapeBounds((lowest_kappa, 10.0), tuple(reach_of_width(np.radians(half_widths), FAMILY).tolist()))
+    for lowest_kappa, half_widths in ((0.6, (0.15, 25.0)), (0.6, (0.15, 3.0)), (0.6, (3.0, 15.0)), (0.05, (30.0, 89.0)))
+)
 _NEUTRAL, _TAIL, _DIFFUSE_TAIL, _DIFFUSE_WIDTH, _ROUND = 1e-4, 2e-4, 1e-3, 1e-4, 1e-3
 """Pulls of the prior, as shares of the squared signal for each squared deviation of a control value."""
 _GGX_KAPPA, _USUAL_DIFFUSE_KAPPA = 2.0, 1.1
@@ -96,7 +88,7 @@ class Guide:
 def fit_guide(data: FitData) -> Guide:
     """Fit the readable lobes to data with light: some value is not 0."""
     one = fit_single_highlight(data)
-    two = _fit(data, (_SPIKE, _LOBE), _START_OF_TWO)
+    two = _fit(data, guide_structure(_SPIKE, _LOBE), _START_OF_TWO)
     narrow, wide, _ = two.half_widths
     light = two.light[:2]
     differ = wide > _APART * narrow and light.min() > _LEAST_LIGHT * light.sum()
@@ -105,7 +97,7 @@ def fit_guide(data: FitData) -> Guide:
 
 def fit_single_highlight(data: FitData) -> Guide:
     """Fit a guide with one specular lobe to data as for `fit_guide`."""
-    return min((_fit(data, (_ANY,), start) for start in _STARTS), key=lambda guide: guide.error)
+    return min((_fit(data, guide_structure(), start) for start in _STARTS), key=lambda guide: guide.error)
 
 
 def guide_data(model: ReflectanceModel) -> FitData:
@@ -132,11 +124,14 @@ def guide_data(model: ReflectanceModel) -> FitData:
     return FitData(mean, weight, np.cos(phi_diff) ** 2, _ROWS, _COLUMNS)
 
 
-def _fit(data: FitData, specular: tuple[ShapeBounds, ...], widths: tuple[float, ...]) -> Guide:
-    """Fit specular lobes within bounds, and the diffuse one, from half widths [degrees]."""
-    bounds = (*specular, _DIFFUSE)
-    knots = (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS)
-    structure = Structure((False,) * len(bounds), *knots, FAMILY, np.zeros(1), bounds)
+def guide_structure(*specular: ShapeBounds) -> Structure:
+    """Structure of specular lobes within bounds, by default of a single one, and the diffuse lobe."""
+    bounds = (*(specular or (_ANY,)), _DIFFUSE)
+    return Structure((False,) * len(bounds), _KNOTS, FAMILY, np.zeros(1), bounds)
+
+
+def _fit(data: FitData, structure: Structure, widths: tuple[float, ...]) -> Guide:
+    """Fit the lobes of a structure from half widths [degrees]."""
     problem = MixtureProblem(data, structure, prior=_prior(structure))
     solution = minimize(problem, _start(problem, widths), tolerance=_TOLERANCE, iterations=_ITERATIONS)
     return Guide(Mixture(structure, solution.unknowns), float(np.sqrt(solution.cost / data.signal)))

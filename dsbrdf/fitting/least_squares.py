@@ -120,7 +120,7 @@ class MixtureProblem:
         self._signal = data.signal
         blocks = [
             pull * np.kron(roughness(basis.shape[1]), np.eye(columns))
-            for basis, pull, columns in zip(self.bases, smoothing, structure.columns, strict=True)
+            for basis, pull, (_, columns) in zip(self.bases, smoothing, structure.blocks, strict=True)
         ]
         self._pull = self._signal * (block_diag(*blocks) + (0.0 if prior is None else prior.matrix))
         self._target = np.zeros(structure.n_unknowns) if prior is None else prior.target

@@ -143,27 +143,12 @@ BACKGROUND = 0.01
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One number of lobes compared.
-
-    Attributes
-    ----------
-    n_lobes : int
-    e_p : float
-        Expected negative log probability, mean over the slices.
-    squared_error : float
-        Over all samples used [1/sr^2].
-    bic : float or None
-        Bayesian information criterion with Gaussian errors of unknown variance; None for an exact fit.
-    t, critical_value : float or None
-        Williams' statistic and what it is compared with, see `WilliamsRow`.
-    significant : bool
-        Whether so few lobes are worse than the most.
-    """
+    """One number of lobes compared: by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
 
     n_lobes: int
-    e_p: float
-    squared_error: float
-    bic: float | None
+    e_p: float  # mean over the slices
+    squared_error: float  # over all samples used [1/sr^2]
+    bic: float | None  # with Gaussian errors of unknown variance; None for an exact fit
     t: float | None
     critical_value: float | None
     significant: bool

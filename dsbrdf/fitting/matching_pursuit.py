@@ -59,22 +59,12 @@ _PATIENCE = 2  # lobes that do not pay before the next one may: two can need eac
 
 @dataclass(frozen=True)
 class GrowthStep:
-    """One lobe tried.
+    """One lobe tried."""
 
-    Attributes
-    ----------
-    n_lobes, ring_lobes : int
-        All lobes, and those of them that have a center of their own, with it.
-    error : float
-        Weighted squared error on the rows held out, as a share of the squared signal there.
-    pays : bool
-        Whether it was kept.
-    """
-
-    n_lobes: int
-    ring_lobes: int
-    error: float
-    pays: bool
+    n_lobes: int  # all lobes, with it
+    ring_lobes: int  # those of them that have a center of their own
+    error: float  # weighted squared error on the rows held out, as a share of the squared signal there
+    pays: bool  # whether it was kept
 
 
 @dataclass(frozen=True)
@@ -160,8 +150,7 @@ def _guide_lobes(data: FitData, like: Structure) -> Mixture:
         old = replace(old, family=like.family)
         gamma = gamma_of_half_width(width, kappa, old.family)
         unknowns = old.join(amplitude, np.log(np.concatenate([kappa, gamma], axis=1)), elongation)
-    structure = replace(like, rings=old.rings)
-    return Mixture(structure, change_knots(old, unknowns, structure))
+    return change_knots(Mixture(old, unknowns), replace(like, rings=old.rings))
 
 
 def _kinds_wanted(

@@ -45,19 +45,12 @@ _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.
 
 @dataclass(frozen=True)
 class RelativeErrors:
-    """Errors over some of the samples, see the top of this file; they have no unit.
-
-    Attributes
-    ----------
-    relative_rms, floor, symmetric_floor, male : float
-    excess : float or None
-        None where the floor is zero.
-    """
+    """Errors over some of the samples, see the top of this file; they have no unit."""
 
     relative_rms: float
     floor: float
     symmetric_floor: float
-    excess: float | None
+    excess: float | None  # None where the floor is zero
     male: float
 
 

@@ -16,7 +16,6 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import FitError
 from dsbrdf.fitting import em
-from dsbrdf.fitting.em import lobe
 from dsbrdf.fitting.lobe_selection import LARGEST_AUTOMATIC, SelectionStep, choose_n_lobes
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
@@ -143,7 +142,8 @@ def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
     center = np.flatnonzero(~OUTSIDE_CENTER)
     solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
     weight = data.weight[:, rows][:, :, center] * solid_angle
-    lobes = lobe(THETA_HALF[center], kappa[..., None], gamma[..., None]).sum(axis=2)
+    log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))  # keeps the digits of small angles
+    lobes = np.expm1(kappa[..., None] * np.exp(gamma[..., None] * log_cos)).sum(axis=2)
     total = weight.sum(-1)
     residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)
     return np.maximum(np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1), 0.0)

@@ -82,8 +82,14 @@ def fit(
     ConvergenceWarning
         If the fit, or slices of it, stopped at the bound on the iterations. The report's `warnings` have this one too.
     """
-    options = _options(options, choices)
-    measurement = _read(measurement)
+    if options is not None and choices:
+        raise InvalidArgumentError("give the options as FitOptions or by name, not both")
+    options = options or FitOptions(**choices)
+    if isinstance(measurement, str | PathLike):
+        measurement = read_measurement(measurement)
+    elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
+        measurement = Measurement.from_values(measurement)
+    in_slices = options.method == "paper"
     report_progress = progress or (lambda _: None)
     clock = _Clock()
     report_progress(0.0)
@@ -95,30 +101,26 @@ def fit(
         data = profiles_for(measurement, options)
         clock.lap("profiles")
         report_progress(0.1)
-        result = _fit_profiles(data, options, lambda share: report_progress(0.1 + 0.8 * share), clock)
+        on_share = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
+        if in_slices:
+            found = fit_slicewise(data, options, on_share)
+            clock.lap("em")
+        else:
+            found, _ = fit_global(data, options, on_share, clock.lap)
+        result = _result(found, data, options, clock)
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
     if not np.all(result.report.knots.converged):
-        sentence = convergence_sentence(result.report.knots, in_slices=options.method == "paper")
+        sentence = convergence_sentence(result.report.knots, in_slices=in_slices)
         warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
     return result
-
-
-def _fit_profiles(data: Profiles, options: FitOptions, progress: Callable[[float], None], clock: _Clock) -> FitResult:
-    """Fit a model and report what the profiles can tell."""
-    if options.method == "paper":
-        found = fit_slicewise(data, options, progress)
-        clock.lap("em")
-    else:
-        found, _ = fit_global(data, options, progress, clock.lap)
-    return _result(found, data, options, clock)
 
 
 def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock) -> FitResult:
     """Model and report, without the metrics."""
     model, knots = found.model, found.knots
-    albedo = DirectionalAlbedo.of(model, ALBEDO_ANGLES)
+    albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
     report = FitReport(
         warnings=fit_warnings(model, data, knots, albedo, in_slices=options.method == "paper"),
@@ -170,7 +172,8 @@ def _fit_samples(
         clock.lap("refine")
     is_usual = typical_error(usual.model, measured) < typical_error(found.model, measured)
     if is_usual:
-        found = replace(found, model=usual.model, knots=_whole(usual.model))
+        knots = KnotReport.from_arrays(usual.model.theta_diff, True, True, 0, False)
+        found = replace(found, model=usual.model, knots=knots)
     result = _result(found, data, options, clock)
     metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
     of_units = unit_warnings(measured, usual, np.array(result.report.albedo.albedo))
@@ -185,31 +188,9 @@ def _fit_samples(
     return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
 
 
-def _whole(model: DSBRDF) -> KnotReport:
-    """What the report says of the knots of a usual material, which are fitted together."""
-    seen = np.ones((3, model.theta_diff.size), dtype=np.bool_)
-    return KnotReport.from_arrays(model.theta_diff, seen, True, 0, False)
-
-
 def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:
     """Tell how much is done of the whole when a share of one round is."""
     progress(0.9 * (number + share) / _BINNED_ROUNDS)
-
-
-def _options(options: FitOptions | None, choices: dict[str, Any]) -> FitOptions:
-    if options is not None and choices:
-        raise InvalidArgumentError("give the options as FitOptions or by name, not both")
-    return FitOptions(**choices) if options is None else options
-
-
-def _read(
-    source: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | Array,
-) -> Measurement | Profiles | ScatteredSamples:
-    if isinstance(source, Measurement | Profiles | ScatteredSamples):
-        return source
-    if isinstance(source, str | PathLike):
-        return read_measurement(source)
-    return Measurement.from_values(source)
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:

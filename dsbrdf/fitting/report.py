@@ -29,38 +29,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KnotReport:
-    """How a fit went at each of D knots of theta_diff; those of the method "paper" are its slices.
+    """How a fit went at each of D knots of theta_diff [rad], for each channel, tables (3, D).
 
-    Attributes
-    ----------
-    theta_diff : tuple of float
-        The knots [rad].
-    fitted, converged, bounds_hit : tuple of tuple of bool, shape (3, D)
-        For each channel and knot: whether there were data, whether the fit converged within the iterations allowed,
-        and whether a parameter ended at a bound.
-    iterations : tuple of tuple of int, shape (3, D)
-        Iterations used.
+    Those of the method "paper" are its slices.
     """
 
     theta_diff: tuple[float, ...]
-    fitted: tuple[tuple[bool, ...], ...]
-    converged: tuple[tuple[bool, ...], ...]
+    fitted: tuple[tuple[bool, ...], ...]  # whether there were data
+    converged: tuple[tuple[bool, ...], ...]  # whether it did within the iterations allowed
     iterations: tuple[tuple[int, ...], ...]
-    bounds_hit: tuple[tuple[bool, ...], ...]
+    bounds_hit: tuple[tuple[bool, ...], ...]  # whether a parameter ended at a bound
 
     @classmethod
-    def from_arrays(
-        cls,
-        theta_diff: ArrayLike,
-        fitted: ArrayLike,
-        converged: ArrayLike,
-        iterations: ArrayLike,
-        bounds_hit: ArrayLike,
-    ) -> Self:
-        """Make them of the knots (D,) and of arrays that broadcast to (3, D)."""
+    def from_arrays(cls, theta_diff: ArrayLike, *tables: ArrayLike) -> Self:
+        """Make it of the knots (D,), and of the other tables in order as arrays that broadcast to (3, D)."""
         knots = np.asarray(theta_diff)
-        tables = (np.broadcast_to(part, (3, knots.size)) for part in (fitted, converged, iterations, bounds_hit))
-        return cls(tuple(knots.tolist()), *(tuple(map(tuple, table.tolist())) for table in tables))
+        full = (np.broadcast_to(table, (3, knots.size)).tolist() for table in tables)
+        return cls(tuple(knots.tolist()), *(tuple(map(tuple, table)) for table in full))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +60,10 @@ class FoundModel:
 
 @dataclass(frozen=True)
 class DirectionalAlbedo:
-    """Share of the light from some directions that a model reflects.
+    """Share of the light from some directions that a model reflects."""
 
-    Attributes
-    ----------
-    theta_out : tuple of float
-        Angles to the normal [rad].
-    albedo : tuple of tuple of float
-        Red, green and blue at each angle.
-    """
-
-    theta_out: tuple[float, ...]
-    albedo: tuple[tuple[float, ...], ...]
-
-    @classmethod
-    def of(cls, model: DSBRDF, theta_out: Array) -> Self:
-        """Compute it at angles (n,)."""
-        return cls(tuple(theta_out.tolist()), tuple(map(tuple, model.albedo(theta_out).tolist())))
+    theta_out: tuple[float, ...]  # angles to the normal [rad]
+    albedo: tuple[tuple[float, ...], ...]  # red, green and blue at each
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,16 +76,12 @@ class FitReport:
         What a user should know before using the model, one sentence each, see `dsbrdf.fitting.report_warnings`.
     metrics : Metrics
         All None where only profiles were given.
-    by_channel : tuple of ChannelErrors
-        Errors of each channel that is not black; empty where the metrics are None.
-    by_theta_diff : tuple of BandErrors
-        Errors of each band of theta_diff with data; empty where the metrics are None.
+    by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors
+        Errors of each channel that is not black, and of each band of theta_diff with data; empty without metrics.
     knots : KnotReport
         How the fit went at each knot of theta_diff.
-    growth : tuple of GrowthStep
-        The lobes that were tried; empty for the method "paper".
-    selection : tuple of SelectionStep
-        The numbers of lobes that the method "paper" compared; empty where it was given the number.
+    growth, selection : tuple of GrowthStep, tuple of SelectionStep
+        The lobes that the method "global" tried, and the numbers of lobes that "paper" compared, if not given one.
     albedo : DirectionalAlbedo
         Of the model.
     n_numbers : int

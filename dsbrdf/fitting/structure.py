@@ -53,9 +53,7 @@ class Structure:
     """
 
     rings: tuple[bool, ...]  # whether a lobe has a center; those that have come last
-    amplitude_knots: Array
-    shape_knots: Array
-    elongation_knots: Array
+    knots: tuple[Array, Array, Array]  # of amplitudes, shapes and elongations
     family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
     bounds_of: tuple[ShapeBounds, ...] = ()  # each lobe; the widest possible ones for all if empty
@@ -73,26 +71,20 @@ class Structure:
     @property
     def n_unknowns(self) -> int:
         """How many numbers describe the mixture."""
-        return sum(rows * columns for rows, columns in self._blocks)
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """How many parameters of amplitudes, shapes and elongations there are at each control value."""
-        return tuple(columns for _, columns in self._blocks)
+        return sum(rows * columns for rows, columns in self.blocks)
 
     @cached_property
-    def _blocks(self) -> tuple[tuple[int, int], ...]:
-        """Control values and parameters of amplitudes, shapes and elongations."""
-        count = [n_control_values(k.size) for k in (self.amplitude_knots, self.shape_knots, self.elongation_knots)]
-        k = self.n_lobes
-        return (count[0], 3 * k), (count[1], 2 * k + self.n_rings), (count[2], k)
+    def blocks(self) -> list[tuple[int, int]]:
+        """Numbers of control values, and of parameters at each, of amplitudes, shapes and elongations."""
+        columns = 3 * self.n_lobes, 2 * self.n_lobes + self.n_rings, self.n_lobes
+        return [(n_control_values(knots.size), count) for knots, count in zip(self.knots, columns, strict=True)]
 
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
 
         Amplitudes are logarithms, channel by channel; shapes log kappa, log reach, and offset of the ring lobes.
         """
-        (d, p), (s, q), (e, r) = self._blocks
+        (d, p), (s, q), (e, r) = self.blocks
         amplitude, rest = unknowns[: d * p].reshape(d, p), unknowns[d * p :]
         shape, elongation = rest[: s * q].reshape(s, q), rest[s * q :].reshape(e, r)
         return amplitude, shape, elongation
@@ -148,8 +140,8 @@ class Structure:
 
     def bases(self, theta_diff: Array) -> tuple[Array, Array, Array]:
         """Weights of the control values of amplitudes, shapes and elongations at angles (R,), see `spline_basis`."""
-        amplitude, shape = (spline_basis(knots, theta_diff) for knots in (self.amplitude_knots, self.shape_knots))
-        return amplitude, shape, spline_basis(self.elongation_knots, theta_diff)
+        amplitude, shape, elongation = (spline_basis(knots, theta_diff) for knots in self.knots)
+        return amplitude, shape, elongation
 
     def row_parameters(self, bases: tuple[Array, Array, Array], unknowns: Array) -> tuple[Array, Array, Array]:
         """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
@@ -210,30 +202,27 @@ def mixture_model(mixture: Mixture) -> DSBRDF:
     shape, k = structure.lobe_shapes(mixture.unknowns), structure.n_lobes
     center = np.zeros((len(shape), k))
     center[:, list(structure.rings)] = shape[:, 2 * k :]
+    amplitude_knots, shape_knots, elongation_knots = structure.knots
     return DSBRDF(
-        theta_diff=structure.amplitude_knots,
+        theta_diff=amplitude_knots,
         amplitude=np.exp(amplitude).reshape(-1, 3, k).transpose(1, 0, 2),
         kappa=np.exp(shape[np.newaxis, :, :k]),
         gamma=np.exp(shape[np.newaxis, :, k : 2 * k]),
         center=center[np.newaxis],
         elongation=elongation,
-        shape_theta_diff=structure.shape_knots,
-        elongation_theta_diff=structure.elongation_knots,
+        shape_theta_diff=shape_knots,
+        elongation_theta_diff=elongation_knots,
         interpolation="spline",
         lobe=structure.family,
     )
 
 
-def change_knots(old: Structure, unknowns: Array, new: Structure) -> Array:
-    """Unknowns of the same mixture on other knots: exact where the old knots are among the new ones."""
-    amplitude, _, elongation = old.split(unknowns)
-    parts = (amplitude, old.lobe_shapes(unknowns), elongation)
-    return new.join(
-        *(
-            _change(part, getattr(old, knots), getattr(new, knots))
-            for part, knots in zip(parts, ("amplitude_knots", "shape_knots", "elongation_knots"), strict=True)
-        )
-    )
+def change_knots(mixture: Mixture, new: Structure) -> Mixture:
+    """Put a mixture on other knots: exact where the old knots are among the new ones."""
+    old = mixture.structure
+    amplitude, _, elongation = old.split(mixture.unknowns)
+    parts = (amplitude, old.lobe_shapes(mixture.unknowns), elongation)
+    return Mixture(new, new.join(*map(_change, parts, old.knots, new.knots)))
 
 
 def _change(control_values: Array, old_knots: Array, new_knots: Array) -> Array:

@@ -20,11 +20,10 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.guide import AMPLITUDE_KNOTS, ELONGATION_KNOTS, FAMILY, SHAPE_KNOTS
+from dsbrdf.fitting.guide import guide_structure
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, Solution, minimize
-from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure, mixture_model
+from dsbrdf.fitting.structure import Mixture, Structure, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import reach_of_width
 
 STORED = files("dsbrdf.fitting") / "usual_materials.npz"
 """The file of the unknowns of `guides`, and of the names of their materials."""
@@ -35,10 +34,6 @@ FAR = np.radians(10.0)
 _WEIGHT = 0.02
 _MISFIT = 0.08  # relative error of the readable lobes
 _DARK = 0.02  # of the median over samples of the channels' mean, which relative errors are at least relative to
-_ANY, _DIFFUSE = (  # as those of the materials
-    ShapeBounds((low, 10.0), tuple(reach_of_width(np.radians(widths), FAMILY).tolist()))
-    for low, widths in ((0.6, [0.15, 25.0]), (0.05, [30.0, 89.0]))
-)
 _SHRINK, _LEAST_VARIANCE, _VARIANCE_OF_LEVEL = 0.05, 1e-3, 25.0
 _N_STARTS, _TOLERANCE, _ITERATIONS = 3, 1e-4, 100
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
@@ -65,9 +60,7 @@ def guides() -> Array:
 def usual_material(samples: ScatteredSamples) -> UsualMaterial:
     """Fit the readable lobes to samples, against what materials are usually like."""
     known, data = guides(), _relative_rows(samples)
-    structure = Structure(
-        (False, False), AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS, FAMILY, np.zeros(1), (_ANY, _DIFFUSE)
-    )
+    structure = guide_structure()
     prior = _prior(known, structure, data.signal)
     problem = MixtureProblem(data, structure, (0.0, 0.0, 0.0), prior)
     starts = np.array([_at_level_of(problem, unknowns) for unknowns in known])

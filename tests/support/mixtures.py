@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from dsbrdf.data.reduction import profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.synthetic import model_measurement
-from dsbrdf.fitting.em import half_width
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import half_width
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def deviations(model: DSBRDF, truth: DSBRDF) -> dict[str, float]:
     parts = []
     for one in (model, truth):
         found = one.parameters_at(CHECKED_ANGLES)
-        width = half_width(found["kappa"], found["gamma"])
+        width = half_width(found["kappa"], found["gamma"], model.lobe)
         order = np.argsort(width[0, 0])
         parts.append(
             {name: found[name][..., order] for name in ("amplitude", "kappa", "gamma")}

@@ -85,7 +85,7 @@ def test_m_step_at_a_bound_fits_the_other_parameter_alone() -> None:
     target = 0.02 * (1.0 + 2.0 * (ANGLES / ANGLES[-1]) ** 2)
     weight = np.ones((1, ANGLES.size))
     start = np.log([[[0.1, 5.0]]])
-    found = np.exp(em.m_step(LOG_COS, target[None, None], weight, start)[0, 0])
+    found = np.exp(em.m_step(LOG_COS, target[None, None], weight, start, np.log([[40.0, 1e7]]))[0, 0])
     assert found[1] == pytest.approx(em.GAMMA_BOUNDS[0], rel=1e-12)
 
     def cost(log_kappa: float) -> float:

@@ -42,7 +42,7 @@ def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> No
     rows, columns = np.array([0, 30, 60, 75]), np.arange(5, 60, 6)
     data = FitData.select(folded, folded.weight, rows, columns)
     knot = np.zeros(1)
-    structure = Structure((False,), knot, knot, knot, "hemi_epd")
+    structure = Structure((False,), (knot,) * 3, "hemi_epd")
     lobe = np.array([[0.0, np.log(40.0)]])
     unknowns = structure.join(np.full((1, 3), np.log(30.0)), lobe, np.ones((1, 1)))
     problem = MixtureProblem(data, structure)

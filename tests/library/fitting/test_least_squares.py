@@ -28,7 +28,7 @@ SMOOTHING = (1e-4, 3e-4, 2e-4)  # far above the usual, so that it counts in the 
 
 
 def structure_of(rings: tuple[bool, ...], family: str = "hemi_epd") -> Structure:
-    return Structure(rings, KNOTS, KNOTS[[0, 2]], KNOTS[:1], family)
+    return Structure(rings, (KNOTS, KNOTS[[0, 2]], KNOTS[:1]), family)
 
 
 def data_of(values: Array, cos2_phi: Array, *, seed: int = 0) -> FitData:
@@ -114,14 +114,13 @@ def test_values_are_those_of_the_model(family: str) -> None:
     center = np.zeros((1, 4, 3))
     center[0, :, 2] = shape[:, 6]
     model = DSBRDF(
-        structure.amplitude_knots,
+        structure.knots[0],
         np.exp(amplitude).reshape(-1, 3, 3).transpose(1, 0, 2),
         np.exp(shape[None, :, :3]),
         np.exp(shape[None, :, 3:6]),
         center,
         elongation,
-        structure.shape_knots,
-        structure.elongation_knots,
+        *structure.knots[1:],
         lobe=family,
     )
     found = problem.values(unknowns)

@@ -6,12 +6,12 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.em import half_width
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
 from dsbrdf.fitting.matching_pursuit import MAX_GROWN_LOBES, GrowthStep, grow
 from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model.lobes import half_width
 
 KNOTS = np.radians([0.0, 40.0, 70.0, 89.0])
 ROWS = np.array([0, 12, 24, 36, 48, 60, 70, 76, 82])
@@ -62,7 +62,7 @@ def grown(
     noise: float = 0.02,
     on_lobe: Callable[[], None] = lambda: None,
 ) -> tuple[Mixture, tuple[GrowthStep, ...]]:
-    structure = Structure((), KNOTS, KNOTS[[0, 3]], KNOTS[:1], model.lobe)
+    structure = Structure((), (KNOTS, KNOTS[[0, 3]], KNOTS[:1]), model.lobe)
     fitted, held_out = data_of(model, noise=noise), data_of(model, HELD_OUT_ROWS, noise=noise)
     mixture, steps = grow(fitted, held_out, structure, n_lobes, ring_lobes, on_lobe)
     return mixture, tuple(steps)
@@ -91,7 +91,7 @@ def test_lobes_are_found_at_their_widths() -> None:
     lobes = [(40.0, 1.5, 0.0), (4.0, 9.0, 0.0), (0.3, 50.0, 0.0)]
     mixture, _ = grown(lobes_of(*lobes), 3, 0)
     shape = mixture.structure.lobe_shapes(mixture.unknowns)
-    widths = np.sort(np.degrees(half_width(np.exp(shape[:, :3]), np.exp(shape[:, 3:6]))).mean(axis=0))
+    widths = np.sort(np.degrees(half_width(np.exp(shape[:, :3]), np.exp(shape[:, 3:6]), "hemi_epd")).mean(axis=0))
     np.testing.assert_allclose(widths, [width for _, width, _ in lobes], rtol=0.2)
 
 

@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import half_difference
-from dsbrdf.fitting.em import half_width
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.furnace import white_furnace
 from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model.lobes import half_width
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 
@@ -102,7 +102,7 @@ def test_ring_lobes_against_brute_force(degrees: float, gamma: float) -> None:
     for angle in ANGLES[1::2].tolist():
         reference = brute_force(model.evaluate_unmasked, angle)
         np.testing.assert_allclose(model.albedo(angle), reference, rtol=5e-4)
-        width = float(half_width(1.0, gamma))
+        width = float(half_width(np.ones(()), np.array(gamma), "hemi_epd"))
         found = directional_albedo(model.evaluate_unmasked, np.array(angle), narrowest=width)
         np.testing.assert_allclose(found, reference, rtol=1e-5)
 
