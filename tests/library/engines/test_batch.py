@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -50,15 +50,6 @@ def works(pid: int) -> bool:
     """Whether a process has begun to read a measurement: it has used some time."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") > 0.1
-
-
-@contextmanager
-def endless_fits(files: list[Path]) -> Iterator[list[int]]:
-    """Fit two files while the block runs; the processes that do it are given."""
-    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2)) as items:
-        assert next(items).error == "No such file or directory"
-        wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
-        yield forked(os.getpid())
 
 
 @pytest.fixture
@@ -114,7 +105,10 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with endless_fits(files) as workers:
+    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2)) as items:
+        assert next(items).error == "No such file or directory"
+        wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
+        workers = forked(os.getpid())
         wait_until(lambda: all(map(works, workers)), PATIENCE)
         for worker in workers:
             entries = Path(f"/proc/{worker}/environ").read_bytes().decode().split("\0")

@@ -30,7 +30,7 @@ from tests.support.engines import (
     until,
     until_fitting,
 )
-from tests.support.processes import alive, wait_until
+from tests.support.processes import alive
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
@@ -39,7 +39,6 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lo
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("tcp://127.0.0.1:1", "tcp://127.0.0.1:1"),
         ("tcp://no-such-host.invalid:8786", "no-such-host.invalid"),
         ("carrier-pigeon://host:8786", "carrier-pigeon"),
         ("tls://127.0.0.1:1", "TLS"),
@@ -79,12 +78,13 @@ def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatc
 
 
 @in_event_loop
-async def test_fit_of_a_hanging_worker_runs_on_another(
+async def test_fit_of_a_hanging_worker_runs_on_another_and_a_hanging_scheduler_is_a_fault_until_it_answers(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 3.0)
     own_cluster.start_scheduler()
-    hung = own_cluster.add_worker()
+    hung, scheduler = own_cluster.add_worker(), own_cluster.scheduler
+    assert scheduler is not None
     try:
         async with started(DaskEngine(own_cluster.address, 1, LIMITS)) as engine:
             fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
@@ -98,21 +98,6 @@ async def test_fit_of_a_hanging_worker_runs_on_another(
             await until(lambda: asyncio.sleep(0), lambda _: not alive(victim))
             fit.cancel()
             await asyncio.wait([fit])
-    finally:
-        hung.send_signal(signal.SIGCONT)
-
-
-@in_event_loop
-async def test_hanging_scheduler_is_a_fault_until_it_answers(
-    own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster_room, "_HEARTBEAT_TIMEOUT", 3.0)
-    own_cluster.start_scheduler()
-    own_cluster.add_worker()
-    assert own_cluster.scheduler is not None
-    scheduler = own_cluster.scheduler
-    try:
-        async with started(DaskEngine(own_cluster.address, 1, LIMITS)) as engine:
             scheduler.send_signal(signal.SIGSTOP)
             fault = await until(lambda: fault_of(engine), lambda fault: fault is not None)
             assert fault.endswith("cannot be reached: no answer within 3 s.")
@@ -121,7 +106,8 @@ async def test_hanging_scheduler_is_a_fault_until_it_answers(
             await ready(engine)
             assert isinstance(await fit, FitResult)
     finally:
-        scheduler.send_signal(signal.SIGCONT)
+        for process in (hung, scheduler):
+            process.send_signal(signal.SIGCONT)
 
 
 @in_event_loop
@@ -186,16 +172,3 @@ def test_file_changed_during_its_fit_is_a_system_fault(plastic_file: Path, tmp_p
     outcome = complete_report(fitted, task, profiles.sha256, seconds, lambda _: None)
     message = "The measurement's file was changed while it was being fitted."
     assert outcome == Fault("system", "MeasurementChanged", message)
-
-
-@in_event_loop
-async def test_killed_worker_leaves_no_temporary_files(own_cluster: DaskCluster, plastic_file: Path) -> None:
-    own_cluster.start_scheduler()
-    worker = own_cluster.add_worker()
-    async with started(DaskEngine(own_cluster.address, 1, LIMITS)) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-        await until_fitting(Stage(own_cluster))
-        worker.kill()  # the worker alone: what it has started has to notice
-        fit.cancel()
-        await asyncio.wait([fit])
-    wait_until(lambda: not list(own_cluster.folder.glob("pymp-*")), PATIENCE)

@@ -20,9 +20,10 @@ from dsbrdf.engines import worker_process as child
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
-from tests.support.dask_cluster import forked
+from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
+    LIMITS,
     PATIENCE,
     QUICK,
     SLOW,
@@ -39,6 +40,7 @@ from tests.support.processes import alive, wait_until
 from tests.support.soak import SOAK
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff=0.03)
 
 
 @pytest.fixture(params=["local", "dask"])
@@ -89,58 +91,32 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
     return result, [str(warning.message) for warning in said]
 
 
-@in_event_loop
-async def test_progress_rises_while_the_fit_runs(stage: Stage, plastic_file: Path) -> None:
-    shares: list[float] = []
-    async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), shares.append))
-        await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
-        fit.cancel()
-        await asyncio.wait([fit])
-    assert shares == sorted(set(shares))
-    assert 0.0 < shares[0] < 0.5
-
-
 @pytest.mark.parametrize(
-    ("content", "options", "type_"),
+    ("name", "options", "limits", "fault"),
     [
-        (b"nothing of the kind", QUICK, "MeasurementFormatError"),
-        (None, FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff=0.03), "FitError"),
+        ("other", QUICK, LIMITS, ("input", "MeasurementFormatError", "a MERL measurement has (90, 90, 180)")),
+        ("plastic", NO_DATA_LEFT, LIMITS, ("input", "FitError", "leave no slice with enough valid samples")),
+        ("gone", QUICK, LIMITS, ("system", "MeasurementUnreadable", "not be read: No such file or directory.")),
+        ("plastic", SLOW, FitLimits(60.0, 200), ("compute", "MemoryLimit", "more memory than a fit may use.")),
+        ("plastic", ENDLESS, FitLimits(0.5, 4096), ("compute", "TimeLimit", "took longer than the 0.5 s that a fit")),
     ],
-    ids=["no measurement", "no data left"],
+    ids=["no measurement", "no data left", "no file", "memory", "time"],
 )
-def test_unusable_input_is_an_input_fault(
-    stage: Stage, plastic_file: Path, tmp_path: Path, content: bytes | None, options: FitOptions, type_: str
+def test_failed_fit_is_a_fault_that_says_why(
+    stage: Stage,
+    plastic_file: Path,
+    tmp_path: Path,
+    name: str,
+    options: FitOptions,
+    limits: FitLimits,
+    fault: tuple[str, str, str],
 ) -> None:
-    path = plastic_file
-    if content is not None:
-        path = tmp_path / "other.binary"
-        path.write_bytes(content)
-    outcome, _ = run(stage, FitTask("one", path, options))
+    (tmp_path / "other.binary").write_bytes(b"nothing of the kind")
+    path = plastic_file if name == "plastic" else tmp_path / f"{name}.binary"
+    outcome, _ = run(stage, FitTask("one", path, options), limits)
     assert isinstance(outcome, Fault)
-    assert (outcome.origin, outcome.type) == ("input", type_)
-    assert outcome.message
-
-
-def test_missing_file_is_a_system_fault(stage: Stage, tmp_path: Path) -> None:
-    outcome, _ = run(stage, FitTask("one", tmp_path / "gone.binary", QUICK))
-    message = "The stored measurement could not be read: No such file or directory."
-    assert outcome == Fault("system", "MeasurementUnreadable", message)
-
-
-@pytest.mark.parametrize(
-    ("options", "limits", "fault"),
-    [
-        (SLOW, FitLimits(60.0, 200), ("MemoryLimit", "The fit needs more memory than a fit may use.")),
-        (ENDLESS, FitLimits(0.5, 4096), ("TimeLimit", "The fit took longer than the 0.5 s that a fit may take.")),
-    ],
-    ids=["memory", "time"],
-)
-def test_fit_over_a_limit_is_a_compute_fault(
-    stage: Stage, plastic_file: Path, options: FitOptions, limits: FitLimits, fault: tuple[str, str]
-) -> None:
-    outcome, _ = run(stage, FitTask("one", plastic_file, options), limits)
-    assert outcome == Fault("compute", *fault)
+    assert (outcome.origin, outcome.type) == fault[:2]
+    assert fault[2] in outcome.message
     wait_until(lambda: not stage.fitting())
 
 
@@ -158,9 +134,15 @@ async def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file:
 
 
 @in_event_loop
-async def test_cancelling_ends_the_process_of_the_fit_and_closing_all_others(stage: Stage, plastic_file: Path) -> None:
+async def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others(
+    stage: Stage, plastic_file: Path
+) -> None:
+    shares: list[float] = []
     async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), shares.append))
+        await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
+        assert shares == sorted(set(shares))
+        assert 0.0 < shares[0] < 0.5
         victims = await until_fitting(stage)
         begin = asyncio.get_running_loop().time()
         fit.cancel()
@@ -201,57 +183,42 @@ async def test_fits_in_flight_are_as_many_as_there_are_slots(
         assert begun == [0, 1, 2, 3, 4]
 
 
-SCRIPT = """
+PROGRAM = """
 import asyncio, sys
 from pathlib import Path
-from dsbrdf import FitOptions
-from dsbrdf.engines.engine import FitTask
-from dsbrdf.engines.{room} import {engine}
+from tests.support.engines import ENDLESS, QUICK, DaskEngine, FitTask, started
 
 async def main():
-    engine = {engine}({arguments})
-    await engine.start()
-    while True:
-        try:
-            await engine.check()
-            break
-        except RuntimeError:
-            await asyncio.sleep(0.1)
-    print("ready", flush=True)
-    options = FitOptions({options})
-    print(type(await engine.run(FitTask("one", Path(sys.argv[1]), options), lambda _: None)).__name__, flush=True)
-    await engine.close()
+    async with started(DaskEngine(sys.argv[1], 1)) as engine:
+        for options in (QUICK, ENDLESS):
+            outcome = await engine.run(FitTask("one", Path(sys.argv[2]), options), lambda _: None)
+            print(type(outcome).__name__, flush=True)
 
 asyncio.run(main())
 """
 
 
-def script(stage: Stage, folder: Path, options: str) -> Path:
-    """A program without ``if __name__ == "__main__"`` that has one fit made."""
-    arguments = "1" if stage.cluster is None else f"{stage.cluster.address!r}, 1"
-    room, engine = ("local", "LocalEngine") if stage.cluster is None else ("dask", "DaskEngine")
-    path = folder / "program.py"
-    path.write_text(SCRIPT.format(room=room, engine=engine, arguments=arguments, options=options))
-    return path
-
-
-def test_main_module_is_not_imported_by_fit_processes(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
-    program = script(stage, tmp_path, "method='paper', n_lobes=1, em_iterations=3")
-    answer = subprocess.run(
-        [sys.executable, str(program), str(plastic_file)], capture_output=True, text=True, timeout=PATIENCE
+def test_processes_do_not_import_the_main_module_and_none_outlives_a_killed_program(
+    cluster: DaskCluster, plastic_file: Path, tmp_path: Path
+) -> None:
+    """The program has no ``if __name__ == "__main__"``; it reads in a process of its own and fits on the cluster."""
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    process = subprocess.Popen(
+        [sys.executable, str(program), cluster.address, str(plastic_file)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )
-    assert (answer.stdout, answer.stderr) == ("ready\nDecomposedFit\n", "")
-
-
-def test_killed_program_leaves_no_fit_process(stage: Stage, plastic_file: Path, tmp_path: Path) -> None:
-    program = script(stage, tmp_path, repr(ENDLESS).removeprefix("FitOptions(").removesuffix(")"))
-    process = subprocess.Popen([sys.executable, str(program), str(plastic_file)], stdout=subprocess.PIPE)
     with process:
-        local = stage.cluster is None
-        wait_until(lambda: bool(forked(process.pid) if local else stage.fitting()), PATIENCE)
-        victims = forked(process.pid) + ([] if local else stage.fitting())
+        assert process.stdout is not None
+        assert process.stdout.readline() == "DecomposedFit\n"
+        wait_until(lambda: bool(cluster.fitting()), PATIENCE)
+        victims = forked(process.pid) + cluster.fitting()
         process.kill()
-    wait_until(lambda: not any(alive(pid) for pid in victims))
+        assert process.communicate() == ("", "")
+    wait_until(lambda: not any(map(alive, victims)))
 
 
 def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
