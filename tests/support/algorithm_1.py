@@ -40,8 +40,8 @@ def raw_slice(
     return RawSlice(half[kept], measurement.values[channel, :, row, :][kept])
 
 
-def plain_lobe(theta_half: Array, kappa: float, gamma: float) -> Array:
-    """The unnormalised lobe."""
+def plain_lobe(theta_half: Array, kappa: float | Array, gamma: float | Array) -> Array:
+    """The unnormalised lobe; the arguments broadcast."""
     return np.expm1(kappa * np.cos(theta_half) ** gamma)
 
 

@@ -18,6 +18,7 @@ from dsbrdf.fitting.lobe_selection import (
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
+from tests.support.algorithm_1 import plain_lobe
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,8 @@ def slices_of(n_lobes: int, noise: float = 0.02, count: int = 12) -> Array:
     """Slices (count, N) of so many well separated lobes with noise."""
     random = np.random.default_rng(n_lobes)
     factor = random.uniform(0.8, 1.2, (count, n_lobes, 2))
-    curves = em.lobe_curves(np.log(np.cos(ANGLES)), np.log(LOBES[:n_lobes] * factor)).sum(axis=1)
+    kappa, gamma = np.moveaxis(LOBES[:n_lobes] * factor, -1, 0)[..., None]
+    curves = plain_lobe(ANGLES, kappa, gamma).sum(axis=1)
     return np.asarray(curves * (1.0 + noise * random.standard_normal(curves.shape)))
 
 
@@ -54,14 +56,13 @@ def test_table_holds_the_test_the_error_and_the_criterion() -> None:
     within = np.random.default_rng(1).uniform(0.0, 0.1, mean.shape)
     fits = {k: em.fit_slices(ANGLES, mean, weight, k, iterations=30) for k in range(1, 6)}
     chosen, table = choose_n_lobes(ANGLES, mean, weight, within, fits.__getitem__)
-    statistic = []
+    statistic, n = [], weight.sum()
     for k, row in zip(range(1, 6), table, strict=True):
-        parameters = np.log(np.stack([fits[k].kappa, fits[k].gamma], axis=-1))
-        curves = em.lobe_curves(np.log(np.cos(ANGLES)), parameters).sum(axis=1)
+        lobes = plain_lobe(ANGLES, fits[k].kappa[..., None], fits[k].gamma[..., None])
+        curves = lobes.sum(axis=1)
         error = np.sum(weight * (curves - mean) ** 2) + within.sum()
         assert row.squared_error == pytest.approx(error, rel=1e-12)
         # Twice the log-likelihood of Gaussian residuals of this variance, up to a constant, and log(n) a parameter.
-        n = weight.sum()
         assert row.bic == pytest.approx(-2.0 * n * np.log(np.sqrt(n / error)) + 2 * k * 9 * np.log(n), rel=1e-12)
         statistic.append(expected_negative_log_probability(ANGLES, mean, weight > 0, curves))
         assert row.e_p == pytest.approx(np.mean(statistic[-1]), rel=1e-12)
@@ -73,19 +74,16 @@ def test_table_holds_the_test_the_error_and_the_criterion() -> None:
 
 def test_expected_negative_log_probability_is_that_of_a_loop() -> None:
     random = np.random.default_rng(3)
-    mean, curves = random.uniform(0.1, 2.0, (2, ANGLES.size)), random.uniform(0.1, 2.0, (2, ANGLES.size))
-    used = random.uniform(size=mean.shape) > 0.2
-    found = expected_negative_log_probability(ANGLES, mean, used, curves)
-    steps = np.gradient(ANGLES)
-    for s in range(2):
-        areas = [float(np.sin(ANGLES[n]) * steps[n]) if used[s, n] else 0.0 for n in range(ANGLES.size)]
-        total = sum(area * curves[s, n] for n, area in enumerate(areas))
-        light = logs = 0.0
-        for n, area in enumerate(areas):
-            density = (1.0 - BACKGROUND) * curves[s, n] / total + BACKGROUND / sum(areas)
-            logs -= area * mean[s, n] * np.log(density)
-            light += area * mean[s, n]
-        assert found[s] == pytest.approx(logs / light, rel=1e-12)
+    mean, curves = random.uniform(0.1, 2.0, (2, 1, ANGLES.size))
+    used = random.uniform(size=ANGLES.size) > 0.2
+    areas = np.where(used, np.sin(ANGLES) * np.gradient(ANGLES), 0.0).tolist()
+    total = sum(area * curve for area, curve in zip(areas, curves[0], strict=True))
+    light = logs = 0.0
+    for area, value, curve in zip(areas, mean[0], curves[0], strict=True):
+        logs -= area * value * np.log((1.0 - BACKGROUND) * curve / total + BACKGROUND / sum(areas))
+        light += area * value
+    found = expected_negative_log_probability(ANGLES, mean, used[None], curves)
+    assert found == pytest.approx(logs / light, rel=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")

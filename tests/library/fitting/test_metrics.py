@@ -1,4 +1,5 @@
 from dataclasses import asdict, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import (
     ALBEDO_ANGLES,
-    BANDS,
     METRICS,
+    RelativeErrors,
     error_tables,
     relative_errors,
     sample_errors,
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 HALF, DIFF, PHI = np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij")
 COS_IN = np.cos(HALF) * np.cos(DIFF) - np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
 COS_OUT = np.cos(HALF) * np.cos(DIFF) + np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
+GREEN_IS_BLACK = np.array([1.0, 0.0, 1.0])[:, None, None]
 
 
 def some_model() -> DSBRDF:
@@ -56,19 +58,6 @@ def counted_nodes(measurement: Measurement, cutoff: float | None) -> NDArray[np.
     return counted
 
 
-def direct_rms(measurement: Measurement, fit: Array, counted: NDArray[np.bool_]) -> float:
-    """Relative RMS over all samples of values that broadcast to (3, 90, 90, 180)."""
-    values = measurement.values
-    fit = np.broadcast_to(fit, values.shape)
-    return float(np.sqrt(np.sum((values - fit)[:, counted] ** 2) / np.sum(values[:, counted] ** 2)))
-
-
-def phi_means(measurement: Measurement, counted: NDArray[np.bool_]) -> Array:
-    """Mean of the counted samples over phi_diff, shape (3, 90, 90, 1)."""
-    count = counted.sum(axis=-1, keepdims=True)
-    return np.where(counted, measurement.values, 0.0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)
-
-
 @pytest.fixture(scope="module")
 def speckled(plastic: Measurement) -> Measurement:
     """The noisy plastic with random holes, many because every valid sample takes its time."""
@@ -76,73 +65,54 @@ def speckled(plastic: Measurement) -> Measurement:
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
 
 
-def folded_means(measurement: Measurement, counted: NDArray[np.bool_]) -> Array:
-    """Mean of the counted samples at phi_diff and 180 degrees - phi_diff, by looking at each pair."""
+def direct_errors(
+    measurement: Measurement, model: DSBRDF, cutoff: float | None, channels: list[int], bands: slice = slice(None)
+) -> RelativeErrors:
+    """Errors of some channels and rows of theta_diff, from all samples and their definitions."""
+    counted = counted_nodes(measurement, cutoff)
+    rows = np.zeros(counted.shape, bool)
+    rows[:, bands] = counted[:, bands]
+    fit, samples = values_of(model, counted), np.where(counted, measurement.values, 0.0)
     partner = [(180 - k) % 180 for k in range(180)]
-    values = np.where(counted, measurement.values, 0.0)
-    both = counted.astype(float) + counted[..., partner]
-    return np.asarray((values + values[..., partner]) / np.maximum(both, 1.0))
+    mean = samples.sum(axis=3, keepdims=True) / np.maximum(counted.sum(axis=2, keepdims=True), 1)
+    folded = (samples + samples[..., partner]) / np.maximum(counted + counted[..., partner].astype(float), 1.0)
+    power = np.sum(samples[channels][:, rows] ** 2)
+    rms, floor, symmetric = (
+        float(np.sqrt(np.sum((samples - other)[channels][:, rows] ** 2) / power)) for other in (fit, mean, folded)
+    )
+    logs = [np.log(1.0 + values[channels][:, rows] * COS_IN[rows]) for values in (samples, fit)]
+    return RelativeErrors(rms, floor, symmetric, rms / floor, float(np.mean(np.abs(logs[0] - logs[1]))))
 
 
-@pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.7])
-def test_errors_against_sums_over_the_samples(speckled: Measurement, cutoff: float | None) -> None:
-    model, counted = some_model(), counted_nodes(speckled, cutoff)
-    fit = values_of(model, counted)
-    found = relative_errors(sample_errors(model, speckled, cutoff))
+def assert_errors(found: RelativeErrors | None, expected: RelativeErrors) -> None:
     assert found is not None
-    rms = direct_rms(speckled, fit, counted)
-    floor = direct_rms(speckled, phi_means(speckled, counted), counted)
-    symmetric = direct_rms(speckled, folded_means(speckled, counted), counted)
-    assert found.relative_rms == pytest.approx(rms, rel=1e-10)
-    assert found.floor == pytest.approx(floor, rel=1e-10)
-    assert found.symmetric_floor == pytest.approx(symmetric, rel=1e-10)
-    assert found.excess == pytest.approx(rms / floor, rel=1e-10)
-    cosine = COS_IN[counted]
-    logs = [np.log(1.0 + values[:, counted] * cosine) for values in (speckled.values, fit)]
-    assert found.male == pytest.approx(float(np.mean(np.abs(logs[0] - logs[1]))), rel=1e-9)
+    for name, value in asdict(expected).items():
+        assert getattr(found, name) == pytest.approx(value, rel=1e-9), name
+
+
+@pytest.mark.parametrize("cutoff", [None, 0.7])
+def test_errors_against_sums_over_the_samples(speckled: Measurement, cutoff: float | None) -> None:
+    model = some_model()
+    found = relative_errors(sample_errors(model, speckled, cutoff))
+    assert_errors(found, direct_errors(speckled, model, cutoff, [0, 1, 2]))
 
 
 def test_every_channel_and_band_against_sums_over_the_samples(speckled: Measurement) -> None:
-    model, counted = some_model(), counted_nodes(speckled, DEFAULT_HORIZON_CUTOFF)
-    fit, values = values_of(model, counted), speckled.values
-    middle = np.broadcast_to(phi_means(speckled, counted), values.shape)
+    model = some_model()
     by_channel, by_theta_diff = error_tables(sample_errors(model, speckled, DEFAULT_HORIZON_CUTOFF))
-
-    def expected(channels: list[int], nodes: NDArray[np.bool_]) -> tuple[float, float]:
-        power = np.sum(values[channels][:, nodes] ** 2)
-        errors = [np.sum((values - other)[channels][:, nodes] ** 2) for other in (fit, middle)]
-        return float(np.sqrt(errors[0] / power)), float(np.sqrt(errors[1] / power))
-
     assert [row.channel for row in by_channel] == ["red", "green", "blue"]
-    for index, errors in enumerate(by_channel):
-        assert (errors.relative_rms, errors.floor) == pytest.approx(expected([index], counted), rel=1e-9)
-    assert by_theta_diff[0].theta_diff == pytest.approx((0.0, np.radians(15.0)))
-    assert len(by_theta_diff) == 7  # at theta_diff = 80 degrees the cutoff leaves the centre only
-    for band in by_theta_diff:
-        first, last = np.degrees(band.theta_diff)
-        inside = counted & (np.degrees(DIFF) >= first - 1e-6) & (np.degrees(DIFF) < last - 1e-6)
-        assert (band.relative_rms, band.floor) == pytest.approx(expected([0, 1, 2], inside), rel=1e-9)
-        assert band.excess == pytest.approx(band.relative_rms / band.floor)
-    assert BANDS[0] == 0.0
-    assert np.degrees(BANDS[-1]) == pytest.approx(90.0)
+    assert_errors(by_channel[1], direct_errors(speckled, model, DEFAULT_HORIZON_CUTOFF, [1]))
+    # At theta_diff = 80 degrees the cutoff leaves the centre only.
+    edges = [0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0]
+    np.testing.assert_allclose(np.degrees([row.theta_diff for row in by_theta_diff]), list(pairwise(edges)), atol=1e-9)
+    for band, rows in ((by_theta_diff[1], slice(15, 30)), (by_theta_diff[-1], slice(75, 80))):
+        assert_errors(band, direct_errors(speckled, model, DEFAULT_HORIZON_CUTOFF, [0, 1, 2], rows))
 
 
 @pytest.fixture(scope="module")
 def lobes() -> DSBRDF:
     """The model without its delta term."""
     return some_model().select((0, 1), with_delta=False)
-
-
-@pytest.fixture(scope="module")
-def of_lobes(lobes: DSBRDF) -> Measurement:
-    return model_measurement(lobes)
-
-
-@pytest.fixture(scope="module")
-def no_green(of_lobes: Measurement) -> Measurement:
-    values = of_lobes.values
-    values[1] = np.where(values[1] > 0, 0.0, values[1])
-    return Measurement.from_values(values)
 
 
 def test_symmetric_floor_is_below_every_reciprocal_model_and_the_bivariate_floor_is_not() -> None:
@@ -173,21 +143,18 @@ def test_albedo_error_is_the_mean_relative_distance(matte: Measurement) -> None:
     np.testing.assert_allclose(np.degrees(ALBEDO_ANGLES), [0.0, 30.0, 60.0, 75.0])
 
 
-def test_model_of_the_measurement_looks_like_it(lobes: DSBRDF, of_lobes: Measurement) -> None:
-    albedo = lobes.albedo(ALBEDO_ANGLES)
-    albedo_error, psnr, ssim = seen_errors(lobes, of_lobes, albedo)
+def test_model_of_the_measurement_looks_like_it_and_black_channels_count_nothing(lobes: DSBRDF) -> None:
+    values, albedo = model_measurement(lobes).values, lobes.albedo(ALBEDO_ANGLES)
+    values[1] = np.where(values[1] > 0, 0.0, values[1])
+    no_green, model = Measurement.from_values(values), replace(lobes, amplitude=lobes.amplitude * GREEN_IS_BLACK)
+    by_channel, _ = error_tables(sample_errors(model, no_green, DEFAULT_HORIZON_CUTOFF))
+    assert [row.channel for row in by_channel] == ["red", "blue"]
+    albedo_error, psnr, ssim = seen_errors(model, no_green, albedo * GREEN_IS_BLACK[:, 0, 0])
     assert albedo_error < 0.01
     assert psnr > 40.0
     assert ssim > 0.99
-    _, worse, _ = seen_errors(lobes.select((1,), with_delta=False), of_lobes, albedo)
+    _, worse, _ = seen_errors(model.select((1,), with_delta=False), no_green, albedo)
     assert worse < psnr - 10.0
-
-
-def test_black_channels_have_no_row_and_no_albedo_error(lobes: DSBRDF, no_green: Measurement) -> None:
-    by_channel, _ = error_tables(sample_errors(lobes, no_green, DEFAULT_HORIZON_CUTOFF))
-    assert [row.channel for row in by_channel] == ["red", "blue"]
-    albedo_error, _, _ = seen_errors(lobes, no_green, lobes.albedo(ALBEDO_ANGLES) * [1.0, 0.0, 1.0])
-    assert albedo_error < 0.01
 
 
 def test_metrics_are_found_by_name(matte: Measurement) -> None:

@@ -16,7 +16,6 @@ from dsbrdf.fitting.paper_method import PAPER_SLICES
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.version import ALGORITHM_VERSION
 
 Array = NDArray[np.float64]
 
@@ -192,23 +191,6 @@ def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_pro
     iterations = np.array(report.knots.iterations)[~np.array(report.knots.converged)]
     assert set(iterations.tolist()) == {2}
     assert report.warnings[0].startswith(f"{iterations.size} slices stopped at the bound of 2 iterations before")
-
-
-def test_report_is_plain_and_says_what_was_done(fitted: FitResult) -> None:
-    report, slices = fitted.report, fitted.report.knots
-    assert report.options == paper()
-    assert report.versions.algorithm == ALGORITHM_VERSION
-    assert slices.theta_diff == tuple(PAPER_SLICES)
-    for table in (slices.fitted, slices.converged, slices.iterations, slices.bounds_hit):
-        assert np.shape(table) == (3, 18)
-
-
-@UNCONVERGED
-def test_eight_lobes_sorted_by_kappa(plastic_profiles: Profiles) -> None:
-    model = fit(plastic_profiles, paper(n_lobes=8, em_iterations=3)).model
-    assert model.kappa.shape == (3, 18, 8)
-    assert np.all(np.diff(model.kappa, axis=2) <= 0.0)
-    assert np.all(model.center == 0.0)
 
 
 def test_material_that_reflects_red_only() -> None:
