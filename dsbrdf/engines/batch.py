@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
+from dsbrdf.engines.engine import Engine, Fault, FitTask, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
@@ -61,41 +61,27 @@ def fit_files(
 ) -> Generator[FileFit, None, None]:
     """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
 
-    Every model is written completely or not at all, as soon as its fit is done. Closing the iterator ends the
-    processes.
+    Every model is written completely or not at all, as soon as its fit is done, to ``NAME.json`` in the `folder`, if
+    there is one. Closing the iterator ends the processes. At most so many `jobs` run at once, by default one for each
+    processor core. With the address of a Dask `scheduler` its workers compute the fits, and `jobs` is the most
+    measurements read at once; any other `engine` is started and closed here. Without `force` a fit in the folder is
+    kept if it is newer than its measurement and was made with the same options by the same version of the algorithm.
+    `progress` is called with the number of finished files, fractions included.
 
-    Parameters
-    ----------
-    files : sequence of Path
-    options : FitOptions
-        For all of them.
-    folder : Path, optional
-        Where to write ``NAME.json`` for each file; made if it does not exist.
-    jobs : int, optional
-        Most fits at once; by default one for each processor core. With a scheduler: most measurements read at once.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers compute the fits, see `dsbrdf.engines.dask`.
-    engine : Engine, optional
-        Where to compute instead; it is started and closed here.
-    force : bool, optional
-        Fit every file again. Otherwise a fit in the folder is kept if it is newer than its measurement and was made
-        with the same options by the same version of the algorithm.
-    progress : callable, optional
-        Called with the number of finished files, fractions included.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If two files would be written to the same output, or ``jobs`` is less than 1.
-    OSError
-        If an output cannot be written, or no worker of the cluster can be reached.
+    Raises InvalidArgumentError if two files would be written to the same output or `jobs` is less than 1, OSError if an
+    output cannot be written or no worker of the cluster can be reached.
     """
     if jobs is not None and jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
     outputs = _outputs(files, folder)
     known = (_known_result(*pair, options, force=force) for pair in zip(files, outputs, strict=True))
-    if len(files) == 1 and scheduler is None and engine is None:
-        yield _written(next(known) or _fit_here(files[0], options, progress), outputs[0])
+    on_progress = progress or (lambda _: None)
+    if len(files) == 1 and scheduler is None and engine is None:  # here, as another process takes time to start
+        file, found = files[0], next(known)
+        if found is None:
+            found = _file_fit(file, run_step(compute, FitTask(file.stem, file, options), on_progress))
+            on_progress(1.0)
+        yield _written(found, outputs[0])
         return
     count = core_count() if jobs is None else jobs
     if engine is None:
@@ -109,8 +95,7 @@ def fit_files(
                 done[number] = _written(message, outputs[number])
             else:
                 shares[number] = message
-            if progress is not None:
-                progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
+            on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
             while yielded in done:
                 yield done[yielded]
                 yielded += 1
@@ -125,21 +110,12 @@ def _known_result(file: Path, output: Path | None, options: FitOptions, *, force
     return None if output is None or force else _earlier_fit(file, output, options)
 
 
-def _fit_here(file: Path, options: FitOptions, progress: OnProgress | None) -> FileFit:
-    """Fit a file in this process, which takes less time than to start another one."""
-    on_progress = progress or (lambda _: None)
-    result = _file_fit(file, run_step(compute, FitTask(file.stem, file, options), on_progress))
-    on_progress(1.0)
-    return result
-
-
 def _messages(
     engine: Engine, files: Iterable[tuple[Path, FileFit | None]], options: FitOptions
 ) -> Generator[_Message, None, None]:
     """Yield the finished share or the result of each file, by its number; closing the iterator ends the processes.
 
-    The engine's event loop runs in a thread of its own, so that it does not stop while the caller works, and the caller
-    may have an event loop too.
+    The engine's event loop runs in a thread of its own: the caller may work meanwhile, and have an event loop too.
     """
     messages: queue.SimpleQueue[_Message | BaseException | None] = queue.SimpleQueue()
     loop = asyncio.new_event_loop()

@@ -38,9 +38,9 @@ logger = logging.getLogger(__name__)
 class DaskEngine:
     """Engine whose fits run on a Dask cluster, as many at once as its workers have threads.
 
-    `helpers` is the most worker processes of this machine at once, which read measurements. As many fits are prepared
-    in advance if Dask workers run on other machines, so that these need not wait. The `limits` hold for each process,
-    here and on the Dask workers. Raises MissingExtraError if Dask distributed is not installed.
+    At most so many `helpers`, worker processes of this machine, read measurements at once. As many fits are prepared in
+    advance if Dask workers run on other machines, so that these need not wait. The `limits` hold for each process, here
+    and there. Raises MissingExtraError if Dask distributed is not installed.
     """
 
     def __init__(self, scheduler: str, helpers: int, limits: FitLimits | None = None) -> None:
@@ -48,8 +48,12 @@ class DaskEngine:
         self._limits = limits or FitLimits()
         self._processes = WorkerProcesses(helpers, self._limits)
         self._slots = Slots()
-        self._helpers = helpers
-        self._cluster = Cluster(scheduler, self._resize_slots)
+        self._cluster = Cluster(
+            scheduler,
+            lambda threads, elsewhere: self._slots.resize(
+                {"cluster": threads + helpers * elsewhere} if threads else {}
+            ),
+        )
         self._connection_task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
@@ -93,9 +97,6 @@ class DaskEngine:
             await asyncio.wait([self._connection_task])
         await self._processes.close()
 
-    def _resize_slots(self, threads: int, elsewhere: bool) -> None:
-        self._slots.resize({"cluster": threads + self._helpers * elsewhere} if threads else {})
-
     async def _fit(self, reduced: _Reduced, options: FitOptions, on_progress: OnProgress) -> Outcome:
         lost = 0
         while lost <= _MAX_LOST_WORKERS:
@@ -122,7 +123,6 @@ def fit_on_worker(reduced: _Reduced, options: FitOptions, limits: FitLimits) -> 
 
     worker = get_worker()
     key = worker.get_current_task()
-
     last_sent = 0.0
 
     def send_progress(share: float) -> None:

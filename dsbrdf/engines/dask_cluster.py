@@ -108,7 +108,7 @@ class _Worker:
     unusable_because: str | None = "has not answered yet with its versions"
     status: str = "running"
     threads: int = 0
-    check: "asyncio.Task[None] | None" = None
+    check: "asyncio.Task[None]" = field(init=False)
     _last_seen: float = 0.0  # by the scheduler, on its clock
     _last_change: float = field(default_factory=time.monotonic)  # of `_last_seen`, on this machine's clock
 
@@ -237,13 +237,17 @@ class Cluster:
 
     def _update_workers(self, client: Any, workers: dict[str, dict[str, Any]]) -> None:
         for address in self._workers.keys() - workers.keys():
-            _stop_check(self._workers.pop(address))
+            self._workers.pop(address).check.cancel()
         for address, about in workers.items():
             if address not in self._workers:
                 new = self._workers[address] = _Worker(address)
                 new.check = asyncio.create_task(self._check(client, new))
             self._workers[address].update(about)
-        self._set_usable({address: worker.threads for address, worker in self._workers.items() if worker.fault is None})
+        threads = {address: worker.threads for address, worker in self._workers.items() if worker.fault is None}
+        if threads != self._usable:
+            self._usable = threads
+            self.threads.resize(threads)
+            self._on_size(sum(threads.values()), any(_host(worker) != self._host for worker in threads))
         for call in self._calls.values():
             worker = self._workers.get(call.worker)
             if (worker is None or worker.timed_out) and not call.lost.done():
@@ -259,12 +263,6 @@ class Cluster:
             self._changed.set()
             await asyncio.sleep(_RETRY_DELAY)
 
-    def _set_usable(self, threads: dict[str, int]) -> None:
-        if threads != self._usable:
-            self._usable = threads
-            self.threads.resize(threads)
-            self._on_size(sum(threads.values()), any(_host(worker) != self._host for worker in threads))
-
     def _receive_progress(self, event: tuple[float, dict[str, Any]]) -> None:
         call = self._calls.get(event[1]["key"])
         if call is not None:
@@ -273,13 +271,7 @@ class Cluster:
     def _disconnected(self, reason: str) -> None:
         self._client = None
         self._reason = reason
-        for worker in self._workers.values():
-            _stop_check(worker)
-        self._workers.clear()
-        self._set_usable({})
-        for call in self._calls.values():
-            if not call.lost.done():
-                call.lost.set_result(None)
+        self._update_workers(None, {})
 
 
 async def _answer_of(future: Any) -> Any:
@@ -297,11 +289,6 @@ def _host(address: str) -> str:
 
 def _first_line(error: Exception) -> str:
     return str(error).partition("\n")[0].rstrip(".") or type(error).__name__
-
-
-def _stop_check(worker: _Worker) -> None:
-    if worker.check is not None:
-        worker.check.cancel()
 
 
 async def _unusable_because(client: Any, worker: str) -> str | None:
@@ -322,13 +309,12 @@ _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=fa
 
 
 async def describe() -> dict[str, Any]:
-    """Return a worker's versions and whether it can run fits; called on the worker.
-
-    This also starts the fork server, which takes longer than many fits, so that the first fit need not wait for it.
-    """
+    """Return a worker's versions and whether it can run fits; called on the worker."""
     daemon = multiprocessing.current_process().daemon
     if not daemon:
-        await asyncio.to_thread(start_fork_server)
+        await asyncio.to_thread(
+            start_fork_server
+        )  # takes longer than many fits; now the first one need not wait for it
     return {
         "versions": asdict(versions()),
         "unusable_because": f"may not start child processes: {_REMEDY}" if daemon else None,

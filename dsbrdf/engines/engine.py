@@ -1,9 +1,8 @@
 """Where fits run.
 
-An engine turns tasks into outcomes; it knows nothing of database rows, requests or output files. A task names a file
-on this machine; an engine that computes on other machines sends them the measurement's profiles, not the file.
-`dsbrdf.engines.local` has the engine of this machine, `dsbrdf.engines.dask` that of a Dask cluster. Both give the same
-result for the same task, a fit that fails does not affect the others, and no process outlives its engine.
+An engine turns tasks, which name files of this machine, into outcomes; it knows nothing of database rows, requests or
+output files. That of this machine and that of a Dask cluster give the same result for the same task, a fit that fails
+does not affect the others, and no process outlives its engine.
 """
 
 import errno

@@ -64,9 +64,9 @@ def start_fork_server() -> None:
 class WorkerProcess:
     """One process and the pipe on which it sends its progress and, last, its outcome.
 
-    It is forked from a server that has the library loaded, never from this process: it shares neither its memory nor
-    its connections. On systems without fork servers it is started as a new interpreter, which takes longer. The step
-    is an importable function of picklable arguments, and of a callback that takes the finished share, 0 to 1.
+    It is forked from a server that has the library loaded, never from this process, whose memory and connections it
+    does not share; without fork servers it is a new interpreter, which takes longer. The step is an importable function
+    of picklable arguments, and of a callback that takes the finished share, 0 to 1.
     """
 
     def __init__(self, step: Callable[..., Any], arguments: tuple[Any, ...], limits: FitLimits) -> None:
@@ -132,12 +132,9 @@ class WorkerProcess:
         return Fault("compute", "TimeLimit", f"The fit took longer than the {self._seconds:g} s that a fit may take.")
 
     def _join(self, seconds: float | None = None) -> None:
-        """Wait for the end of the process.
-
-        The lock is needed because starting another process collects the exit codes of ended ones too.
-        """
+        """Wait for the end of the process."""
         if connection.wait([self._process.sentinel], seconds):
-            with _start_lock:
+            with _start_lock:  # starting another process collects the exit codes of ended ones too
                 self._process.join()
 
     def _fault_of_exit(self) -> Fault:
@@ -170,7 +167,8 @@ def _run_in_worker(
         _prepare(pipe, limits)
         pipe.send(run_step(step, *arguments, _sender(pipe)))
     except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
-        if isinstance(error, MemoryError) or _memory_is_limited():  # else a thread is refused for another reason
+        limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+        if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
             os._exit(_OUT_OF_MEMORY)
         raise
 
@@ -200,15 +198,10 @@ def _sender(pipe: "connection.Connection[Any, Any]") -> OnProgress:
     return on_progress
 
 
-def _memory_is_limited() -> bool:
-    return resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-
-
 def _limit_memory(memory_mb: int | None) -> None:
-    """Limit the address space, unless what started the service has set a narrower limit for all that it starts.
+    """Limit the address space, unless a narrower limit was set from outside; MemoryError if hardly any is left.
 
-    Raises MemoryError if the process has nearly as much already: what goes wrong then need not be an exception, as the
-    stack cannot grow either.
+    What goes wrong without it need not be an exception, as the stack cannot grow either.
     """
     _, most = resource.getrlimit(resource.RLIMIT_AS)
     if memory_mb is not None and (most == resource.RLIM_INFINITY or memory_mb << 20 < most):

@@ -49,20 +49,12 @@ _TINY = 1e-300
 class LobeParameters:
     """The readable lobe of a component at angles theta_diff of shape (...).
 
-    Attributes
-    ----------
-    height : ndarray, shape (..., 3)
-        Red, green and blue at theta_half = 0 [1/sr].
-    half_width : ndarray, shape (...)
-        theta_half of half the height, where phi_diff stretches it neither way [rad].
-    tail : ndarray, shape (...)
-        Exponent kappa of the lobe: 2 is GGX, smaller ones have longer tails, 10 is nearly Gaussian.
-    elongation : ndarray, shape (...)
-        0 is round about the half vector; 1 is stretched by 1 / cos(theta_diff), as highlights at grazing angles are.
+    The tail is the exponent kappa: 2 is GGX, smaller ones have longer tails, 10 is nearly Gaussian. The elongation 0 is
+    round about the half vector, 1 is stretched by 1 / cos(theta_diff), as highlights at grazing angles are.
     """
 
-    height: Array
-    half_width: Array
+    height: Array  # red, green and blue at theta_half = 0 [1/sr], (..., 3)
+    half_width: Array  # theta_half of half the height, where phi_diff stretches it neither way [rad]
     tail: Array
     elongation: Array
 
@@ -75,10 +67,8 @@ class Component(ReflectanceModel):
     ----------
     label : str
         One of `LABELS`.
-    lobe : DSBRDF
-        The component's own lobe in the guide: what its values would be if the guide were exact.
-    whole : Decomposition
-        What it is a part of.
+    lobe, whole : DSBRDF, Decomposition
+        The component's own lobe in the guide, its values if the guide were exact; and what it is a part of.
     """
 
     label: str
@@ -275,17 +265,11 @@ def _decompose(model: DSBRDF) -> Decomposition:
     if data.signal == 0.0:
         return Decomposition(model, model.select((), with_delta=False), ())
     guide = fit_guide(data)
-    labels = _labels(guide.half_widths)
+    narrowest, *others = guide.half_widths
+    labels = LABELS if len(others) == 2 else (LABELS[0 if narrowest < SPIKE_HALF_WIDTH else 1], LABELS[2])
     lobes = mixture_model(guide.mixture)
     lit = [k for k, light in enumerate(_light(lobes).T) if light.max() > _NO_LIGHT]
     return Decomposition(model, lobes.select(tuple(lit), with_delta=False), tuple(labels[k] for k in lit))
-
-
-def _labels(half_widths: Array) -> tuple[str, ...]:
-    """Labels of one or two specular lobes, from narrow to wide, and the diffuse one."""
-    if half_widths.size == 3:
-        return LABELS
-    return LABELS[0 if half_widths[0] < SPIKE_HALF_WIDTH else 1], LABELS[2]
 
 
 def _light(model: DSBRDF) -> Array:

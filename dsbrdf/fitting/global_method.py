@@ -1,9 +1,8 @@
 """The default fit: one least-squares problem over the whole measurement.
 
-Where the paper fits slices one by one and then interpolates, this fits all rows of theta_diff at once, up to the
-horizon, with the parameters' control values as unknowns: the data between the knots count, and a lobe keeps its
-identity from knot to knot and from channel to channel. The mixture is grown on thinned rows and columns, then refined
-on most of them.
+Where the paper fits slices one by one and interpolates, this fits all rows of theta_diff at once, up to the horizon,
+with the parameters' control values as unknowns: a lobe keeps its identity from knot to knot and from channel to
+channel. The mixture is grown on thinned rows and columns, then refined on most of them.
 """
 
 import itertools
@@ -69,11 +68,11 @@ def fit_global(
     """Fit all rows at once, and return the model and the same as a mixture.
 
     `split` has what lobes are fitted to during the search, and what tells whether a lobe pays; without it, other rows
-    and columns of the data tell. `progress` is called with the share of the work done, `on_stage` with the name of
-    each stage that has ended. Raises FitError if the options leave no data to fit.
+    and columns of the data tell. `on_stage` is called with the name of each stage that has ended. Raises FitError if
+    the options leave no data to fit.
     """
     weight = fit_weights(data, options)
-    coarse = _structure(weight, _with_data(_SEARCH_KNOTS[options.variation], weight), options)
+    coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
     fitted, held_out = _search_data(data, weight, split)
     if held_out.signal == 0.0:
         held_out = fitted
@@ -86,10 +85,7 @@ def fit_global(
         options.ring_lobes,
         lambda: progress(0.5 * min(next(tries) / _EXPECTED_TRIES, 1.0)),
     )
-    knots = _with_data(KNOTS[options.variation], weight)
-    if options.knots is not None:
-        knots = (np.asarray(options.knots), *knots[1:])
-    fine = _structure(weight, knots, options)
+    fine = _structure(weight, KNOTS[options.variation], options, options.knots)
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
     solution = _refine(
@@ -117,13 +113,19 @@ def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep,
 def _found(
     structure: Structure, solution: Solution, seen: Mask, growth: tuple[GrowthStep, ...]
 ) -> tuple[FoundModel, Mixture]:
-    """Put a solution and what is reported of it together; `seen` says of each channel which rows had data."""
-    model = _model(structure, solution.unknowns)
+    """Put a solution and what is reported of it together; `seen` says of each channel which rows had data.
+
+    The lobes of the model stand from narrow to wide, rings last.
+    """
+    mixture = Mixture(structure, solution.unknowns)
+    shape, k = structure.lobe_shapes(solution.unknowns), structure.n_lobes
+    widths = half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]), structure.family)
+    order = np.lexsort((np.median(widths, axis=0), np.array(structure.rings)))
+    model = mixture_model(mixture).select(tuple(order.tolist()), with_delta=False)
     knots = model.theta_diff
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
-    bounds_hit = _bounds_hit(model)
-    report = KnotReport.from_arrays(knots, seen[:, nearest], solution.converged, solution.iterations, bounds_hit)
-    return FoundModel(model, report, growth), Mixture(structure, solution.unknowns)
+    found = solution.converged, solution.iterations, _bounds_hit(model)
+    return FoundModel(model, KnotReport.from_arrays(knots, seen[:, nearest], *found), growth), mixture
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
@@ -154,21 +156,6 @@ def _search_data(data: Profiles, weight: Array, split: tuple[Profiles, Profiles]
     return thinned if thinned[0].signal > 0.0 else (fitted, held_out)
 
 
-def _with_data(groups: tuple[Array, ...], weight: Array) -> tuple[Array, ...]:
-    """Leave out the knots [rad] that have too few bins with data between them and the next ones."""
-    filled = np.count_nonzero((weight > 0).any(axis=0), axis=(1, 2))
-
-    def chosen(knots: Array) -> Array:
-        if knots.size == 1:
-            return knots
-        kept = _apart(knots[:-1], THETA_DIFF, filled, _FEWEST_BINS)
-        if len(kept) > 1 and filled[THETA_DIFF >= kept[-1]].sum() < _FEWEST_BINS:
-            kept.pop()
-        return np.array([*kept, knots[-1]])
-
-    return tuple(chosen(knots) for knots in groups)
-
-
 def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:
     """Keep the first of some angles [rad], and those that have enough filled bins of an axis before them."""
     kept = [float(angles[0])]
@@ -178,19 +165,31 @@ def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[flo
     return kept
 
 
-def _structure(weight: Array, knots: tuple[Array, ...], options: FitOptions) -> Structure:
-    """No lobes yet, on knots within the rows that have data."""
-    filled = np.count_nonzero((weight > 0).any(axis=0), axis=2)
-    first, last = THETA_DIFF[np.flatnonzero(filled.any(axis=1))[[0, -1]]]
-    columns = filled.sum(axis=0)
+def _structure(
+    weight: Array, groups: tuple[Array, ...], options: FitOptions, amplitude_knots: tuple[float, ...] | None = None
+) -> Structure:
+    """No lobes yet, on the knots [rad] within the rows with data that have enough of these before the next ones.
 
-    def within(angles: Array) -> Array:
-        if angles.size == 1:
-            return angles
-        inner = angles[(angles > first) & (angles < last)]
+    The knots that are asked for need not have any.
+    """
+    filled = np.count_nonzero((weight > 0).any(axis=0), axis=2)
+    rows, columns = filled.sum(axis=1), filled.sum(axis=0)
+    first, last = THETA_DIFF[np.flatnonzero(rows)[[0, -1]]]
+
+    def chosen(knots: Array, asked: tuple[float, ...] | None = None) -> Array:
+        if asked is not None:
+            knots = np.asarray(asked)
+        elif knots.size == 1:
+            return knots
+        else:
+            kept = _apart(knots[:-1], THETA_DIFF, rows, _FEWEST_BINS)
+            if len(kept) > 1 and rows[THETA_DIFF >= kept[-1]].sum() < _FEWEST_BINS:
+                kept.pop()
+            knots = np.array([*kept, knots[-1]])
+        inner = knots[(knots > first) & (knots < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
-    amplitude, shape, elongation = (within(group) for group in knots)
+    amplitude, shape, elongation = chosen(groups[0], amplitude_knots), chosen(groups[1]), chosen(groups[2])
     theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, _FEWEST_IN_COLUMN * amplitude.size)
     return Structure((), (amplitude, shape, elongation), options.lobe, np.array(theta_half))
 
@@ -259,14 +258,6 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
     total = count @ (SAMPLES_IN_BIN > 0)
     mean = (values * count) @ (SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)
     return np.where(total > 0, mean - problem.values(unknowns), 0.0)
-
-
-def _model(structure: Structure, unknowns: Array) -> DSBRDF:
-    """Model of the unknowns, its lobes from narrow to wide, rings last."""
-    shape, k = structure.lobe_shapes(unknowns), structure.n_lobes
-    widths = half_width(np.exp(shape[:, :k]), np.exp(shape[:, k : 2 * k]), structure.family)
-    order = np.lexsort((np.median(widths, axis=0), np.array(structure.rings)))
-    return mixture_model(Mixture(structure, unknowns)).select(tuple(order.tolist()), with_delta=False)
 
 
 def _bounds_hit(model: DSBRDF) -> bool:

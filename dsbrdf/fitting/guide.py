@@ -2,8 +2,7 @@
 
 An accurate mixture has lobes that lean on each other; which ones it has changes when the data hardly do. The guide has
 one or two specular lobes and one diffuse lobe, all about the normal, coloured and elongated, with the tails of
-Student's t over slopes, ``(1 + gamma tan(theta')**2)**-kappa``: kappa = 2 is the GGX distribution (Walter et al. 2007,
-where a half vector's slope is distributed so). It is fitted by least squares, as the mixture is, from plain starts.
+Student's t over slopes, ``(1 + gamma tan(theta')**2)**-kappa``: kappa = 2 is the GGX distribution (Walter et al. 2007).
 
 What the data leave open is decided by what materials are like, as a weak `Prior`:
 
@@ -13,8 +12,7 @@ What the data leave open is decided by what materials are like, as a weak `Prior
 
 Without the last two, the tails of a rough highlight on a dark ground and the ground itself cannot be told apart.
 
-A second specular lobe is kept only where it pays, is much wider than the first and has light of its own: one highlight
-is one lobe. `guide_data` gives the values of any model to fit a guide to.
+A second specular lobe is kept only where it pays, is much wider than the first and has light of its own.
 """
 
 from dataclasses import dataclass

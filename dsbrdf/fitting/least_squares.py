@@ -7,10 +7,9 @@ with respect to the row's parameters,
 
     normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
-An amplitude concerns its own channel only and a shape all three, so that J^T W J of a row is put together from one
-small product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of
-Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held. A convex
-combination of values within bounds is within them too, so that nothing has to be clipped between knots.
+An amplitude concerns its own channel only and a shape all three: J^T W J of a row comes from one small product of lobes
+and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of Nielsen (1999,
+IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held.
 
 A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
 control values. Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
@@ -44,17 +43,13 @@ _STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the t
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Values at points that lie in R rows of equal theta_diff, with the weights that the fit gives them.
-
-    There are N angles theta_half in each row, the same for all rows (N,) or each row's own (R, N), and P values of
-    phi_diff at each. Angles are in radians.
-    """
+    """Values at points in R rows of equal theta_diff, N angles theta_half and P of phi_diff, and what they count."""
 
     mean: Array  # (3, R, N, P)
     weight: Array  # (3, R, N, P)
     cos2_phi: Array  # (R, N, P)
-    theta_diff: Array  # (R,)
-    theta_half: Array
+    theta_diff: Array  # (R,) [rad]
+    theta_half: Array  # the same for all rows (N,) or each row's own (R, N) [rad]
 
     @classmethod
     def select(cls, folded: FoldedProfiles, weight: Array, rows: Indices, columns: Indices) -> "FitData":
@@ -65,10 +60,7 @@ class FitData:
 
     @classmethod
     def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
-        """Put samples, values and weights (n, 3), into rows of whole degrees of theta_diff.
-
-        Shorter rows end with samples of no weight.
-        """
+        """Put samples (n, 3) into rows of whole degrees of theta_diff; shorter ones end with samples of no weight."""
         rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
         order = np.argsort(index, kind="stable")
         place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -94,13 +86,10 @@ class FitData:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What the U unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal.
-
-    The target is the same for all control values of a parameter, so that the smoothing does not pull against it.
-    """
+    """What the U unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal."""
 
     matrix: Array  # symmetric, not negative, (U, U)
-    target: Array  # (U,)
+    target: Array  # (U,), equal for all control values of a parameter: the smoothing does not pull against it
 
 
 class MixtureProblem:
@@ -127,26 +116,23 @@ class MixtureProblem:
 
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, P) [1/sr]."""
-        amplitude, _, _ = self.row_parameters(unknowns)
+        amplitude, _, _ = self.structure.row_parameters(self.bases, unknowns)
         return np.einsum("crk,krnp->crnp", amplitude, self.curves(unknowns), optimize=True)
 
     def curves(self, unknowns: Array) -> Array:
         """Values of the lobes at height 1, shape (K, R, N, P)."""
-        _, shape, elongation = self.row_parameters(unknowns)
+        _, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
         family = self.structure.family
-        parts = [
-            lobe_values(at.squared_tangent, kappa, gamma, center, family)
-            for at, kappa, gamma, center in self._kinds(shape, elongation)
-        ]
-        return np.concatenate(parts)
-
-    def row_parameters(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the rows."""
-        return self.structure.row_parameters(self.bases, unknowns)
+        return np.concatenate(
+            [
+                lobe_values(at.squared_tangent, kappa, gamma, center, family)
+                for at, kappa, gamma, center in self._kinds(shape, elongation)
+            ]
+        )
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""
-        amplitude, shape, elongation = self.row_parameters(unknowns)
+        amplitude, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
         curves = self._derivatives(shape, elongation)
         curves = np.ascontiguousarray(curves.reshape(*curves.shape[:2], -1).transpose(1, 0, 2))
         values = amplitude.transpose(1, 0, 2) @ curves[:, : self.structure.n_lobes]

@@ -60,13 +60,9 @@ class WilliamsRow:
 def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRow, ...]:
     """Compare every number of lobes with the largest; the first that is not significant is the choice.
 
-    Row ``K - 1`` of the statistic (n_lobes_max, n_blocks) holds the expected negative log probability of the fit with K
-    lobes in each (slice, channel) block; smaller is better, and the last row is the control. `alpha` is the
-    significance level of the one-sided test.
-
-    Where the residual variance is zero, up to rounding, as it is with a single block, there is no Student-like
-    statistic: the means count as exact, and a K whose isotonic mean is above the control's by more than rounding is
-    worse.
+    Row ``K - 1`` of the statistic (n_lobes_max, n_blocks) has E_p of the fit with K lobes in each block, `alpha` is the
+    level of the one-sided test. Without residual variance, up to rounding, as with a single block, the means count as
+    exact: a K whose isotonic mean is above the control's by more than rounding is worse.
     """
     values = np.asarray(statistic, dtype=np.float64)
     n_groups, n_blocks = values.shape
@@ -92,10 +88,9 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
 
 @lru_cache(maxsize=256)
 def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: float = 0.01) -> float:
-    """One-sided critical value of Williams' test with equal group sizes (Williams 1971).
+    """Value that the statistic of the largest of so many doses beside the control exceeds with probability `alpha`.
 
-    The statistic of the largest dose exceeds it with probability `alpha`, from 1e-6 to below 0.5, if no dose has an
-    effect; `n_doses` are those beside the control. Computed, not tabulated: see the top of this file.
+    It is one-sided, with equal group sizes (Williams 1971) and no effect of any dose; alpha is 1e-6 to below 0.5.
     """
     # The largest dose alone is Student's t, a lower bound; no trailing mean has a larger variance, so that
     # Bonferroni's inequality gives an upper bound. Both are widened for rounding.

@@ -1,10 +1,9 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
-After a single lobe come those of the `guide`: one highlight and one diffuse lobe. A new lobe is looked for where the
-current mixture leaves the largest residual: lobes of many widths, centers and elongations are projected on it, with the
-amplitudes of the others free to answer (orthogonal matching pursuit), and the one that explains most is fitted together
-with all the others; while lobes are few, the best near the normal and the best far from it are both tried. Lobes about
-the normal and ring lobes compete on the same terms. All channels get the same new lobe.
+After a single lobe come those of the `guide`: one highlight and one diffuse lobe. For the next one, lobes of many
+widths, centers and elongations, about the normal or rings, are projected on the residual, with the amplitudes of the
+others free to answer (orthogonal matching pursuit), and the one that explains most is fitted together with all others;
+while lobes are few, the best near the normal and the best far from it are both tried.
 
 Whether a lobe pays is decided on rows of theta_diff that no mixture was fitted to: one that follows noise does not
 lower the error there. Growth ends at once where the residual looks like noise, that is where neighbouring samples of
@@ -86,10 +85,9 @@ def grow(
     ring_lobes: int | Literal["auto"],
     on_try: Callable[[], None],
 ) -> tuple[Mixture, list[GrowthStep]]:
-    """Grow a mixture, and return it with the lobes that were tried.
+    """Grow a mixture from an `empty` structure on the data `fitted`, judged by those `held_out`.
 
-    Mixtures are fitted to the data `fitted` and judged by those `held_out`. The structure `empty` has no lobes, but
-    the knots and the family; numbers of lobes are as in `FitOptions`. `on_try` is called before each fit.
+    Numbers of lobes are as in `FitOptions`. Returns it with the lobes that were tried; `on_try` is called before each.
     """
     curves = {candidate: _curve(fitted, candidate, empty.family) for candidate in _candidates()}
     mixture, steps, only_noise = Mixture(empty, np.zeros(0)), list[GrowthStep](), False
@@ -246,14 +244,13 @@ def _about_normal(mixture: Mixture) -> Mixture:
     shape = shape[:, : 2 * k].copy()
     shape[:, :k] = np.log(_START_KAPPA)
     shape[:, k + plain :] = np.log(reach_of_width(width, old.family))
-    unknowns = np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
-    return Mixture(replace(old, rings=(False,) * k), unknowns)
+    parts = amplitude, shape, elongation
+    return Mixture(replace(old, rings=(False,) * k), np.concatenate([part.ravel() for part in parts]))
 
 
 def _correlation(data: FitData, mixture: Mixture) -> float:
     """Correlation of the weighted residuals of neighbouring bins of phi_diff, large ones clipped."""
-    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
-    residual = residual * np.sqrt(data.weight)
+    residual = _residual(data, mixture) * np.sqrt(data.weight)
     limit = _LARGEST_RESIDUAL * float(np.sqrt(np.mean(residual**2))) or 1.0
     residual = np.clip(residual / limit, -1.0, 1.0)
     both = (data.weight[..., 1:] > 0) & (data.weight[..., :-1] > 0)
@@ -263,10 +260,9 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
 
 
 def _project(data: FitData, residual: Array, curves: Array, others: Array) -> tuple[Array, Array]:
-    """What each curve (n, R, N * P) would explain of the residual, beside the other lobes (K, R, N * P).
+    """What each curve (n, R, N * P) would explain of the residual, beside the other lobes (K, R, N * P): the gain (n,).
 
-    Returns the gain (n,) where the amplitudes of the others answer to it, row by row: orthogonal matching pursuit; and
-    the amplitude (3, R, n) of the curve alone, where the others stay, zero or positive.
+    There the amplitudes of the others answer to it, row by row; beside it the amplitude (3, R, n), where they stay.
     """
     n_rows, n_curves = data.theta_diff.size, len(curves)
     rows = np.concatenate([others, curves]).transpose(1, 0, 2)
@@ -308,6 +304,9 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     return Mixture(structure, np.concatenate([part.ravel() for part in parts]))
 
 
+def _residual(data: FitData, mixture: Mixture) -> Array:
+    return MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
+
+
 def _error(data: FitData, mixture: Mixture) -> float:
-    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
-    return float(np.sum(data.weight * residual**2))
+    return float(np.sum(data.weight * _residual(data, mixture) ** 2))

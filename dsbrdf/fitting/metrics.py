@@ -158,13 +158,6 @@ def _add_row(sums: SampleErrors, samples: Array, fit: Array, used: Mask, cosine:
     sums.count[:, rows] += count
 
 
-def sample_metrics(model: DSBRDF, measurement: Measurement, sums: SampleErrors, albedo: Array) -> Metrics:
-    """All metrics of a model, from `sample_errors` and its directional albedo (4, 3) at `ALBEDO_ANGLES`."""
-    errors = relative_errors(sums)
-    albedo_error, psnr, ssim = seen_errors(model, measurement, albedo)
-    return Metrics(**({} if errors is None else asdict(errors)), albedo_error=albedo_error, psnr=psnr, ssim=ssim)
-
-
 def relative_errors(
     sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
 ) -> RelativeErrors | None:
@@ -200,15 +193,16 @@ def error_tables(sums: SampleErrors) -> tuple[tuple[ChannelErrors, ...], tuple[B
     return tuple(by_channel), tuple(by_theta_diff)
 
 
-def seen_errors(model: DSBRDF, measurement: Measurement, albedo: Array) -> tuple[float, float, float]:
-    """Errors of what people see, `albedo` being the model's (4, 3) at `ALBEDO_ANGLES`: albedo_error, psnr and ssim.
+def sample_metrics(model: DSBRDF, measurement: Measurement, sums: SampleErrors, albedo: Array) -> Metrics:
+    """All metrics of a model, from `sample_errors` and its directional albedo (4, 3) at `ALBEDO_ANGLES`.
 
     Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
     """
-    data = interpolate(measurement)
+    errors, data = relative_errors(sums), interpolate(measurement)
     # A table has no lobes narrower than its rows: a coarse rule is enough.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
-    error = np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)
+    albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)))
     lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
     psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
-    return float(error.mean()), min(psnr, 200.0), ssim
+    known = {} if errors is None else asdict(errors)
+    return Metrics(**known, albedo_error=albedo_error, psnr=min(psnr, 200.0), ssim=ssim)

@@ -82,16 +82,12 @@ class FitReport:
         How the fit went at each knot of theta_diff.
     growth, selection : tuple of GrowthStep, tuple of SelectionStep
         The lobes that the method "global" tried, and the numbers of lobes that "paper" compared, if not given one.
-    albedo : DirectionalAlbedo
-        Of the model.
-    n_numbers : int
-        How many numbers the model stores.
+    albedo, n_numbers : DirectionalAlbedo, int
+        Of the model: its directional albedo, and how many numbers it stores.
     timings : dict of str to float
         Time of each step, by its name [s].
-    options : FitOptions
-        The options of the fit.
-    versions : Versions
-        Of the algorithm, this library and what it computes with.
+    options, versions : FitOptions, Versions
+        Of the fit; the versions are those of the algorithm, this library and what it computes with.
     """
 
     warnings: tuple[str, ...]
@@ -129,11 +125,6 @@ class FitResult:
     """A model and the report of its fit.
 
     It is drawn, decomposed, saved and evaluated as its model is: `dsbrdf.render_sphere(result)`.
-
-    Attributes
-    ----------
-    model : DSBRDF
-    report : FitReport
     """
 
     model: DSBRDF
@@ -155,13 +146,9 @@ class FitResult:
         export(self, path, file_format)
 
     def plot(self, measurement: Measurement | None = None) -> Figure:
-        """Draw the fit; needs matplotlib.
+        """Draw the fit: with the measurement that was fitted, its profiles, the fit and the lobes.
 
-        Parameters
-        ----------
-        measurement : Measurement, optional
-            What was fitted. With it, the figure has its profiles, the fit and the lobes; without, the parameters over
-            theta_diff.
+        Without it the figure has the parameters over theta_diff. Needs matplotlib.
         """
         from dsbrdf.output.notebook import plot_result
 

@@ -1,9 +1,8 @@
 """Scattered samples as what the fit works on, without a table in between.
 
 For the search a sample is put into the nearest of the rows and columns of the grid that the fit uses, and into its bin
-of phi_diff. There the model has another value than where the sample was taken. Once there is a model, the sample is
-multiplied by the ratio of the two. The last fits take each sample where it is, but for its theta_diff, which is moved
-by less than a degree: there the ratio is near 1.
+of phi_diff. Once there is a model, the sample is multiplied by the ratio of its values there and where the sample was
+taken. The last fits take each sample where it is, but for its theta_diff, which is moved by less than a degree.
 """
 
 import numpy as np
@@ -38,14 +37,18 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
     cos2_phi = np.zeros(shape)
     count = _nodes_in_cells(cells)
     cos2_phi[*cells] = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / count.sum(axis=1)
-    return _profiles(samples, options, FoldedProfiles(mean, weight, cos2_phi))
+    over_phi = weight.sum(axis=3)
+    level = np.sum(weight * mean, axis=3) / np.where(over_phi > 0.0, over_phi, 1.0)
+    within = np.sum(weight * (mean - level[..., np.newaxis]) ** 2, axis=3)
+    made = (options.horizon_cutoff, "plain", options.robust)
+    folded = FoldedProfiles(mean, weight, cos2_phi)
+    return Profiles(level, over_phi, within, folded, *made, samples.name, samples.sha256)
 
 
 def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions, model: DSBRDF) -> FitData:
     """Put samples into rows of whole degrees of theta_diff, each at its own theta_half and phi_diff.
 
     They are moved to their rows by a model that was fitted to them, and get the weights of the same samples in bins.
-    Shorter rows end with samples of no weight.
     """
     angles = half_difference(samples.omega_in, samples.omega_out)
     weight = weight_per_sample(binned, fit_weights(binned, options))[:, *_cells(*angles)] * samples.weight
@@ -68,14 +71,6 @@ def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: 
         relative_rms=float(np.sqrt(error / signal)) if signal > 0.0 else None,
         male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
     )
-
-
-def _profiles(samples: ScatteredSamples, options: FitOptions, folded: FoldedProfiles) -> Profiles:
-    total = folded.weight.sum(axis=3)
-    mean = np.sum(folded.weight * folded.mean, axis=3) / np.where(total > 0.0, total, 1.0)
-    within = np.sum(folded.weight * (folded.mean - mean[..., np.newaxis]) ** 2, axis=3)
-    made = (options.horizon_cutoff, "plain", options.robust)
-    return Profiles(mean, total, within, folded, *made, samples.name, samples.sha256)
 
 
 def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:

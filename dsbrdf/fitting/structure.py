@@ -47,15 +47,12 @@ class ShapeBounds:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Which lobes there are and where their parameters have knots [rad]; fixes the layout of the unknowns.
-
-    What is narrower than the spacing of `theta_half`, the angles with data, would only fit the gaps between them.
-    """
+    """Which lobes there are and where their parameters have knots [rad]; fixes the layout of the unknowns."""
 
     rings: tuple[bool, ...]  # whether a lobe has a center; those that have come last
     knots: tuple[Array, Array, Array]  # of amplitudes, shapes and elongations
     family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
-    theta_half: Array = field(default_factory=lambda: THETA_HALF)
+    theta_half: Array = field(default_factory=lambda: THETA_HALF)  # with data: narrower lobes fit the gaps between
     bounds_of: tuple[ShapeBounds, ...] = ()  # each lobe; the widest possible ones for all if empty
 
     @property
@@ -112,11 +109,7 @@ class Structure:
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Unknowns within the bounds, and no lobe narrower than the data can tell.
-
-        A half width is at least `RESOLVED` times the spacing of the data at the lobe's center, and an offset not so far
-        below 0 that it has no effect.
-        """
+        """Unknowns within the bounds, no lobe narrower than `RESOLVED`, no offset below 0 that does nothing."""
         limited = np.clip(unknowns, *self.bounds)
         shape, k = self.split(limited)[1], self.n_lobes
         np.maximum(shape[:, 2 * k :], -_SATURATED * self._cusp_limit(shape)[0], out=shape[:, 2 * k :])

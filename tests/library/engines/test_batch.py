@@ -113,7 +113,8 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
         for worker in workers:
             entries = Path(f"/proc/{worker}/environ").read_bytes().decode().split("\0")
             assert {f"{name}={value}" for name, value in ONE_BLAS_THREAD.items()} <= {*entries}
-            assert len(list(Path(f"/proc/{worker}/task").iterdir())) == 2  # the fit, and the watch over the parent
+        # In each the fit, and the watch over the parent.
+        wait_until(lambda: [len([*Path(f"/proc/{pid}/task").iterdir()]) for pid in workers] == [2, 2], PATIENCE)
         assert os.environ["OMP_NUM_THREADS"] == "7"
         assert "MKL_NUM_THREADS" not in os.environ
     assert active_children() == []

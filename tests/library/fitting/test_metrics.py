@@ -18,7 +18,6 @@ from dsbrdf.fitting.metrics import (
     relative_errors,
     sample_errors,
     sample_metrics,
-    seen_errors,
 )
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -135,11 +134,15 @@ def test_nothing_to_compare_with_is_said(plastic: Measurement) -> None:
         sample_errors(some_model(), plastic, float(np.radians(0.9)))
 
 
-def test_albedo_error_is_the_mean_relative_distance(matte: Measurement) -> None:
+def test_albedo_error_is_the_mean_relative_distance_and_metrics_are_found_by_name(matte: Measurement) -> None:
     data = directional_albedo(interpolate(matte).evaluate, ALBEDO_ANGLES)
     factor = np.array([1.1, 0.8, 1.0])
-    albedo_error, _, _ = seen_errors(some_model(), matte, data * factor)
-    assert albedo_error == pytest.approx(0.1, rel=1e-9)  # mean of 0.1, 0.2 and 0
+    model = some_model()
+    metrics = sample_metrics(model, matte, sample_errors(model, matte, None), data * factor)
+    assert metrics.albedo_error == pytest.approx(0.1, rel=1e-9)  # mean of 0.1, 0.2 and 0
+    assert [metrics[name] for name in METRICS] == list(asdict(metrics).values())
+    with pytest.raises(KeyError, match="__class__"):
+        metrics["__class__"]
     np.testing.assert_allclose(np.degrees(ALBEDO_ANGLES), [0.0, 30.0, 60.0, 75.0])
 
 
@@ -147,21 +150,11 @@ def test_model_of_the_measurement_looks_like_it_and_black_channels_count_nothing
     values, albedo = model_measurement(lobes).values, lobes.albedo(ALBEDO_ANGLES)
     values[1] = np.where(values[1] > 0, 0.0, values[1])
     no_green, model = Measurement.from_values(values), replace(lobes, amplitude=lobes.amplitude * GREEN_IS_BLACK)
-    by_channel, _ = error_tables(sample_errors(model, no_green, DEFAULT_HORIZON_CUTOFF))
-    assert [row.channel for row in by_channel] == ["red", "blue"]
-    albedo_error, psnr, ssim = seen_errors(model, no_green, albedo * GREEN_IS_BLACK[:, 0, 0])
-    assert albedo_error < 0.01
-    assert psnr > 40.0
-    assert ssim > 0.99
-    _, worse, _ = seen_errors(model.select((1,), with_delta=False), no_green, albedo)
-    assert worse < psnr - 10.0
-
-
-def test_metrics_are_found_by_name(matte: Measurement) -> None:
-    truth = some_model()
-    albedo = truth.albedo(ALBEDO_ANGLES)
-    metrics = sample_metrics(truth, matte, sample_errors(truth, matte, None), albedo)
-    assert [metrics[name] for name in METRICS] == list(asdict(metrics).values())
-    assert (metrics.albedo_error, metrics.psnr, metrics.ssim) == seen_errors(truth, matte, albedo)
-    with pytest.raises(KeyError, match="__class__"):
-        metrics["__class__"]
+    sums = sample_errors(model, no_green, DEFAULT_HORIZON_CUTOFF)
+    assert [row.channel for row in error_tables(sums)[0]] == ["red", "blue"]
+    found = asdict(sample_metrics(model, no_green, sums, albedo * GREEN_IS_BLACK[:, 0, 0]))
+    assert found["albedo_error"] < 0.01
+    assert found["psnr"] > 40.0
+    assert found["ssim"] > 0.99
+    worse = asdict(sample_metrics(model.select((1,), with_delta=False), no_green, sums, albedo))
+    assert worse["psnr"] < found["psnr"] - 10.0
