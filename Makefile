@@ -46,7 +46,7 @@ test: $(READY)  ## run all tests, on up to four cores
 # fits of whole measurements.
 SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py model/test_sampling.py \
   cli/test_convert_command.py cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
-  fitting/test_global_method_data.py fitting/test_paper_method.py fitting/test_report_warnings.py \
+  fitting/test_paper_method.py fitting/test_report_warnings.py \
   fitting/test_scattered_fit.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \
   http/test_openapi_conformance.py operations/test_readiness.py operations/test_request_log.py routes/test_figures.py \
