@@ -71,12 +71,12 @@ class FitOptions:
         Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
         [rad]; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
     variation : {"full", "parametric"}
-        How lobes change with theta_diff. "full" has splines with several knots; "parametric" has a few coefficients a
-        lobe, 5 of each channel's amplitude and one shape for all theta_diff: a third of the numbers for about a third
-        more error. The method "paper" has values at every slice, "full".
+        How lobes change with theta_diff. "full" has splines with several knots, with the method "paper" values at every
+        slice; "parametric" has 5 coefficients of each channel's amplitude and one shape for all theta_diff: a third of
+        the numbers for about a third more error.
     horizon_cutoff : float or None
-        Samples with a direction further than this from the normal are left out of the metrics and of the method
-        "paper"; the method "global" trusts them less, down to nothing at the horizon [rad]. None takes all samples.
+        Samples with a direction further than this from the normal [rad] are left out of the metrics and of the method
+        "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.
     mask : float or None
         Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
         mask) for "global", 1 for "paper".
@@ -89,7 +89,7 @@ class FitOptions:
         Bound on the iterations of Algorithm 1.
     cosine : {"in", "out"} or None
         The values of scattered samples are the BRDF times the cosine of theta_in or of theta_out, by which the fit
-        divides them; None are those of the BRDF.  Measurements on a grid have no such values.
+        divides them; None are those of the BRDF. For scattered samples only.
 
     Raises
     ------

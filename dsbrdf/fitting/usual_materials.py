@@ -41,13 +41,10 @@ _LAST_COSINE = float(np.cos(np.radians(80.0)))
 
 @dataclass(frozen=True, eq=False)
 class UsualMaterial:
-    """The usual material that samples are most like.
-
-    The cost is that of their squared relative errors and of the prior, in units of what it usually is, for each sample.
-    """
+    """The usual material that samples are most like."""
 
     model: DSBRDF
-    cost: float
+    cost: float  # of the squared relative errors and of the prior, in units of what it usually is, for each sample
 
 
 @cache

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.structure import ELONGATION_BOUNDS, REACH_BOUNDS, RESOLVED, Mixture, Structure, mixture_model
 from dsbrdf.model.lobe_families import FAMILIES
@@ -176,26 +175,6 @@ def test_flags_are_honest_and_the_cost_never_rises() -> None:
     small = every[1:] > 0.98 * every[:-1]
     last = int(np.argmax(small[1:] & small[:-1])) + 2
     assert minimize(problem, start, tolerance=0.02, iterations=500).cost == every[last]
-
-
-def test_data_without_a_signal_are_no_trouble() -> None:
-    problem = problem_of(structure_of((False,)))
-    black = MixtureProblem(replace(problem.data, mean=np.zeros_like(problem.data.mean)), problem.structure)
-    solution = minimize(black, truth_of(problem.structure), tolerance=1e-6, iterations=200)
-    assert np.isfinite(solution.unknowns).all()
-    assert solution.cost < 1e-6 * black.evaluate(truth_of(problem.structure)).cost
-
-
-def test_selection_takes_rows_columns_and_bins(plastic_profiles: Profiles) -> None:
-    folded = plastic_profiles.folded
-    data = FitData.select(folded, 2.0 * folded.weight, ROWS, COLUMNS)
-    assert data.mean.shape == (3, ROWS.size, COLUMNS.size, 9)
-    bins = (0, 3, 8)
-    for taken, chosen in ((data, range(9)), (data.take_bins(bins), bins)):
-        for n, b in enumerate(chosen):
-            cell = 1, ROWS[2], COLUMNS[3], b
-            expected = folded.mean[cell], 2.0 * folded.weight[cell], folded.cos2_phi[cell[1:]]
-            assert (taken.mean[1, 2, 3, n], taken.weight[1, 2, 3, n], taken.cos2_phi[2, 3, n]) == expected
 
 
 def test_fixed_unknowns_keep_their_values_and_a_start_out_of_bounds_is_brought_inside() -> None:
