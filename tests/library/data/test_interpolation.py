@@ -78,13 +78,6 @@ def test_what_is_not_valid_does_not_leak_in(holed: Measurement) -> None:
     np.testing.assert_allclose(interpolate(flat).evaluate(*random_angles(50_000)), 0.25, rtol=1e-9)
 
 
-def test_exchanging_the_directions_changes_nothing(plastic: Measurement) -> None:
-    theta_half, theta_diff, phi_diff = random_angles(5_000)
-    interpolated = interpolate(plastic)
-    there = interpolated.evaluate(theta_half, theta_diff, phi_diff)
-    np.testing.assert_allclose(interpolated.evaluate(theta_half, theta_diff, phi_diff + np.pi), there, rtol=1e-9)
-
-
 def test_the_last_row_is_held(plastic: Measurement) -> None:
     interpolated = interpolate(plastic)
     held = interpolated.evaluate(THETA_HALF[89], 0.0, 0.3)

@@ -2,22 +2,18 @@ import hashlib
 import os
 import struct
 import tracemalloc
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl, parse_merl, read_merl, write_merl
-from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker
+from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import MeasurementFormatError
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
 from tests.support.soak import repeats
-from tests.support.strategies import SPECIAL, examples
 
 
 def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measurement) -> None:
@@ -25,7 +21,6 @@ def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measuremen
     assert len(data) == FILE_SIZE == 34_992_012
     for channel, node in ((0, (0, 0, 0)), (1, (3, 4, 5)), (2, (89, 89, 179))):
         assert plastic.stored[channel][node] == struct.unpack_from("<d", data, position(channel, node))[0]
-    np.testing.assert_allclose(SCALE, [1 / 1500, 1.15 / 1500, 1.66 / 1500], rtol=1e-15)
 
 
 def test_round_trip_is_bit_for_bit(data: bytes, plastic_file: Path, tmp_path: Path) -> None:
@@ -118,64 +113,3 @@ def test_mapped_file_is_what_is_read(plastic_file: Path, tmp_path: Path) -> None
     short.write_bytes(plastic_file.read_bytes()[:-8])
     with pytest.raises(ValueError, match="length"):
         map_merl(short, read.sha256)
-
-
-def whole(data: bytes) -> str:
-    """The sha256 and the number of valid nodes of a file read at once, or the sentence that refuses it."""
-    try:
-        measurement = parse_merl(data)
-    except MeasurementFormatError as error:
-        return str(error)
-    return f"{measurement.sha256} {measurement.valid.sum()}"
-
-
-def in_pieces(data: bytes, cuts: list[int]) -> str:
-    """The same of a file that arrives in pieces."""
-    checker = MerlChecker()
-    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    try:
-        for start, end in pairwise(edges):
-            checker.update(data[start:end])
-        valid = checker.finish()
-    except MeasurementFormatError as error:
-        return str(error)
-    return f"{hashlib.sha256(data).hexdigest()} {valid.sum()}"
-
-
-near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZE + 64), st.integers(0, FILE_SIZE))
-
-
-cut_places = st.lists(near_an_end, max_size=40)
-
-
-@st.composite
-def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
-    """Places in a file and what to write there: bytes, or numbers with a meaning."""
-    number = st.sampled_from(SPECIAL).map(lambda value: struct.pack("<d", value))
-    run = st.tuples(number, st.sampled_from([1, 3, 70_000, 1_458_000])).map(lambda part: part[0] * part[1])
-    value_place = st.integers(0, 3 * 90 * 90 * 180 - 1).map(lambda index: 12 + 8 * index)
-    anywhere = st.tuples(near_an_end, st.binary(min_size=1, max_size=40))
-    dimension = st.tuples(
-        st.sampled_from([0, 4, 8]), st.integers(-(2**31), 2**31 - 1).map(lambda n: struct.pack("<i", n))
-    )
-    return draw(st.lists(st.one_of(st.tuples(value_place, run), anywhere, dimension), max_size=3))
-
-
-@examples(0.3)
-@given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end), cuts=cut_places)
-def test_damaged_file_gets_one_result_in_any_chunks(
-    data: bytes, damage: list[tuple[int, bytes]], length: int, cuts: list[int]
-) -> None:
-    changed = bytearray(data)
-    for place, content in damage:
-        changed[place : place + len(content)] = content
-    cut = bytes(changed[:length]).ljust(min(length, FILE_SIZE + 64), b"\0")
-    assert in_pieces(cut, cuts) == whole(cut)
-
-
-@examples(3)
-@given(data=st.one_of(st.binary(max_size=80), st.binary(max_size=80).map(HEADER.__add__)), cuts=cut_places)
-def test_short_byte_strings_are_refused(data: bytes, cuts: list[int]) -> None:
-    with pytest.raises(MeasurementFormatError):
-        parse_merl(data)
-    assert in_pieces(data, cuts) == whole(data)

@@ -1,40 +1,52 @@
+import hashlib
 import os
 import re
 import struct
 import tracemalloc
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.merl import parse_merl, read_merl
-from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker, check_header
+from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker
 from dsbrdf.errors import MeasurementFormatError
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, with_values
+from tests.support.strategies import SPECIAL, examples
 
 
-def streamed(data: bytes) -> str | None:
-    """The sentence that a stream of pieces gets, if any."""
-    checker = MerlChecker()
+def whole(data: bytes) -> str:
+    """The sha256 and the number of valid nodes of a file read at once, or the sentence that refuses it."""
     try:
-        for start in range(0, len(data), 65_537):
-            checker.update(data[start : start + 65_537])
-        checker.finish()
+        measurement = parse_merl(data)
     except MeasurementFormatError as error:
         return str(error)
-    return None
+    return f"{measurement.sha256} {measurement.valid.sum()}"
+
+
+def in_pieces(data: bytes, cuts: list[int]) -> str:
+    """The same of a file that arrives in pieces."""
+    checker = MerlChecker()
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    try:
+        for start, end in pairwise(edges):
+            checker.update(data[start:end])
+        valid = checker.finish()
+    except MeasurementFormatError as error:
+        return str(error)
+    return f"{hashlib.sha256(data).hexdigest()} {valid.sum()}"
 
 
 def refusal(data: bytes) -> str:
-    """The sentence of the parser, after making sure that a stream gets the same."""
-    with pytest.raises(MeasurementFormatError) as caught:
-        parse_merl(data)
-    sentence = str(caught.value)
-    assert streamed(data) == sentence
-    assert sentence.endswith(".")
-    assert "\n" not in sentence
+    """The sentence of the parser, after making sure that a stream of pieces gets the same."""
+    sentence = whole(data)
+    assert in_pieces(data, list(range(0, len(data), 65_537))) == sentence
+    assert re.fullmatch(r".*\.", sentence)
     return sentence
 
 
@@ -52,15 +64,6 @@ def test_checking_a_stream_takes_bounded_memory(data: bytes) -> None:
         tracemalloc.stop()
     assert streaming < 800_000
     assert peak < 3_000_000
-
-
-def test_single_bytes_can_be_streamed(data: bytes) -> None:
-    checker = MerlChecker()
-    for start in range(50):
-        checker.update(data[start : start + 1])
-    checker.update(memoryview(data)[50:])
-    assert checker.n_bytes == FILE_SIZE
-    np.testing.assert_array_equal(checker.finish(), parse_merl(data).valid)
 
 
 @pytest.mark.parametrize("length", [1, 11, 12, 13, 19, 20, 12 + 8 * NODES, FILE_SIZE - 8, FILE_SIZE - 1])
@@ -104,8 +107,6 @@ def test_dimensions_are_checked_one_by_one(data: bytes, dimensions: tuple[int, i
     header = struct.pack("<3i", *dimensions)
     assert fault in refusal(header + data[12:])
     assert fault in refusal(header + data[12:1000])  # rather than the length
-    with pytest.raises(MeasurementFormatError, match=re.escape(fault)):
-        check_header(header)
 
 
 @pytest.mark.parametrize(
@@ -123,27 +124,16 @@ def test_other_formats_are_named(data: bytes, start: bytes, kind: str) -> None:
         assert f"The data is {kind}" in refusal(content)
 
 
-def test_check_header_ignores_what_follows_and_needs_twelve_bytes(data: bytes) -> None:
-    check_header(data[:12])
-    check_header(data[:5000])
-    with pytest.raises(MeasurementFormatError, match="only 11 bytes"):
-        check_header(data[:11])
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize(
-    ("channel", "color", "node"), [(0, "red", (0, 0, 0)), (1, "green", BELOW), (2, "blue", (89, 89, 179))]
-)
-def test_value_that_is_not_finite_is_located(
-    data: bytes, value: float, channel: int, color: str, node: tuple[int, int, int]
-) -> None:
-    assert refusal(with_values(data, {(channel, node): value})) == (
-        f"1 value, in the {color} channel at (theta_half, theta_diff, phi_diff) node "
-        f"{node}, is NaN or infinite; every value must be finite."
-    )
-
-
-def test_values_that_are_not_finite_are_counted(data: bytes) -> None:
+def test_values_that_are_not_finite_are_located_and_counted(data: bytes) -> None:
+    for value, channel, color, node in (
+        (np.nan, 0, "red", (0, 0, 0)),
+        (np.inf, 1, "green", BELOW),
+        (-np.inf, 2, "blue", (89, 89, 179)),
+    ):
+        assert refusal(with_values(data, {(channel, node): value})) == (
+            f"1 value, in the {color} channel at (theta_half, theta_diff, phi_diff) node "
+            f"{node}, is NaN or infinite; every value must be finite."
+        )
     changes = {(2, (0, 0, 0)): np.nan, (1, (5, 6, 7)): np.inf, (1, BELOW): -np.inf, (0, ABOVE): 1e300}
     sentence = refusal(with_values(data, changes))
     assert sentence.startswith("3 values, the first in the green channel at")
@@ -224,3 +214,42 @@ def test_file_and_bytes_get_the_same_sentence(data: bytes, tmp_path: Path) -> No
         with pytest.raises(MeasurementFormatError) as from_file:
             read_merl(path)
         assert str(from_file.value) == refusal(content)
+
+
+near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZE + 64), st.integers(0, FILE_SIZE))
+
+
+cut_places = st.lists(near_an_end, max_size=40)
+
+
+@st.composite
+def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
+    """Places in a file and what to write there: bytes, or numbers with a meaning."""
+    number = st.sampled_from(SPECIAL).map(lambda value: struct.pack("<d", value))
+    run = st.tuples(number, st.sampled_from([1, 3, 70_000, 1_458_000])).map(lambda part: part[0] * part[1])
+    value_place = st.integers(0, 3 * 90 * 90 * 180 - 1).map(lambda index: 12 + 8 * index)
+    anywhere = st.tuples(near_an_end, st.binary(min_size=1, max_size=40))
+    dimension = st.tuples(
+        st.sampled_from([0, 4, 8]), st.integers(-(2**31), 2**31 - 1).map(lambda n: struct.pack("<i", n))
+    )
+    return draw(st.lists(st.one_of(st.tuples(value_place, run), anywhere, dimension), max_size=3))
+
+
+@examples(0.3)
+@given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end), cuts=cut_places)
+def test_damaged_file_gets_one_result_in_any_chunks(
+    data: bytes, damage: list[tuple[int, bytes]], length: int, cuts: list[int]
+) -> None:
+    changed = bytearray(data)
+    for place, content in damage:
+        changed[place : place + len(content)] = content
+    cut = bytes(changed[:length]).ljust(min(length, FILE_SIZE + 64), b"\0")
+    assert in_pieces(cut, cuts) == whole(cut)
+
+
+@examples(3)
+@given(data=st.one_of(st.binary(max_size=80), st.binary(max_size=80).map(HEADER.__add__)), cuts=cut_places)
+def test_short_byte_strings_are_refused(data: bytes, cuts: list[int]) -> None:
+    with pytest.raises(MeasurementFormatError):
+        parse_merl(data)
+    assert in_pieces(data, cuts) == whole(data)
