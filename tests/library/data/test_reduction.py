@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -54,30 +53,17 @@ def robust_log(plastic: Measurement) -> Profiles:
     return profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
 
 
-@cache
-def cosines_of(i: int, j: int, k: int) -> tuple[float, float]:
-    """Cosines of omega_in and omega_out at a node."""
-    omega_in, omega_out = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
-    return float(omega_in[2]), float(omega_out[2])
+def samples_of(measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None) -> tuple[Array, Array]:
+    """Values, and cosines of omega_in, of the samples that count at a cell."""
+    heights = np.array(directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF))[..., 2]
+    lowest = np.arccos(np.clip(heights.min(axis=0), -1.0, 1.0))
+    used = measurement.valid[i, j] & (lowest <= (np.pi if cutoff is None else cutoff) + 1e-9)
+    return (measurement.stored[channel, i, j] * measurement.scale[channel])[used], heights[0, used]
 
 
-def samples_of(
-    measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None
-) -> tuple[list[float], list[float]]:
-    """Values, and cosines of omega_in, of the samples that count at a cell, by looking at each."""
-    values, cosines = [], []
-    for k in range(180):
-        lowest = min(cosines_of(i, j, k))
-        near = cutoff is None or np.arccos(np.clip(lowest, -1.0, 1.0)) <= cutoff + 1e-9
-        if measurement.valid[i, j, k] and near:
-            values.append(float(measurement.stored[channel, i, j, k] * measurement.scale[channel]))
-            cosines.append(cosines_of(i, j, k)[0])
-    return values, cosines
-
-
-def weigh(weighting: str, cosine: float, typical: float) -> float:
+def weigh(weighting: str, cosine: Array, typical: float) -> Array:
     """1, the squared cosine, or the square of the derivative of log(1 + f cos) at the typical f."""
-    return {"plain": 1.0, "cosine": cosine**2, "log": (cosine / (1.0 + typical * cosine)) ** 2}[weighting]
+    return {"plain": cosine**0, "cosine": cosine**2, "log": (cosine / (1.0 + typical * cosine)) ** 2}[weighting]
 
 
 @pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.6])
@@ -88,9 +74,8 @@ def test_cells_are_those_of_a_loop_over_the_samples(
     found = profiles(speckled, horizon_cutoff=cutoff, weighting=weighting)
     filled = 0
     for (i, j), channel in itertools.product(CELLS, (0, 2)):
-        values, cosines = (np.array(part) for part in samples_of(speckled, channel, i, j, cutoff))
-        typical = values.mean() if values.size else 0.0
-        weights = np.array([weigh(weighting, cosine, typical) for cosine in cosines])
+        values, cosines = samples_of(speckled, channel, i, j, cutoff)
+        weights = weigh(weighting, cosines, float(values.mean()) if values.size else 0.0)
         mean = np.average(values, weights=weights) if values.size else 0.0
         cell = channel, j, i
         assert found.weight[cell] == pytest.approx(weights.sum(), rel=1e-12)
@@ -154,23 +139,17 @@ def test_robust_weights_fall_with_the_distance_from_the_median(speckled: Measure
     found = profiles(graded, robust=True)
     for i, j in CELLS[1:5]:
         values, _ = samples_of(graded, 1, i, j, DEFAULT_HORIZON_CUTOFF)
-        weights = expected_robust_weights(np.array(values))
+        weights = expected_robust_weights(values)
         assert np.any((weights > 0.1) & (weights < 0.9))
         assert found.weight[1, j, i] == pytest.approx(float(weights.sum()), rel=1e-9)
         assert found.mean[1, j, i] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)
 
 
-def folded_samples(
-    measurement: Measurement, channel: int, i: int, j: int, fold: int
-) -> tuple[list[float], list[float]]:
+def folded_samples(measurement: Measurement, channel: int, i: int, j: int, fold: int) -> tuple[Array, Array]:
     """Values and cos(phi_diff)**2 of the valid samples in a bin of the folded phi_diff, by looking at each."""
-    values, squares = [], []
-    for k in range(180):
-        degrees = min(k, 180 - k)
-        if min(int(degrees * N_BINS / 90), N_BINS - 1) == fold and measurement.valid[i, j, k]:
-            values.append(float(measurement.stored[channel, i, j, k] * measurement.scale[channel]))
-            squares.append(float(np.cos(PHI_DIFF[k]) ** 2))
-    return values, squares
+    (members,) = np.nonzero(measurement.valid[i, j])
+    members = np.array([k for k in members if min(int(min(k, 180 - k) * N_BINS / 90), N_BINS - 1) == fold], dtype=int)
+    return (measurement.stored[channel, i, j] * measurement.scale[channel])[members], np.cos(PHI_DIFF[members]) ** 2
 
 
 def test_folded_bins_are_those_of_a_loop_over_the_samples_up_to_the_horizon(speckled: Measurement) -> None:
@@ -185,7 +164,7 @@ def test_folded_bins_are_those_of_a_loop_over_the_samples_up_to_the_horizon(spec
                 assert folded.weight[cell] == len(values)
                 assert folded.mean[cell] == pytest.approx(sum(values) / max(len(values), 1), rel=1e-12)
                 assert folded.cos2_phi[j, i, fold] == pytest.approx(sum(squares) / max(len(squares), 1), abs=1e-12)
-                seen += bool(values)
+                seen += bool(values.size)
     assert seen > 60
 
 
@@ -197,7 +176,7 @@ def test_robust_bins_reject_spikes_bin_by_bin(spiked: Measurement) -> None:
     assert np.quantile(np.abs(robust.mean / truth - 1.0)[many], 0.99) < 0.05
     assert np.all(robust.weight <= plain.weight)
     i, j, fold = 40, 33, 4
-    values = np.array(folded_samples(spiked, 1, i, j, fold)[0])
+    values, _ = folded_samples(spiked, 1, i, j, fold)
     weights = expected_robust_weights(values)
     assert robust.weight[1, j, i, fold] == pytest.approx(float(weights.sum()), rel=1e-9)
     assert robust.mean[1, j, i, fold] == pytest.approx(float(np.average(values, weights=weights)), rel=1e-9)

@@ -2,34 +2,21 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.model.albedo import directional_albedo
 
 Array = NDArray[np.float64]
 
 
-def directional_albedo(measurement: Measurement, theta_out: float) -> Array:
-    """Integral of f cos over the incident directions: midpoints on the hemisphere, nearest nodes of the table."""
-    polar = (np.arange(300) + 0.5) / 300 * np.pi / 2
-    azimuth = (np.arange(360) + 0.5) / 360 * np.pi
-    theta, phi = (v.ravel() for v in np.meshgrid(polar, azimuth, indexing="ij"))
-    omega_in = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-    half, diff, turn = half_difference(omega_in, [np.sin(theta_out), 0.0, np.cos(theta_out)])
-    i = np.minimum(np.sqrt(np.degrees(half) * 90.0).round().astype(int), 89)
-    j = np.minimum(np.degrees(diff).round().astype(int), 89)
-    k = np.degrees(turn).round().astype(int) % 180
-    values = np.where(measurement.valid[i, j, k], measurement.values[:, i, j, k], 0.0)
-    weight = np.cos(theta) * np.sin(theta) * (np.pi / 2 / 300) * (np.pi / 360) * 2
-    return np.asarray((values * weight).sum(axis=1), dtype=np.float64)
-
-
 def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) -> None:
-    np.testing.assert_allclose(directional_albedo(metal, 0.3), [0.95, 0.64, 0.54], rtol=0.04)
+    albedo = directional_albedo(interpolate(metal).evaluate, np.array(0.3))
+    np.testing.assert_allclose(albedo, [0.95, 0.64, 0.54], rtol=0.04)
     # Ashikhmin and Shirley: the diffuse albedo at normal incidence is close to diffuse (1 - F0).
-    albedo = directional_albedo(matte, 0.05)
+    albedo = directional_albedo(interpolate(matte).evaluate, np.array(0.05))
     assert albedo == pytest.approx(np.array([0.6, 0.5, 0.4]) * 0.98, rel=0.1)
 
 
@@ -57,10 +44,12 @@ def test_microfacet_lobe_against_the_separate_terms() -> None:
 
 
 def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
-    arguments = {"roughness": 0.05, "diffuse": (0.0, 0.0, 0.0), "specular": (0.95, 0.64, 0.54)}
-    first = synthetic_measurement(**arguments, noise=0.05, seed=4)  # type: ignore[arg-type]
-    again = synthetic_measurement(**arguments, noise=0.05, seed=4)  # type: ignore[arg-type]
-    other = synthetic_measurement(**arguments, noise=0.05, seed=5)  # type: ignore[arg-type]
+    first, again, other = (
+        synthetic_measurement(
+            roughness=0.05, diffuse=(0.0, 0.0, 0.0), specular=(0.95, 0.64, 0.54), noise=0.05, seed=seed
+        )
+        for seed in (4, 4, 5)
+    )
     assert first.sha256 == again.sha256 != other.sha256
     ratio = first.values[:, metal.valid] / metal.values[:, metal.valid]
     assert ratio.mean() == pytest.approx(1.0, abs=2e-4)
@@ -70,16 +59,14 @@ def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
 
 
 class Tilted:
-    """A model whose values tell the angles."""
+    """A model whose values tell the angles, times a factor."""
+
+    def __init__(self, factor: float = 1.0) -> None:
+        self.factor = factor
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> Array:
         half, diff, phi = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
-        return np.stack([1.0 + half, 2.0 + diff, 3.0 + half * phi], axis=-1)
-
-
-class Broken:
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> Array:
-        return Tilted().evaluate(theta_half, theta_diff, phi_diff) * np.nan
+        return self.factor * np.stack([1.0 + half, 2.0 + diff, 3.0 + half * phi], axis=-1)
 
 
 def test_model_measurement_holds_the_model() -> None:
@@ -98,7 +85,7 @@ def test_model_measurement_holds_the_model() -> None:
 def test_model_measurement_noise_and_faults() -> None:
     assert model_measurement(Tilted(), noise=0.1, seed=1).sha256 != model_measurement(Tilted()).sha256
     with pytest.raises(MeasurementFormatError, match="NaN or infinite"):
-        model_measurement(Broken())
+        model_measurement(Tilted(np.nan))
     with pytest.raises(InvalidArgumentError, match=r"noise must be in \[0, 1\], not -0\.1"):
         model_measurement(Tilted(), noise=-0.1)
 
