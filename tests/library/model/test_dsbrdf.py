@@ -12,7 +12,7 @@ from dsbrdf.data.geometry import directions, half_difference, incident_cosines
 from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
-from tests.support.known_models import single_lobe
+from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.random_models import SLICES, papers_model, random_model
 
 Array = NDArray[np.float64]
@@ -33,29 +33,9 @@ def test_papers_model_is_the_formula_of_the_paper_at_and_between_the_slices() ->
             np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-14)
 
 
-def unit(z: Array, azimuth: Array) -> Array:
-    radius = np.sqrt(np.maximum(1.0 - z * z, 0.0))
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
-
-
-def pairs(count: int, seed: int = 0) -> tuple[Array, Array]:
-    """Random directions, such within 3 degrees of the mirror direction, and such near the rim, (3 count, 3) each."""
-    random = np.random.default_rng(seed)
-    turn = random.uniform(0.0, 2 * np.pi, (2, 3 * count))
-    z = random.uniform(0.0, 1.0, (2, 3 * count))
-    z[:, 2 * count :] *= 0.05
-    first, second = unit(z[0], turn[0]), unit(z[1], turn[1])
-    near = slice(count, 2 * count)
-    mirror = first[near] * np.array([-1.0, -1.0, 1.0])
-    tilted = mirror + np.radians(3.0) * random.uniform(-1.0, 1.0, mirror.shape) * 0.57
-    tilted[:, 2] = np.abs(tilted[:, 2])
-    second[near] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
-    return first, second
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_value_is_finite_and_not_negative_and_reciprocal(family: str) -> None:
-    omega_in, omega_out = pairs(20_000)
+    omega_in, omega_out = pairs_of_directions(40_000, lowest=0.0)
     for seed in range(3):
         model = random_model(seed, family=family)
         values = model.evaluate_directions(omega_in, omega_out)
@@ -92,7 +72,7 @@ def test_any_angles_give_a_finite_value_with_the_symmetry_of_phi_diff(
 def test_steps_of_a_thousandth_of_a_degree_change_the_value_by_less_than_one_per_cent(family: str) -> None:
     """Of its local scale, the largest value within a fifth of a degree, up to the last row of the grid."""
     step, reach = np.radians(1e-3), np.radians(np.linspace(-0.2, 0.2, 11))
-    angles = list(half_difference(*pairs(4000, seed=1)))
+    angles = list(half_difference(*pairs_of_directions(12_000, lowest=0.0)))
     angles[0] = np.clip(angles[0], step, np.pi / 2 - step)
     angles[1] = np.clip(angles[1], step, np.radians(89.0))
     for seed in range(4):
@@ -135,9 +115,7 @@ def test_directions_give_the_values_of_their_angles() -> None:
     omega_in, omega_out = directions(*angles)
     values = model.evaluate_directions(omega_in, omega_out)
     np.testing.assert_allclose(values, model.evaluate(*angles[:3]), rtol=1e-9)
-    one_to_many = model.evaluate_directions([0.0, 0.0, 1.0], omega_out)
-    assert one_to_many.shape == (50, 3)
-    np.testing.assert_allclose(one_to_many[7], model.evaluate_directions([0.0, 0.0, 1.0], omega_out[7]), rtol=1e-14)
+    assert model.evaluate_directions([0.0, 0.0, 1.0], omega_out).shape == (50, 3)
 
 
 def test_broadcasting_equals_a_loop_also_across_blocks() -> None:

@@ -56,53 +56,34 @@ def random_model(
 
 
 def curve(model: DSBRDF, knots: Array, values: Array, theta_diff: Array) -> Array:
-    """A parameter at angles (n,) from its control values."""
+    """A parameter (n, ..., K) at angles (n,) from its control values (..., D, K)."""
+    values = np.moveaxis(values, -2, 0)
     if knots.size == 1:
-        return np.full(theta_diff.shape, values[0])
-    held = np.clip(theta_diff, knots[0], knots[-1])
-    if model.interpolation == "linear":
-        return np.interp(held, knots, values)
-    clamped = np.concatenate([knots[:1].repeat(3), knots, knots[-1:].repeat(3)])
-    return np.asarray(BSpline(clamped, values, 3)(held))
-
-
-def positive(model: DSBRDF, knots: Array, values: Array, theta_diff: Array, *, amplitude: bool = False) -> Array:
-    """A parameter that runs as its logarithm does; between slices the amplitude as expm1 of a line."""
-    if model.interpolation == "spline":
-        return np.exp(curve(model, knots, np.log(values), theta_diff))
-    if amplitude:
-        return np.expm1(curve(model, knots, np.log1p(values), theta_diff))
-    return curve(model, knots, values, theta_diff)
+        return values.repeat(theta_diff.size, axis=0)
+    degree = 3 if model.interpolation == "spline" else 1
+    clamped = np.pad(knots, degree, mode="edge")
+    return np.asarray(BSpline(clamped, values, degree)(np.clip(theta_diff, knots[0], knots[-1])))
 
 
 def expected_values(model: DSBRDF, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-    """Values (n, 3), a lobe and a channel at a time, by the formula of the module `dsbrdf.model.lobes`."""
-    values = np.zeros((theta_half.size, 3))
+    """Values (n, 3) of the parameters there, by the formula of the module `dsbrdf.model.lobes`."""
+    at = model.parameters_at(theta_diff)
     cosine = (np.cos(theta_diff) ** 4 * (1.0 - GRAZING_COSINE**4) + GRAZING_COSINE**4) ** 0.25
-    for k in range(model.n_lobes):
-        e = curve(model, model.elongation_theta_diff, model.elongation[:, k], theta_diff)
-        with np.errstate(over="ignore"):
-            squared = np.tan(theta_half) ** 2 * (np.cos(phi_diff) ** 2 * cosine**-e + np.sin(phi_diff) ** 2 * cosine**e)
-        for channel in range(3):
-            c = min(channel, model.kappa.shape[0] - 1)
-            knots = model.shape_theta_diff
-            kappa, gamma = (positive(model, knots, p[c, :, k], theta_diff) for p in (model.kappa, model.gamma))
-            center = curve(model, knots, model.center[c, :, k], theta_diff)
-            top = np.minimum(center, 0.0)
-            offset = np.arctan(np.sqrt(squared) - np.tan(top)) - np.maximum(center, 0.0)
-            # A right angle from the center is behind the lobe: the formula holds to within a thousandth of a radian.
-            if model.lobe == "student":
-                square = np.tan(np.minimum(offset, 1.57)) ** 2 if center.any() else squared
-                value = ((1.0 + gamma * square) / (1.0 + gamma * np.tan(top) ** 2)) ** -kappa
-            else:
-                power = np.maximum(np.cos(offset), 1e-12) ** gamma
-                value = np.expm1(kappa * power) / np.expm1(kappa * np.cos(top) ** gamma)
-            height = positive(model, model.theta_diff, model.amplitude[channel, :, k], theta_diff, amplitude=True)
-            values[:, channel] += height * value
-    inside = theta_half < np.radians(1.0)
-    for channel in range(3):
-        values[inside, channel] += np.interp(theta_diff, model.theta_diff, model.delta[channel])[inside]
-    return values
+    along = cosine[:, None] ** at["elongation"]
+    turned = np.cos(phi_diff[:, None]) ** 2 / along + np.sin(phi_diff[:, None]) ** 2 * along
+    squared = (np.tan(theta_half[:, None]) ** 2 * turned)[:, None]
+    kappa, gamma, center = at["kappa"], at["gamma"], at["center"]
+    top = np.minimum(center, 0.0)
+    offset = np.arctan(np.sqrt(squared) - np.tan(top)) - np.maximum(center, 0.0)
+    # A right angle from the center is behind the lobe: the formula holds to within a thousandth of a radian.
+    if model.lobe == "student":
+        square = np.where(model.is_ring, np.tan(np.minimum(offset, 1.57)) ** 2, squared)
+        value = ((1.0 + gamma * square) / (1.0 + gamma * np.tan(top) ** 2)) ** -kappa
+    else:
+        power = np.maximum(np.cos(offset), 1e-12) ** gamma
+        value = np.expm1(kappa * power) / np.expm1(kappa * np.cos(top) ** gamma)
+    inside = theta_half[:, None] < np.radians(1.0)
+    return np.asarray((at["amplitude"] * value).sum(axis=2) + np.where(inside, at["delta"], 0.0))
 
 
 def points(count: int, seed: int = 1) -> tuple[Array, Array, Array]:
@@ -130,8 +111,12 @@ def test_many_points_have_the_values_of_the_definition(
     np.testing.assert_allclose(found, expected_values(model, *angles), rtol=2e-10, atol=1e-60)
 
 
-@pytest.mark.parametrize("knots", [np.radians([7.0, 70.0]), np.array([0.4]), np.linspace(0.0, 1.5, 400)])
-@pytest.mark.parametrize("interpolation", ["linear", "spline"])
+INTERPOLATIONS = pytest.mark.parametrize("interpolation", ["linear", "spline"])
+ANY_KNOTS = pytest.mark.parametrize("knots", [np.radians([7.0, 70.0]), np.array([0.4]), np.linspace(0.0, 1.5, 400)])
+
+
+@ANY_KNOTS
+@INTERPOLATIONS
 def test_any_number_of_knots(knots: Array, interpolation: str) -> None:
     model = random_model(interpolation, knots=knots)
     angles = points(3000)
@@ -155,28 +140,26 @@ def test_few_points_and_many_have_the_same_values(interpolation: str, family: st
         np.testing.assert_allclose(many[i : i + 1], single, rtol=1e-13)
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "spline"])
-def test_parameters_are_the_curves_of_their_control_values(interpolation: str) -> None:
-    model = random_model(interpolation, shapes=3, rings=(0, 2))
+@ANY_KNOTS
+@INTERPOLATIONS
+def test_parameters_are_the_curves_of_their_control_values(interpolation: str, knots: Array) -> None:
+    model = random_model(interpolation, shapes=3, rings=(0, 2), knots=knots)
     angles = np.radians([[0.0, 3.0, 33.0], [60.0, 88.0, 90.0]])
-    found, flat = model.parameters_at(angles), angles.ravel()
-    shapes = {name: found[name].shape for name in ("amplitude", "kappa", "center", "elongation", "delta")}
-    assert shapes == dict.fromkeys(("amplitude", "kappa", "center"), (2, 3, 3, 4)) | {
-        "elongation": (2, 3, 4),
-        "delta": (2, 3, 3),
-    }
-    for k in range(4):
-        e = curve(model, model.elongation_theta_diff, model.elongation[:, k], flat)
-        np.testing.assert_allclose(found["elongation"][..., k].ravel(), e, rtol=1e-11, atol=1e-14)
-        for c in range(3):
-            expected = {
-                "amplitude": positive(model, KNOTS, model.amplitude[c, :, k], flat, amplitude=True),
-                "kappa": positive(model, SHAPE_KNOTS, model.kappa[c, :, k], flat),
-                "gamma": positive(model, SHAPE_KNOTS, model.gamma[c, :, k], flat),
-                "center": curve(model, SHAPE_KNOTS, model.center[c, :, k], flat),
-            }
-            for name, values in expected.items():
-                np.testing.assert_allclose(found[name][..., c, k].ravel(), values, rtol=1e-11, atol=1e-14)
+    of_logarithm = (np.log, np.exp) if interpolation == "spline" else (np.log1p, np.expm1)
+    of_shape = (np.log, np.exp) if interpolation == "spline" else (np.asarray, np.asarray)
+    deltas = np.stack([np.interp(angles, knots, row) for row in model.delta], axis=-1)
+    np.testing.assert_allclose(model.parameters_at(angles)["delta"], deltas, rtol=1e-12)
+    for name, at, (scale, back) in (
+        ("amplitude", knots, of_logarithm),
+        ("kappa", SHAPE_KNOTS, of_shape),
+        ("gamma", SHAPE_KNOTS, of_shape),
+        ("center", SHAPE_KNOTS, (np.asarray, np.asarray)),
+        ("elongation", ELONGATION_KNOTS, (np.asarray, np.asarray)),
+    ):
+        expected = back(curve(model, at, scale(getattr(model, name)), angles.ravel()))
+        found = model.parameters_at(angles)[name]
+        assert found.shape == (2, 3, *expected.shape[1:])
+        np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

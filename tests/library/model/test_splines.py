@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, PPoly
 
 from dsbrdf.model.splines import (
     DEGREE,
@@ -24,16 +24,6 @@ KNOTS = [np.array([0.0, 0.3]), np.array([0.1, 0.4, 1.0]), np.radians([0.0, 20.0,
 
 def control_values(knots: Array, rows: int = 2) -> Array:
     return np.random.default_rng(knots.size).normal(size=(n_control_values(knots.size), rows))
-
-
-def from_pieces(coefficients: Array, breaks: Array, points: Array) -> Array:
-    """Values (points, R) of coefficients (4, pieces, R), a point at a time."""
-    values = []
-    for point in np.clip(points, breaks[0], breaks[-1]).tolist():
-        piece = min(int(np.searchsorted(breaks, point, side="right")) - 1, breaks.size - 2)
-        step = point - breaks[piece]
-        values.append(sum(coefficients[power, piece] * step ** (3 - power) for power in range(4)))
-    return np.array(values)
 
 
 @pytest.mark.parametrize("knots", KNOTS)
@@ -79,10 +69,10 @@ def test_pieces_are_scipys_spline_and_numpys_interpolation_also_on_breaks_of_oth
     breaks = np.unique(np.concatenate([knots, [0.0, 0.25, 0.77, 1.2, np.pi / 2]]))
     points = np.concatenate([np.linspace(0.0, np.pi / 2, 200), breaks])
     held = np.clip(points, knots[0], knots[-1])
-    found = from_pieces(pieces_of_spline(knots, values, breaks), breaks, points)
+    found = PPoly(pieces_of_spline(knots, values, breaks), breaks)(points)
     np.testing.assert_allclose(found, BSpline(knot_vector(knots), values, 3)(held), atol=1e-12)
     values = values[: knots.size]
-    found = from_pieces(pieces_of_line(knots, values, breaks), breaks, points)
+    found = PPoly(pieces_of_line(knots, values, breaks), breaks)(points)
     np.testing.assert_allclose(found, np.stack([np.interp(points, knots, row) for row in values.T], 1), atol=1e-13)
 
 
