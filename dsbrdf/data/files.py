@@ -1,10 +1,9 @@
 """Files: written completely or not at all, and told by their first bytes what they are."""
 
 import os
-import tempfile
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
+from secrets import token_hex
 
 
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
@@ -14,28 +13,20 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     temporary file is removed; an OSError names `path`.
     """
     target = Path(path)
+    temporary = target.with_name(f".{target.name[:100]}.{token_hex(8)}.part")
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
+        file = temporary.open("xb")
     except OSError as error:
         error.filename = str(target)  # the name that the caller knows
         raise
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with file:
             for part in parts:
                 file.write(part)
-        Path(temporary).chmod(_default_mode())
-        Path(temporary).replace(target)
+        temporary.replace(target)
     except BaseException:
-        with suppress(FileNotFoundError):
-            Path(temporary).unlink()
+        temporary.unlink(missing_ok=True)
         raise
-
-
-def _default_mode() -> int:
-    """Return the permissions of an ordinary new file; those of the temporary file are stricter."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
 
 
 # None of these begins a MERL file, an RGL .bsdf file or a table of samples.
