@@ -187,7 +187,7 @@ def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
     above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
     below = int(np.count_nonzero(used & ~above))
     if below:
-        notes.append(f"{_rows(below)} a direction at or below the horizon; {_left_out(below)}.")
+        notes.append(_left_out(below, "a direction at or below the horizon"))
     used &= above
     values = _without_noise(columns.values[used], notes)
     weight = None if columns.weight is None else columns.weight[used]
@@ -200,7 +200,7 @@ def _rows_with_numbers(columns: SampleColumns, notes: list[str]) -> Mask:
     used = np.isfinite(np.hstack(parts)).all(axis=1)
     lacking = int(used.size - np.count_nonzero(used))
     if lacking:
-        notes.append(f"{_rows(lacking)} no finite number in a column that is needed; {_left_out(lacking)}.")
+        notes.append(_left_out(lacking, "no finite number in a column that is needed"))
     return np.asarray(used)
 
 
@@ -236,9 +236,5 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     return np.maximum(values, 0.0)
 
 
-def _rows(count: int) -> str:
-    return "1 row has" if count == 1 else f"{count} rows have"
-
-
-def _left_out(count: int) -> str:
-    return "it is left out" if count == 1 else "they are left out"
+def _left_out(count: int, fault: str) -> str:
+    return f"1 row has {fault}; it is left out." if count == 1 else f"{count} rows have {fault}; they are left out."

@@ -97,12 +97,7 @@ def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, 
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 
-def _ggx(
-    cos_half: Array,
-    cos_in: Array,
-    cos_out: Array,
-    alpha: float,
-) -> Array:
+def _ggx(cos_half: Array, cos_in: Array, cos_out: Array, alpha: float) -> Array:
     """Return the GGX distribution times the shadowing of both directions, divided by 4 cos_in cos_out."""
     square = alpha * alpha
     # 1 + (square - 1) cos^2 = sin^2 + square cos^2, without the cancellation at cos = 1.

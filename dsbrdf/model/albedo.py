@@ -22,7 +22,6 @@ from dsbrdf.data.grid import CENTER_CUTOFF
 _SMOOTH = np.zeros(0)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_AZIMUTH_NODES, _AZIMUTH_WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Panel ends that resolve a spike a hundredth of a degree wide, and the edge of the delta term.
 _FINE = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
 _WIDTHS = np.radians([0.8, 4.0])  # of the other panels, from narrow ring lobes to none
@@ -110,7 +109,7 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[In
     length = np.diff(ends, axis=1)
     row, panel = np.nonzero(length > 1e-12)
     start, length = ends[row, panel, None], length[row, panel, None]
-    return row, start + 0.5 * length * (1.0 + _AZIMUTH_NODES), 0.5 * length * _AZIMUTH_WEIGHTS
+    return row, start + 0.5 * length * (1.0 + _NODES), 0.5 * length * _WEIGHTS
 
 
 def last_azimuth(theta_half: Array, theta_out: float) -> Array:

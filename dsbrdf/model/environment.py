@@ -29,19 +29,13 @@ _MOST_LIGHTS = 8
 class Light:
     """A distant light: unit vector towards it, and RGB irradiance of a surface that faces it."""
 
-    direction: tuple[float, float, float]
-    irradiance: tuple[float, float, float]
+    direction: tuple[float, ...]
+    irradiance: tuple[float, ...]
 
 
 def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
     """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
-    return _as_light(spherical(*np.radians((from_view, azimuth))), np.full(3, irradiance))
-
-
-def _as_light(direction: Array, irradiance: Array) -> Light:
-    x, y, z = direction.tolist()
-    red, green, blue = irradiance.tolist()
-    return Light((x, y, z), (red, green, blue))
+    return Light(tuple(spherical(*np.radians((from_view, azimuth))).tolist()), (irradiance,) * 3)
 
 
 THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
@@ -50,12 +44,9 @@ SUN = _light(55.0, 132.0, 3.0 * np.pi)
 """Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
 
 
-def _unit(x: float, y: float, z: float) -> Array:
-    return np.array([x, y, z]) / np.sqrt(x * x + y * y + z * z)
-
-
 def _axes(towards: Array) -> Array:
     """Unit vectors to the right, up and along a direction that is looked in, in rows."""
+    towards = towards / np.sqrt(towards @ towards)
     across = np.cross(towards, (0.0, 1.0, 0.0))
     across /= np.linalg.norm(across)
     return np.array([across, np.cross(across, towards), towards])
@@ -64,7 +55,7 @@ def _axes(towards: Array) -> Array:
 # Nothing here is narrower than the nodes of the integral are apart: widths and edges are in radians or slopes.
 _ZENITH, _HORIZON, _GROUND = np.array([0.25, 0.45, 0.9]), np.array([0.9, 0.95, 1.0]), np.array([0.22, 0.19, 0.16])
 _HORIZON_WIDTH = 0.02
-_WINDOW, _WINDOW_AXES = np.array([3.0, 3.0, 3.0]), _axes(_unit(0.87, 0.13, 0.5))
+_WINDOW, _WINDOW_AXES = np.array([3.0, 3.0, 3.0]), _axes(np.array([0.87, 0.13, 0.5]))
 _WINDOW_HALF_SIZE, _WINDOW_EDGE = np.array([0.35, 0.5]), 0.02
 
 
@@ -141,7 +132,7 @@ class EnvironmentMap:
 
     def at_most(self, width: int) -> EnvironmentMap:
         """Return the environment with at most so many columns of pixels; finer ones are averaged."""
-        return self if self.pixels.shape[1] <= width else EnvironmentMap(_at_most(self.pixels, width), self.lights)
+        return EnvironmentMap(_at_most(self.pixels, width), self.lights)
 
     def radiance(self, direction: Array) -> Array:
         """Radiance (..., 3) from unit vectors (..., 3), between the pixels' centres."""
@@ -219,6 +210,7 @@ def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
             [np.sin(up[row]) * np.sin(turn[column]), np.cos(up[row]), -np.sin(up[row]) * np.cos(turn[column])]
         )
         middle = direction @ (share @ LUMINANCE)
-        lights.append(_as_light(middle / np.linalg.norm(middle), share.sum(axis=0)))
+        middle /= np.linalg.norm(middle)
+        lights.append(Light(tuple(middle.tolist()), tuple(share.sum(axis=0).tolist())))
         image[row, column] -= taken
     return image, tuple(lights)

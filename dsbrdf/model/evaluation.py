@@ -48,8 +48,8 @@ class Evaluator:
             breaks = breaks[0] + np.array([0.0, 1.0])
         pieces = pieces_of_spline if spline else pieces_of_line
         rows = np.concatenate([pieces(*group, breaks) for group in groups], axis=2)
-        self._breaks = breaks
-        self._terms = np.ascontiguousarray(rows.transpose(0, 2, 1))  # (4, R, pieces)
+        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # see `dsbrdf.DSBRDF.pieces`
+        self._breaks, self._terms = self.pieces
         self._n_lobes, self._n_shapes, self._family, self._spline = n_lobes, n_shapes, family, spline
         self._is_ring = is_ring
         starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]
@@ -61,15 +61,9 @@ class Evaluator:
         self._parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
         self._n_logarithms = ends[3 if spline else 1]
 
-    @property
-    def pieces(self) -> tuple[Array, Array]:
-        """The P polynomials that are evaluated, see `dsbrdf.DSBRDF.pieces`."""
-        return self._breaks, self._terms
-
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""
-        piece, step = self._place(theta_diff)
-        rows = self._natural(_polynomial(self._terms.take(piece, axis=2), step))
+        rows = self._rows(theta_diff)
         amplitude, kappa, gamma, center, elongation = (rows[part].T for part in self._parts)
         n, k = theta_diff.size, self._n_lobes
         kappa, gamma, center = (part.reshape(n, self._n_shapes, k) for part in (kappa, gamma, center))
@@ -82,9 +76,7 @@ class Evaluator:
         tangent = np.minimum(np.tan(theta_half), _LARGEST_TANGENT)
         squared = np.square(tangent, out=tangent)
         if theta_half.size <= _FEW:
-            piece, step = self._place(theta_diff)
-            rows = self._natural(_polynomial(self._terms.take(piece, axis=2), step))
-            return self._sum(rows, squared, theta_diff, phi_diff)
+            return self._sum(self._rows(theta_diff), squared, theta_diff, phi_diff)
         result = np.empty((theta_half.size, 3))
         for start in range(0, theta_half.size, _BLOCK):
             block = slice(start, start + _BLOCK)
@@ -99,10 +91,7 @@ class Evaluator:
         shape = (3, theta_diff.size, phi_diff.size)
         phi_diff = phi_diff[:1] if self._round else phi_diff
         amplitude, kappa, gamma, center, elongation = self.parameters(theta_diff)
-        log_cos = log_cosine(theta_diff)[:, None]
-        cos2 = np.square(np.cos(phi_diff))
-        ratios = [np.exp(elongation[:, lobe, None] * log_cos) for lobe in range(self._n_lobes)]
-        factors = [cos2 / ratio + (1.0 - cos2) * ratio for ratio in ratios]
+        factors = _stretch(elongation.T[:, :, None], theta_diff[:, None], phi_diff)
         for angle in theta_half.tolist():
             squared = min(np.tan(angle), _LARGEST_TANGENT) ** 2
             total = np.zeros((3, theta_diff.size, phi_diff.size))
@@ -140,6 +129,11 @@ class Evaluator:
         piece = breaks[1:-1].searchsorted(held, side="right")
         return piece, held - breaks[piece]
 
+    def _rows(self, theta_diff: Array) -> Array:
+        """Parameters at each angle, looked up one by one."""
+        piece, step = self._place(theta_diff)
+        return self._natural(_polynomial(self._terms.take(piece, axis=2), step))
+
     def _natural(self, rows: Array) -> Array:
         """Turn the rows that run as curves into the parameters themselves, in place."""
         logarithms = rows[: self._n_logarithms]
@@ -153,10 +147,7 @@ class Evaluator:
         if self._round:
             stretched = np.broadcast_to(squared, (k, squared.size))
         else:
-            log_cos = log_cosine(theta_diff)
-            cos2 = np.square(np.cos(phi_diff))
-            ratio = np.exp(elongation * log_cos)
-            stretched = squared * (cos2 / ratio + (1.0 - cos2) * ratio)
+            stretched = squared * _stretch(elongation, theta_diff, phi_diff)
         amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
         kappa, gamma, center = (part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center))
         for lobes in self._runs if squared.size <= _FEW else self._single_lobes:
@@ -164,6 +155,13 @@ class Evaluator:
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
             total += (amplitude[:, lobes] * values).sum(axis=1)
         return np.ascontiguousarray(total.T)
+
+
+def _stretch(elongation: Array, theta_diff: Array, phi_diff: Array) -> Array:
+    """Factor of the squared tangent of theta_half, see `dsbrdf.model.lobes`."""
+    cos2 = np.square(np.cos(phi_diff))
+    ratio = np.exp(elongation * log_cosine(theta_diff))
+    return cos2 / ratio + (1.0 - cos2) * ratio
 
 
 def _polynomial(terms: Array, step: Array) -> Array:

@@ -1,10 +1,10 @@
 """The families of lobes: how a lobe falls with its offset, the distance of theta' from its center.
 
-A family has a name and a row in `FAMILIES`; `dsbrdf.model.lobes` has the formulas, and what they have in common.
+A family is an entry of `FAMILIES`; `dsbrdf.model.lobes` has the formulas, and what they have in common.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -45,174 +45,131 @@ def _power(log_power: Array) -> Array:
     return np.exp(np.maximum(log_power, _LOWEST_LOG))
 
 
-class LobeFamily(ABC):
-    """What a family defines; kappa and gamma are positive, angles in radians.
+@dataclass(frozen=True)
+class LobeFamily:
+    """What defines a family; kappa and gamma are positive, angles in radians."""
 
-    `glsl` are statements that return a lobe of height 1, of ``squared`` and ``top_squared``, the squared tangents of
-    the offset and of the negative part of the center, and of ``kappa`` and ``gamma``.
-    """
-
+    fall_to_half: Callable[[Array], Array]  # gamma times the reach at half the height, of kappa
+    slope_of_fall: Callable[[Array], Array]  # derivative of the logarithm of `fall_to_half` in log kappa
+    reach: Callable[[Array], Array]  # what gamma is multiplied by at an offset with a squared tangent
+    squared_tangent: Callable[[Array], Array]  # inverse of `reach`
+    slope_of_width: Callable[[Array, Array], Array]  # of the offset in log reach, of a reach and the tangent there
+    # Lobes of height 1, of tan(theta')**2, kappa, gamma and the center, if there is one.
+    values: Callable[[Array, Array, Array, Array | None], Array]
+    # Value and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative part of the
+    # center; of the arguments of `values` and the tangents of the offset, if there is a center, and of that part.
+    derivatives: Callable[[Array, Array, Array, Array | None, Array | None, Array], tuple[Array, ...]]
+    # A lobe of height 1 on numbers of another program, of the squared tangents of the offset and of the negative part
+    # of the center, and of kappa and gamma; `glsl` are statements that return it.
+    value_of_squares: Callable[[SeriesMath, Any, Any, Any, Any], Any]
     glsl: str
 
-    @abstractmethod
-    def fall_to_half(self, kappa: Array) -> Array:
-        """Gamma times the reach at half the height."""
 
-    @abstractmethod
-    def slope_of_fall(self, kappa: Array) -> Array:
-        """Derivative of the logarithm of `fall_to_half` in log kappa."""
-
-    @abstractmethod
-    def reach(self, squared_tangent: Array) -> Array:
-        """What gamma is multiplied by at an offset with a squared tangent."""
-
-    @abstractmethod
-    def squared_tangent(self, reach: Array) -> Array:
-        """Inverse of `reach`."""
-
-    @abstractmethod
-    def slope_of_width(self, reach: Array, tangent: Array) -> Array:
-        """Derivative of the offset in log reach, of a reach and the tangent there."""
-
-    @abstractmethod
-    def values(self, squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None) -> Array:
-        """Lobes of height 1, of tan(theta')**2, kappa, gamma and the center, if there is one."""
-
-    @abstractmethod
-    def derivatives(
-        self,
-        squared_tangent: Array,
-        kappa: Array,
-        gamma: Array,
-        center: Array | None,
-        tangent: Array | None,
-        negative: Array,
-    ) -> tuple[Array, ...]:
-        """Value and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative center.
-
-        The arguments are those of `values`, the tangent of the offset and the negative part of the center.
-        """
-
-    @abstractmethod
-    def value_of_squares(self, math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
-        """What `glsl` returns, on numbers of another program."""
+def _hemi_epd_fall(kappa: Array) -> Array:
+    return np.log(kappa / np.log1p(0.5 * np.expm1(kappa)))
 
 
-class _HemiEpd(LobeFamily):
-    glsl = """\
+def _hemi_epd_slope(kappa: Array) -> Array:
+    half = 0.5 * np.expm1(kappa)
+    return (1.0 - kappa * (half + 0.5) / ((1.0 + half) * np.log1p(half))) / _hemi_epd_fall(kappa)
+
+
+def _hemi_epd_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None) -> Array:
+    log_cos = _log_cos(squared_tangent, center)
+    if center is None:
+        return np.expm1(kappa * _power(gamma * log_cos)) / np.expm1(kappa)
+    log_cos_top = -0.5 * np.log1p(np.tan(np.minimum(center, 0.0)) ** 2)
+    top = kappa * _power(gamma * log_cos_top)
+    return np.expm1(top * _power(gamma * (log_cos - log_cos_top))) / np.expm1(top)
+
+
+def _hemi_epd_derivatives(
+    squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, tangent: Array | None, tangent_top: Array
+) -> tuple[Array, ...]:
+    log_cos = _log_cos(squared_tangent, center)
+    log_cos_top = -0.5 * np.log1p(tangent_top**2)
+    top = kappa * _power(gamma * log_cos_top)
+    ratio = _power(gamma * (log_cos - log_cos_top))
+    scale = 1.0 / np.expm1(top)
+    exponent = top * ratio
+    value = np.expm1(exponent) * scale
+    by_log_ratio = exponent * np.exp(exponent) * scale
+    by_log_top = by_log_ratio - value * (top * np.exp(top) * scale)
+    by_log_gamma = by_log_ratio * gamma * (log_cos - log_cos_top) + by_log_top * gamma * log_cos_top
+    slope = by_log_ratio * gamma
+    # d log cos / d negative = -tan(negative), and the ratio is taken to the top.
+    by_top = (by_log_top - by_log_ratio) * gamma * -tangent_top
+    by_offset = -0.5 * slope / (1.0 + squared_tangent) if tangent is None else -slope * tangent
+    return value, by_log_top, by_log_gamma, by_offset, by_top
+
+
+def _hemi_epd_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
+    log_cos, log_cos_top = -0.5 * math.log1p(squared), -0.5 * math.log1p(top_squared)
+    top, log_ratio = kappa * math.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
+    # expm1(top * ratio) / expm1(top), without overflow.
+    return math.exp(top * math.expm1(log_ratio)) * math.expm1(-top * math.exp(log_ratio)) / math.expm1(-top)
+
+
+def _student_slope(kappa: Array) -> Array:
+    power = np.log(2.0) / kappa
+    return -power / -np.expm1(-power)
+
+
+def _student_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None) -> Array:
+    at = squared_tangent if center is None else tangent_of_offset(squared_tangent, center) ** 2
+    top = 0.0 if center is None else np.log1p(gamma * np.tan(np.minimum(center, 0.0)) ** 2)
+    return np.exp(np.maximum(-kappa * (np.log1p(gamma * at) - top), _LOWEST_LOG))
+
+
+def _student_derivatives(
+    squared_tangent: Array, kappa: Array, gamma: Array, _: Array | None, tangent: Array | None, tangent_top: Array
+) -> tuple[Array, ...]:
+    square = squared_tangent if tangent is None else tangent**2
+    at, top = gamma * square, gamma * tangent_top**2
+    fall = np.maximum(-kappa * (np.log1p(at) - np.log1p(top)), _LOWEST_LOG)
+    value = np.exp(fall)
+    by_log_gamma = -value * kappa * (at / (1.0 + at) - top / (1.0 + top))
+    by_square = -value * kappa * gamma / (1.0 + at)
+    by_top = value * kappa * gamma / (1.0 + top) * 2.0 * tangent_top * (1.0 + tangent_top**2)
+    by_offset = by_square if tangent is None else by_square * 2.0 * tangent * (1.0 + square)
+    return value, value * fall, by_log_gamma, by_offset, by_top
+
+
+def _student_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
+    return math.exp(-kappa * (math.log1p(gamma * squared) - math.log1p(gamma * top_squared)))
+
+
+FAMILIES = {
+    "hemi_epd": LobeFamily(
+        fall_to_half=_hemi_epd_fall,
+        slope_of_fall=_hemi_epd_slope,
+        reach=lambda squared_tangent: 0.5 * np.log1p(squared_tangent),
+        squared_tangent=lambda reach: np.expm1(np.minimum(2.0 * reach, -_LOWEST_LOG)),
+        slope_of_width=lambda reach, tangent: reach / tangent,
+        values=_hemi_epd_values,
+        derivatives=_hemi_epd_derivatives,
+        value_of_squares=_hemi_epd_of_squares,
+        glsl="""\
   float log_cos_top = -0.5 * dsbrdf_log1p(top_squared);
   float log_cos = -0.5 * dsbrdf_log1p(squared);
   float top = kappa * exp(gamma * log_cos_top);
   // expm1(top * ratio) / expm1(top), without overflow.
   float log_ratio = gamma * (log_cos - log_cos_top);
   return exp(top * dsbrdf_expm1(log_ratio)) * dsbrdf_expm1(-top * exp(log_ratio)) / dsbrdf_expm1(-top);
-"""
-
-    def fall_to_half(self, kappa: Array) -> Array:
-        return np.log(kappa / np.log1p(0.5 * np.expm1(kappa)))
-
-    def slope_of_fall(self, kappa: Array) -> Array:
-        half = 0.5 * np.expm1(kappa)
-        return (1.0 - kappa * (half + 0.5) / ((1.0 + half) * np.log1p(half))) / self.fall_to_half(kappa)
-
-    def reach(self, squared_tangent: Array) -> Array:
-        return 0.5 * np.log1p(squared_tangent)
-
-    def squared_tangent(self, reach: Array) -> Array:
-        return np.expm1(np.minimum(2.0 * reach, -_LOWEST_LOG))
-
-    def slope_of_width(self, reach: Array, tangent: Array) -> Array:
-        return reach / tangent
-
-    def values(self, squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None) -> Array:
-        log_cos = _log_cos(squared_tangent, center)
-        if center is None:
-            return np.expm1(kappa * _power(gamma * log_cos)) / np.expm1(kappa)
-        log_cos_top = -0.5 * np.log1p(np.tan(np.minimum(center, 0.0)) ** 2)
-        top = kappa * _power(gamma * log_cos_top)
-        return np.expm1(top * _power(gamma * (log_cos - log_cos_top))) / np.expm1(top)
-
-    def derivatives(
-        self,
-        squared_tangent: Array,
-        kappa: Array,
-        gamma: Array,
-        center: Array | None,
-        tangent: Array | None,
-        negative: Array,
-    ) -> tuple[Array, ...]:
-        log_cos = _log_cos(squared_tangent, center)
-        log_cos_top = -0.5 * np.log1p(np.tan(negative) ** 2)
-        top = kappa * _power(gamma * log_cos_top)
-        ratio = _power(gamma * (log_cos - log_cos_top))
-        scale = 1.0 / np.expm1(top)
-        exponent = top * ratio
-        value = np.expm1(exponent) * scale
-        by_log_ratio = exponent * np.exp(exponent) * scale
-        by_log_top = by_log_ratio - value * (top * np.exp(top) * scale)
-        by_log_gamma = by_log_ratio * gamma * (log_cos - log_cos_top) + by_log_top * gamma * log_cos_top
-        slope = by_log_ratio * gamma
-        # d log cos / d negative = -tan(negative), and the ratio is taken to the top.
-        by_top = (by_log_top - by_log_ratio) * gamma * -np.tan(negative)
-        by_offset = -0.5 * slope / (1.0 + squared_tangent) if tangent is None else -slope * tangent
-        return value, by_log_top, by_log_gamma, by_offset, by_top
-
-    def value_of_squares(self, math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
-        log_cos, log_cos_top = -0.5 * math.log1p(squared), -0.5 * math.log1p(top_squared)
-        top, log_ratio = kappa * math.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
-        # expm1(top * ratio) / expm1(top), without overflow.
-        return math.exp(top * math.expm1(log_ratio)) * math.expm1(-top * math.exp(log_ratio)) / math.expm1(-top)
-
-
-class _Student(LobeFamily):
-    glsl = """\
+""",
+    ),
+    "student": LobeFamily(
+        fall_to_half=lambda kappa: np.expm1(np.log(2.0) / kappa),
+        slope_of_fall=_student_slope,
+        reach=lambda squared_tangent: squared_tangent,
+        squared_tangent=lambda reach: reach,
+        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # the reach is the tangent's square
+        values=_student_values,
+        derivatives=_student_derivatives,
+        value_of_squares=_student_of_squares,
+        glsl="""\
   return exp(-kappa * (dsbrdf_log1p(gamma * squared) - dsbrdf_log1p(gamma * top_squared)));
-"""
-
-    def fall_to_half(self, kappa: Array) -> Array:
-        return np.expm1(np.log(2.0) / kappa)
-
-    def slope_of_fall(self, kappa: Array) -> Array:
-        power = np.log(2.0) / kappa
-        return -power / -np.expm1(-power)
-
-    def reach(self, squared_tangent: Array) -> Array:
-        return squared_tangent
-
-    def squared_tangent(self, reach: Array) -> Array:
-        return reach
-
-    def slope_of_width(self, reach: Array, tangent: Array) -> Array:  # noqa: ARG002 (the reach is the tangent's square)
-        return 0.5 * tangent / (1.0 + tangent**2)
-
-    def values(self, squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None) -> Array:
-        at = squared_tangent if center is None else tangent_of_offset(squared_tangent, center) ** 2
-        top = 0.0 if center is None else np.log1p(gamma * np.tan(np.minimum(center, 0.0)) ** 2)
-        return np.exp(np.maximum(-kappa * (np.log1p(gamma * at) - top), _LOWEST_LOG))
-
-    def derivatives(
-        self,
-        squared_tangent: Array,
-        kappa: Array,
-        gamma: Array,
-        center: Array | None,  # noqa: ARG002 (its tangents are enough)
-        tangent: Array | None,
-        negative: Array,
-    ) -> tuple[Array, ...]:
-        square = squared_tangent if tangent is None else tangent**2
-        tangent_top = np.tan(negative)
-        at, top = gamma * square, gamma * tangent_top**2
-        fall = np.maximum(-kappa * (np.log1p(at) - np.log1p(top)), _LOWEST_LOG)
-        value = np.exp(fall)
-        by_log_gamma = -value * kappa * (at / (1.0 + at) - top / (1.0 + top))
-        by_square = -value * kappa * gamma / (1.0 + at)
-        by_top = value * kappa * gamma / (1.0 + top) * 2.0 * tangent_top * (1.0 + tangent_top**2)
-        by_offset = by_square if tangent is None else by_square * 2.0 * tangent * (1.0 + square)
-        return value, value * fall, by_log_gamma, by_offset, by_top
-
-    def value_of_squares(self, math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
-        return math.exp(-kappa * (math.log1p(gamma * squared) - math.log1p(gamma * top_squared)))
-
-
-FAMILIES: dict[str, LobeFamily] = {"hemi_epd": _HemiEpd(), "student": _Student()}
-"""Known lobes, by name; a new family is a class, a name in `Family` and a row here."""
+""",
+    ),
+}
+"""Known lobes, by name; a new family is an entry here and a name in `Family`."""

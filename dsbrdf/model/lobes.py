@@ -109,8 +109,8 @@ def lobe_derivatives(
 ) -> LobeDerivatives:
     """Values and derivatives of lobes of height 1, of the arguments of `lobe_values`."""
     tangent = None if center is None else tangent_of_offset(squared_tangent, center)
-    negative = np.zeros(()) if center is None else np.minimum(center, 0.0)
-    found = FAMILIES[family].derivatives(squared_tangent, kappa, gamma, center, tangent, negative)
+    tangent_top = np.zeros(()) if center is None else np.tan(np.minimum(center, 0.0))
+    found = FAMILIES[family].derivatives(squared_tangent, kappa, gamma, center, tangent, tangent_top)
     value, by_log_kappa, by_log_gamma, by_offset, by_top = found
     if center is None or tangent is None:
         return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
@@ -119,5 +119,5 @@ def lobe_derivatives(
     is_cusp, at_offset = center < 0.0, 1.0 + tangent**2
     per_root = np.where(is_cusp, at_offset, 1.0 + squared_tangent)
     by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * per_root)
-    by_center = np.where(is_cusp, by_top - by_offset * (1.0 + np.tan(negative) ** 2) / at_offset, -by_offset)
+    by_center = np.where(is_cusp, by_top - by_offset * (1.0 + tangent_top**2) / at_offset, -by_offset)
     return LobeDerivatives(value, by_log_kappa, by_log_gamma, by_center, by_squared_tangent)

@@ -47,21 +47,11 @@ _STEPS = 20  # that improve the shares, after each part
 
 
 class Samples(NamedTuple):
-    """Directions drawn for `dsbrdf.DSBRDF.sample`.
+    """Directions drawn for `dsbrdf.DSBRDF.sample`; a few may be below the horizon (z < 0), with pdf and weight 0."""
 
-    Attributes
-    ----------
-    omega_in : ndarray, shape (..., 3)
-        Unit vectors; a few may be below the horizon (z < 0), with pdf and weight 0.
-    pdf : ndarray, shape (...)
-        Density per solid angle [1/sr].
-    weight : ndarray, shape (..., 3)
-        ``f cos(theta_in) / pdf``, whose mean is the directional albedo.
-    """
-
-    omega_in: Array
-    pdf: Array
-    weight: Array
+    omega_in: Array  # unit vectors, (..., 3)
+    pdf: Array  # density per solid angle [1/sr], (...)
+    weight: Array  # f cos(theta_in) / pdf, whose mean is the directional albedo, (..., 3)
 
 
 @dataclass(frozen=True, eq=False)
