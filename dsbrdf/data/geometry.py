@@ -72,7 +72,7 @@ def directions(
 
     One of them may lie below the horizon: see `above_horizon`.
     """
-    half, diff, phi, azimuth = _angles(
+    half, diff, phi, azimuth = checked_angles(
         theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
     )
     sin_half, cos_half, cos_diff = np.sin(half), np.cos(half), np.cos(diff)
@@ -108,7 +108,7 @@ def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: Arr
 
     They are ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
     """
-    half, diff, phi = _angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
+    half, diff, phi = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
     mean = np.cos(half) * np.cos(diff)
     offset = np.sin(half) * np.sin(diff) * np.cos(phi)
     return mean - offset, mean + offset
@@ -157,7 +157,8 @@ def _vectors(name: str, omega: ArrayLike) -> Array:
     return vectors
 
 
-def _angles(**named: ArrayLike) -> tuple[Array, ...]:
+def checked_angles(**named: ArrayLike) -> tuple[Array, ...]:
+    """Return angles as arrays; an InvalidArgumentError says if they are no numbers or do not broadcast."""
     arrays = tuple(_numbers(name, value) for name, value in named.items())
     if len({array.shape for array in arrays}) == 1:  # the check below costs as much as a point
         return arrays

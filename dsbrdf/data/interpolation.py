@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from dsbrdf.arrays import Array, Indices, Mask
+from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
@@ -39,10 +40,8 @@ class InterpolatedMeasurement:
 
         Beyond the last row of the grid its value is held; below the horizon values continue those above it.
         """
-        try:
-            angles = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (theta_half, theta_diff, phi_diff)))
-        except ValueError:
-            raise InvalidArgumentError("theta_half, theta_diff and phi_diff must broadcast together") from None
+        named = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
+        angles = np.broadcast_arrays(*named)
         if not all(np.isfinite(angle).all() for angle in angles):
             raise InvalidArgumentError("an angle must be a finite number")
         flat = [angle.ravel() for angle in angles]

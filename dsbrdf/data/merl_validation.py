@@ -8,7 +8,6 @@ import hashlib
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
@@ -81,7 +80,7 @@ class MerlChecker:
     def __init__(self) -> None:
         self.n_bytes = 0
         self._header = b""
-        self._incomplete_value = b""  # the first bytes of a value that continues in the next piece
+        self._rest = b""  # the first bytes of eight values, a byte of bits, that continue in the next piece
         self._n_values = 0
         self._measured = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is not negative
         self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
@@ -106,12 +105,11 @@ class MerlChecker:
                 check_header(self._header)
         if self.n_bytes > FILE_SIZE:
             check_length(self.n_bytes)
-        if self._incomplete_value:
-            view = memoryview(self._incomplete_value + bytes(view))
-        whole = len(view) // 8 * 8
-        if whole:
-            self._check_values(np.frombuffer(view[:whole], dtype="<f8"))
-        self._incomplete_value = bytes(view[whole:])
+        if self._rest:
+            view = memoryview(self._rest + bytes(view))
+        whole = len(view) // 64 * 64
+        self._check_values(np.frombuffer(view[:whole], dtype="<f8"))
+        self._rest = bytes(view[whole:])
 
     def finish(self) -> Mask:
         """Return the valid nodes (90, 90, 180), after the last byte: above the horizon, with a value in some channel.
@@ -145,34 +143,22 @@ class MerlChecker:
         return valid.reshape(GRID_SHAPE)
 
     def _check_values(self, values: Array) -> None:
-        """Check values of one or several channels."""
+        """Check values of one or several channels, a multiple of eight."""
         while values.size:
             channel, node = divmod(self._n_values, NODES)
-            part = values[: NODES - node]
-            values = values[part.size :]
-            self._check_channel_values(part, channel, slice(node, node + part.size))
+            part, values = values[: NODES - node], values[NODES - node :]
             self._n_values += part.size
-
-    def _check_channel_values(self, values: Array, channel: int, nodes: slice) -> None:
-        limit = LARGEST_VALUE / SCALE[channel]
-        with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
-            largest, smallest = values.max(), values.min()
-            if not (np.isfinite(largest) and np.isfinite(smallest)):
-                self._not_finite.record(~np.isfinite(values), channel, nodes.start)
-            if largest > limit:  # false if the maximum is NaN, which is reported first
-                self._too_large.record((values > limit) & self._above[nodes], channel, nodes.start)
-            octets = slice(nodes.start // 8, -(-nodes.stop // 8))
-            measured = values >= 0.0
-            self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
-            self._measured[octets] |= _packed(measured, nodes.start % 8)
-            self._positive[octets] |= _packed(values > 0.0, nodes.start % 8)
-
-
-def _packed(flags: Mask, lead: int) -> NDArray[np.uint8]:
-    """Pack flags into bytes, with ``lead`` zero bits before them and as many as needed after them."""
-    padded = np.zeros(-(-(lead + flags.size) // 8) * 8, dtype=np.bool_)
-    padded[lead : lead + flags.size] = flags
-    return np.packbits(padded)
+            nodes, octets = slice(node, node + part.size), slice(node // 8, (node + part.size) // 8)
+            with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
+                largest, smallest, limit = part.max(), part.min(), LARGEST_VALUE / SCALE[channel]
+                if not (np.isfinite(largest) and np.isfinite(smallest)):
+                    self._not_finite.record(~np.isfinite(part), channel, node)
+                if largest > limit:  # false if the maximum is NaN, which is reported first
+                    self._too_large.record((part > limit) & self._above[nodes], channel, node)
+                measured = part >= 0.0
+                self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
+                self._measured[octets] |= np.packbits(measured)
+                self._positive[octets] |= np.packbits(part > 0.0)
 
 
 class _FaultCount:

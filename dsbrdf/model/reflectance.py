@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import check_directions, half_difference, incident_cosines
+from dsbrdf.data.geometry import check_directions, checked_angles, half_difference, incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 
@@ -52,14 +52,9 @@ class ReflectanceModel(ABC):
         phi_diff = np.asarray(phi_diff, dtype=float)
         if not np.isfinite(phi_diff).all():
             raise InvalidArgumentError("phi_diff must be finite")
-        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # a check that costs as much as a point
-            try:
-                theta_half, theta_diff, phi_diff = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
-            except ValueError:
-                shapes = f"{theta_half.shape}, {theta_diff.shape} and {phi_diff.shape}"
-                raise InvalidArgumentError(
-                    f"theta_half, theta_diff and phi_diff must broadcast together, not have {shapes}"
-                ) from None
+        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # what follows costs as much as a point
+            checked = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
+            theta_half, theta_diff, phi_diff = np.broadcast_arrays(*checked)
         flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
         values = self.evaluate_unmasked(*flat)
         if (flat[0] + flat[1] > np.pi / 2).any():  # else both directions are above the horizon for every phi_diff

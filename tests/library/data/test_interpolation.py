@@ -98,7 +98,7 @@ def test_many_points_are_evaluated_as_one_by_one(plastic: Measurement) -> None:
 def test_angles_that_are_none_are_refused(plastic: Measurement) -> None:
     with pytest.raises(InvalidArgumentError, match="finite"):
         interpolate(plastic).evaluate(0.1, np.nan, 0.0)
-    with pytest.raises(InvalidArgumentError, match="broadcast together"):
+    with pytest.raises(InvalidArgumentError, match="broadcast against each other"):
         interpolate(plastic).evaluate(np.zeros(2), np.zeros(3), 0.0)
 
 

@@ -144,7 +144,7 @@ def test_angles_out_of_range_are_refused_by_name(angle: float) -> None:
         (lambda model: model.evaluate(0.1, 0.1, np.inf), "phi_diff must be finite"),
         (
             lambda model: model.evaluate([0.1, 0.2], [0.1, 0.2, 0.3]),
-            r"must broadcast together, not have \(2,\), \(3,\) and \(\)",
+            r"must broadcast against each other; got theta_half \(2,\), theta_diff \(3,\), phi_diff \(\)",
         ),
         (lambda model: model.evaluate_directions([0, 0, 1], [0, 0, 1.1]), "omega_out must be of unit length"),
         (lambda model: model.evaluate_directions([0, 0, np.nan], [0, 0, 1]), "omega_in contains NaN or infinity"),
