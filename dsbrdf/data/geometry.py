@@ -119,13 +119,18 @@ def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayL
 
     The cutoff itself is inside; the horizon is not. Raises InvalidArgumentError if the cutoff is out of range.
     """
-    if not 0.0 < cutoff <= np.pi / 2:
-        raise InvalidArgumentError(
-            f"The horizon cutoff must be above 0 and at most pi/2 radians (90 degrees), not {cutoff:g}."
-        )
+    check_horizon_cutoff(cutoff)
     cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
     inside = (cosine > _COSINE_ROUNDING) & (cosine >= np.cos(cutoff) - _COSINE_ROUNDING)
     return np.asarray(inside, dtype=np.bool_)
+
+
+def check_horizon_cutoff(cutoff: float | None) -> None:
+    """Raise `InvalidArgumentError` unless the cutoff is None or an angle in (0, pi/2] [rad]."""
+    if cutoff is not None and not 0.0 < cutoff <= np.pi / 2:
+        raise InvalidArgumentError(
+            f"the horizon cutoff must lie above 0 and at most at 90 degrees, not at {np.degrees(cutoff):g}"
+        )
 
 
 def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> Array:

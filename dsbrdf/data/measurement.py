@@ -21,8 +21,7 @@ class Measurement:
     Attributes
     ----------
     stored : ndarray, shape (3, 90, 90, 180)
-        The numbers exactly as in the file, read-only; axes (channel, theta_half,
-        theta_diff, phi_diff).
+        The numbers exactly as in the file, read-only; axes (channel, theta_half, theta_diff, phi_diff).
     scale : ndarray, shape (3,)
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
@@ -71,7 +70,7 @@ class Measurement:
 
     @classmethod
     def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> Measurement:
-        """Return the measurement with the given values, as if they had been written to a file and read back.
+        """Return the measurement with the given values, up to rounding, as if written to a file and read back.
 
         Parameters
         ----------
@@ -81,11 +80,6 @@ class Measurement:
             Nodes that have a value; the values of the others are replaced by -1.
         name : str
             The material's name.
-
-        Returns
-        -------
-        Measurement
-            Its ``sha256`` is that of the encoded bytes; its ``values`` equal the given ones up to rounding.
 
         Raises
         ------

@@ -124,7 +124,6 @@ def profiles(
     InvalidArgumentError
         If an option is unknown or out of range.
     """
-    check_horizon_cutoff(horizon_cutoff)
     if weighting not in WEIGHTINGS:
         raise InvalidArgumentError(f"weighting must be one of {', '.join(WEIGHTINGS)}, not {weighting!r}")
     shape = (3, THETA_DIFF.size, THETA_HALF.size)
@@ -150,14 +149,6 @@ def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None)
     """Samples of the theta_half row ``i`` that count, shape (3, 90 theta_diff, 180 phi_diff)."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.known(i) & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
-
-
-def check_horizon_cutoff(horizon_cutoff: float | None) -> None:
-    """Raise `InvalidArgumentError` unless the cutoff is None or an angle in (0, pi/2] [rad]."""
-    if horizon_cutoff is not None and not 0.0 < horizon_cutoff <= np.pi / 2:
-        raise InvalidArgumentError(
-            f"the horizon cutoff must lie above 0 and at most at 90 degrees, not at {np.degrees(horizon_cutoff):g}"
-        )
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:

@@ -10,7 +10,6 @@ values ``rgb`` on a regular grid over the square that it is warped from. With u,
 (Dupuy and Jakob 2018, section 4). Between two theta_i everything is linear, as in Mitsuba 3.
 """
 
-import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,7 +43,6 @@ class RglMaterial:
     vndf: Warp  # one for each theta_i
     rgb: Array  # (T, 3, H, W)
     name: str
-    sha256: str  # hexadecimal digest of the file
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
         """RGB values (n, 3) [1/sr] of pairs of unit vectors (n, 3); 0 where a direction is not above the horizon.
@@ -152,7 +150,6 @@ def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
         vndf=Warp.of(tables["vndf"][0]),
         rgb=tables["rgb"][0],
         name=name,
-        sha256=hashlib.sha256(data).hexdigest(),
     )
 
 

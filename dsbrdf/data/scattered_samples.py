@@ -89,10 +89,8 @@ class ScatteredSamples:
             RGB [1/sr], finite and not negative.
         weight : array_like, shape (n,), optional
             Positive; 1 by default.
-        name : str, optional
-            The material's name.
-        notes : tuple of str, optional
-            See the attribute.
+        name, notes : optional
+            See the attributes.
 
         Raises
         ------

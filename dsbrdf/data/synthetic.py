@@ -35,7 +35,7 @@ def synthetic_measurement(
     seed: int = 0,
     name: str = "synthetic",
 ) -> Measurement:
-    """Return the measurement of an analytic material.
+    """Return the measurement of an analytic material; all nodes above the horizon are valid.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ def synthetic_measurement(
         Seed of the noise: the same arguments give the same bytes.
     name : str
         The material's name.
-
-    Returns
-    -------
-    Measurement
-        Nodes below the horizon are marked invalid, all others are valid.
 
     Raises
     ------

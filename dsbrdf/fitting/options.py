@@ -8,8 +8,8 @@ from typing import Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from dsbrdf.data.geometry import check_horizon_cutoff
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
-from dsbrdf.data.reduction import check_horizon_cutoff
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.lobe_families import Family
 

@@ -152,21 +152,10 @@ class EnvironmentMap:
 
 
 def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
-    """Read a panorama of an environment for `render_sphere`.
+    """Read a panorama of an environment for `render_sphere`, a Radiance ``.hdr`` or an OpenEXR ``.exr`` file.
 
-    Parameters
-    ----------
-    path : path-like
-        A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
-
-    Raises
-    ------
-    ImageFormatError
-        If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
-    MissingExtraError
-        For an OpenEXR file if the extra ``exr`` is not installed.
-    OSError
-        If the file cannot be read.
+    Raises ImageFormatError if the file is no such picture, or not one of 360 by 180 degrees, and MissingExtraError for
+    an OpenEXR file if the extra ``exr`` is not installed.
     """
     return EnvironmentMap.from_pixels(read_hdr_image(path))
 

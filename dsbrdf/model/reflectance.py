@@ -73,11 +73,6 @@ class ReflectanceModel(ABC):
         -------
         ndarray, shape (..., 3)
             RGB values [1/sr]; 0 where one of the directions is below the horizon (z < 0).
-
-        Raises
-        ------
-        InvalidArgumentError
-            If a direction is not a unit vector.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         second = check_directions("omega_out", omega_out, below_horizon=True)
