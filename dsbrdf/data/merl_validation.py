@@ -27,6 +27,8 @@ _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_SIZE = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
+_NOT_FINITE = "NaN or infinite; every value must be finite."
+_TOO_LARGE = "1e8/sr, which no reflectance has; stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
 
 
 def check_header(header: bytes | bytearray | memoryview) -> None:
@@ -86,8 +88,7 @@ class MerlChecker:
         self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
         self._n_measured = [0] * len(CHANNELS)  # nodes above the horizon that are not negative
         self._above = nodes_above_horizon().reshape(-1)
-        self._not_finite = _FaultCount()
-        self._too_large = _FaultCount()
+        self._faults: dict[str, tuple[int, str]] = {}  # how many values have a fault, and where the first is
 
     def update(self, piece: bytes | bytearray | memoryview) -> None:
         """Check the next bytes, of any length.
@@ -119,15 +120,13 @@ class MerlChecker:
         """
         check_header(self._header)  # which `update` has done unless there are fewer bytes than a header has
         check_length(self.n_bytes)
-        if self._not_finite.count:
-            raise MeasurementFormatError(
-                f"{self._not_finite.sentence('is', 'are')} NaN or infinite; every value must be finite."
-            )
-        if self._too_large.count:
-            raise MeasurementFormatError(
-                f"{self._too_large.sentence('exceeds', 'exceed')} 1e8/sr, which no reflectance has; "
-                "stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
-            )
+        for fault, (verb, verb_of_many) in (_NOT_FINITE, ("is", "are")), (_TOO_LARGE, ("exceeds", "exceed")):
+            count, first = self._faults.get(fault, (0, ""))
+            if count:
+                said = (
+                    f"1 value, {first}, {verb}" if count == 1 else f"{count} values, the first {first}, {verb_of_many}"
+                )
+                raise MeasurementFormatError(f"{said} {fault}")
         valid = np.unpackbits(self._measured).view(np.bool_)
         valid &= self._above
         n_above = int(self._above.sum())
@@ -152,33 +151,21 @@ class MerlChecker:
             with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
                 largest, smallest, limit = part.max(), part.min(), LARGEST_VALUE / SCALE[channel]
                 if not (np.isfinite(largest) and np.isfinite(smallest)):
-                    self._not_finite.record(~np.isfinite(part), channel, node)
+                    self._record(_NOT_FINITE, ~np.isfinite(part), channel, node)
                 if largest > limit:  # false if the maximum is NaN, which is reported first
-                    self._too_large.record((part > limit) & self._above[nodes], channel, node)
+                    self._record(_TOO_LARGE, (part > limit) & self._above[nodes], channel, node)
                 measured = part >= 0.0
                 self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
                 self._measured[octets] |= np.packbits(measured)
                 self._positive[octets] |= np.packbits(part > 0.0)
 
-
-class _FaultCount:
-    """The number of values with one kind of fault, and the position of the first."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._first = ""
-
-    def record(self, where: Mask, channel: int, start: int) -> None:
+    def _record(self, fault: str, where: Mask, channel: int, start: int) -> None:
         found = np.flatnonzero(where)
-        if found.size and not self.count:
-            node = tuple(int(index) for index in np.unravel_index(start + int(found[0]), GRID_SHAPE))
-            self._first = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
-        self.count += found.size
-
-    def sentence(self, one: str, many: str) -> str:
-        if self.count == 1:
-            return f"1 value, {self._first}, {one}"
-        return f"{self.count} values, the first {self._first}, {many}"
+        if found.size:
+            node = tuple(int(index) for index in np.unravel_index(start + found[0], GRID_SHAPE))
+            place = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
+            count, first = self._faults.get(fault, (0, place))
+            self._faults[fault] = count + found.size, first
 
 
 def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
@@ -187,8 +174,6 @@ def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
     The numbers are a read-only view of the data. A MeasurementFormatError says what is wrong and what would be right.
     """
     view = memoryview(data).cast("B")
-    check_header(view)
-    check_length(len(view))
     checker, digest = MerlChecker(), hashlib.sha256()
     for start in range(0, len(view), _PIECE_SIZE):
         piece = view[start : start + _PIECE_SIZE]

@@ -141,8 +141,8 @@ def profiles(
             typical = _summarize(samples, weights)[0][..., None] if weighting == "log" else 0.0
             weights = weights * (cos_in / (1.0 + typical * np.maximum(cos_in, 0.0))) ** 2
         mean[:, :, i], weight[:, :, i], within[:, :, i] = _summarize(samples, weights)
-    options, of = (horizon_cutoff, weighting, robust), (measurement.name, measurement.sha256)
-    return Profiles(mean, weight, within, folded, *options, *of)
+    name, sha256 = measurement.name, measurement.sha256
+    return Profiles(mean, weight, within, folded, horizon_cutoff, weighting, robust, name, sha256)
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
@@ -194,26 +194,14 @@ def _outlier_weights(samples: Array, used: Mask) -> Array:
     The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations
     would see the larger group alone and take the other one for outliers. Without outliers all weights are 1.
     """
+    count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)
-    median = _nanmedian(masked)
-    scale = _third_quartile(np.abs(masked - median)) / _NORMAL_QUARTILE
+    ordered = np.sort(masked, axis=-1)  # NaN sorts last
+    lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
+    median = np.where(count > 0, 0.5 * (lower + np.take_along_axis(ordered, count // 2, axis=-1)), 0.0)
+    deviations = np.sort(np.abs(masked - median), axis=-1)
+    scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / _NORMAL_QUARTILE
     # A row of equal samples has no spread: what differs from it by more than some per cent is an outlier.
-    scale = np.maximum(scale, 1e-2 * np.abs(median) + 1e-12)
+    scale = np.maximum(np.where(count > 0, scale, 0.0), 1e-2 * np.abs(median) + 1e-12)
     relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)
     return np.clip(2.0 - relative, 0.0, 1.0)
-
-
-def _nanmedian(samples: Array) -> Array:
-    """Median over the last axis, NaN left out, kept as an axis of length 1; 0 where all are NaN."""
-    count = np.sum(~np.isnan(samples), axis=-1, keepdims=True)
-    ordered = np.sort(samples, axis=-1)  # NaN sorts last
-    lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
-    upper = np.take_along_axis(ordered, count // 2 % samples.shape[-1], axis=-1)
-    return np.where(count > 0, 0.5 * (lower + np.where(count % 2 == 0, upper, lower)), 0.0)
-
-
-def _third_quartile(samples: Array) -> Array:
-    """Third quartile over the last axis, rounded down to a sample; NaN left out as in `_nanmedian`."""
-    count = np.sum(~np.isnan(samples), axis=-1, keepdims=True)
-    quartile = np.take_along_axis(np.sort(samples, axis=-1), 3 * np.maximum(count - 1, 0) // 4, axis=-1)
-    return np.where(count > 0, quartile, 0.0)

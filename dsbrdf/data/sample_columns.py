@@ -83,7 +83,9 @@ def sample_columns(table: TextTable) -> SampleColumns:
             places.setdefault(known, []).append(place)
     form = next((form for form in _FORMS if places.keys() >= {*form}), None)
     if form is None:
-        raise _missing("directions", _nearest_form(places), table, places)
+        # Those of which the table has most columns; angles if it has none.
+        nearest = max((_THETAS, VECTORS, _HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
+        raise _missing("directions", nearest, table, places)
     values = CHANNELS if places.keys() >= {*CHANNELS} else (_GREY,)
     if not places.keys() >= {*values}:
         raise _missing("values", CHANNELS, table, places)
@@ -94,7 +96,7 @@ def sample_columns(table: TextTable) -> SampleColumns:
             first, second = (table.names[place] for place in places[name][:2])
             raise MeasurementFormatError(f"The columns {first!r} and {second!r} mean the same; keep one of them.")
     column = {name: table.numbers(places[name][0]) for name in used}
-    units = {name: _unit(table, places[name][0]) for name in used}
+    units = {name: _meaning(table.names[at])[1] or table.units[at].strip().lower() for name, (at, *_) in places.items()}
     for name in values:
         if units[name] not in (*_NO_UNIT, *_PER_STERADIAN):
             raise MeasurementFormatError(
@@ -115,21 +117,12 @@ def _meaning(cell: str) -> tuple[str, str]:
     return (base, last) if last in (*_DEGREES, *_RADIANS) else (name, unit)
 
 
-def _unit(table: TextTable, place: int) -> str:
-    return _meaning(table.names[place])[1] or table.units[place].strip().lower()
-
-
 def _missing(
     what: str, wanted: tuple[str, ...], table: TextTable, places: dict[str, list[int]]
 ) -> MeasurementFormatError:
     lacking = ", ".join(name for name in wanted if name not in places)
     found = ", ".join(name or "one without a name" for name in table.names[:20])
     return MeasurementFormatError(f"The table lacks columns for the {what}: {lacking}. It has {found}. {_POSSIBLE}.")
-
-
-def _nearest_form(places: dict[str, list[int]]) -> tuple[str, ...]:
-    """Return the form of directions of which the table has most columns; angles if it has none."""
-    return max((_THETAS, VECTORS, _HALF_DIFFERENCE), key=lambda form: len(places.keys() & {*form}))
 
 
 def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, str]) -> tuple[Array, Array]:
