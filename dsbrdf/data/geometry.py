@@ -29,18 +29,10 @@ _SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
 def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return the half and difference angles of pairs of directions.
+    """Return theta_half, theta_diff and phi_diff (...) [rad] of unit vectors (..., 3) that broadcast.
 
-    Parameters
-    ----------
-    omega_in, omega_out : array_like, shape (..., 3)
-        Unit vectors that broadcast against each other; see `check_directions`.
-
-    Returns
-    -------
-    theta_half, theta_diff, phi_diff : ndarray, shape (...)
-        Radians; ``phi_diff`` is in [0, 2 pi). Opposite directions, possible only at the horizon, have no half vector;
-        the normal is used instead. Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
+    ``phi_diff`` is in [0, 2 pi). Opposite directions, possible only at the horizon, have no half vector; the normal is
+    used instead. Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
     """
     first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
     total = first + second

@@ -103,12 +103,11 @@ def profiles(
     weighting: str = "plain",
     robust: bool = False,
 ) -> Profiles:
-    """Reduce a measurement to its profiles over (theta_diff, theta_half).
+    """Reduce the samples f of a measurement to its profiles over (theta_diff, theta_half).
 
     Parameters
     ----------
     measurement : Measurement
-        The samples f [1/sr].
     horizon_cutoff : float or None, optional
         Samples with a direction further than this from the normal are left out [rad]; None keeps all samples above
         the horizon.

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.merl_validation import LARGEST_VALUE
-from dsbrdf.data.sample_columns import SampleColumns, is_known, sample_columns
+from dsbrdf.data.sample_columns import is_known, sample_columns
 from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.errors import MeasurementFormatError
 
@@ -30,20 +30,16 @@ _UNIT_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredSamples:
-    """Values of a BRDF at n pairs of directions; made by `from_arrays`.
+    """Values of a BRDF at n pairs of directions; made by `from_arrays`, which says more of the arrays.
 
     Attributes
     ----------
-    omega_in, omega_out : ndarray, shape (n, 3)
-        Unit vectors towards the light and the viewer; the normal is (0, 0, 1).
-    values : ndarray, shape (n, 3)
-        RGB [1/sr].
+    omega_in, omega_out, values : ndarray, shape (n, 3)
+        Unit vectors towards the light and the viewer, and RGB [1/sr].
     weight : ndarray, shape (n,)
         How much each sample counts.
-    name : str
-        The material's name.
-    sha256 : str
-        Hexadecimal digest of the arrays: the identity of the samples.
+    name, sha256 : str
+        Of the material; hexadecimal digest of the arrays, the identity of the samples.
     notes : tuple of str
         What the reader of a table decided, a sentence each; the report of a fit begins its warnings with them.
     """
@@ -180,26 +176,17 @@ def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
         )
     columns = sample_columns(parse_text_table(data, is_known))
     notes = list(columns.notes)
-    used = _rows_with_numbers(columns, notes)
+    weights = [] if columns.weight is None else [columns.weight[:, np.newaxis]]
+    numbers = np.hstack([columns.omega_in, columns.omega_out, columns.values, *weights])
+    used = np.asarray(np.isfinite(numbers).all(axis=1))
+    notes += _left_out(~used, "no finite number in a column that is needed")
     first, second = (_unit_vectors(side, getattr(columns, side), used, notes) for side in ("omega_in", "omega_out"))
     above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
-    below = int(np.count_nonzero(used & ~above))
-    if below:
-        notes.append(_left_out(below, "a direction at or below the horizon"))
+    notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
     values = _without_noise(columns.values[used], notes)
     weight = None if columns.weight is None else columns.weight[used]
     return ScatteredSamples.from_arrays(first[used], second[used], values, weight, name, notes=tuple(notes))
-
-
-def _rows_with_numbers(columns: SampleColumns, notes: list[str]) -> Mask:
-    parts = [columns.omega_in, columns.omega_out, columns.values]
-    parts += [] if columns.weight is None else [columns.weight[:, np.newaxis]]
-    used = np.isfinite(np.hstack(parts)).all(axis=1)
-    lacking = int(used.size - np.count_nonzero(used))
-    if lacking:
-        notes.append(_left_out(lacking, "no finite number in a column that is needed"))
-    return np.asarray(used)
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
@@ -234,5 +221,7 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     return np.maximum(values, 0.0)
 
 
-def _left_out(count: int, fault: str) -> str:
-    return f"1 row has {fault}; it is left out." if count == 1 else f"{count} rows have {fault}; they are left out."
+def _left_out(rows: Mask, fault: str) -> list[str]:
+    count = int(np.count_nonzero(rows))
+    several = "1 row has" if count == 1 else f"{count} rows have"
+    return [f"{several} {fault}; {'it is' if count == 1 else 'they are'} left out."] if count else []

@@ -59,7 +59,9 @@ def synthetic_measurement(
     """
     if not 0.005 <= roughness <= 1.0:
         raise InvalidArgumentError(f"roughness must be in [0.005, 1], not {roughness:g}.")
-    albedo, reflectance = _checked_colour("diffuse", diffuse), _checked_colour("specular", specular)
+    for kind, colour in (("diffuse", diffuse), ("specular", specular)):
+        if np.shape(colour) != (3,) or not all(0.0 <= value <= 1.0 for value in colour):
+            raise InvalidArgumentError(f"{kind} must be three numbers (RGB) in [0, 1], not {colour}.")
     above = nodes_above_horizon()
     cos_in, cos_out = (
         cosine[above] for cosine in incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF)
@@ -72,9 +74,9 @@ def synthetic_measurement(
     grazing = (1.0 - cos_diff) ** 5
     diffuse_term = 28.0 / (23.0 * np.pi) * (1.0 - (1.0 - cos_in / 2) ** 5) * (1.0 - (1.0 - cos_out / 2) ** 5)
     values = np.full((3, *above.shape), -1.0)
-    for channel in range(3):
-        fresnel = reflectance[channel] + (1.0 - reflectance[channel]) * grazing
-        values[channel, above] = fresnel * lobe + albedo[channel] * (1.0 - reflectance[channel]) * diffuse_term
+    for channel, (albedo, reflectance) in enumerate(zip(diffuse, specular, strict=True)):
+        fresnel = reflectance + (1.0 - reflectance) * grazing
+        values[channel, above] = fresnel * lobe + albedo * (1.0 - reflectance) * diffuse_term
     return Measurement.from_values(_noisy(values, noise, seed), above, name)
 
 
@@ -116,10 +118,3 @@ def _noisy(values: Array, noise: float, seed: int) -> Array:
     np.exp(factor, out=factor)  # in place: new memory for 35 MB takes longer than the arithmetic
     factor *= values
     return factor
-
-
-def _checked_colour(name: str, colour: _Triple) -> Array:
-    values = np.asarray(colour, dtype=np.float64)
-    if values.shape != (3,) or not ((values >= 0.0) & (values <= 1.0)).all():
-        raise InvalidArgumentError(f"{name} must be three numbers (RGB) in [0, 1], not {colour}.")
-    return values

@@ -251,12 +251,11 @@ class DSBRDF(ReflectanceModel):
         spline, shape = self.interpolation == "spline", (self.kappa, self.gamma)
         amplitude = np.log(self.amplitude) if spline else np.log1p(self.amplitude)
         scaled = [np.log(part) if spline else part for part in shape]
-        rows = [part.transpose(1, 0, 2).reshape(part.shape[1], -1) for part in (amplitude, *scaled, self.center)]
+        rows = [np.hstack([*part]) for part in (amplitude, *scaled, self.center)]
         return Evaluator(
             (self.theta_diff, rows[0]),
             (self.shape_theta_diff, np.concatenate(rows[1:], axis=1)),
             (self.elongation_theta_diff, self.elongation),
-            n_lobes=self.n_lobes,
             n_shapes=self.kappa.shape[0],
             is_ring=self.is_ring,
             family=self.lobe,

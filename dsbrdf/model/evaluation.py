@@ -36,7 +36,6 @@ class Evaluator:
         shape: tuple[Array, Array],
         elongation: tuple[Array, Array],
         *,
-        n_lobes: int,
         n_shapes: int,
         is_ring: Mask,
         family: str,
@@ -50,8 +49,8 @@ class Evaluator:
         rows = np.concatenate([pieces(*group, breaks) for group in groups], axis=2)
         self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # see `dsbrdf.DSBRDF.pieces`
         self._breaks, self._terms = self.pieces
-        self._n_lobes, self._n_shapes, self._family, self._spline = n_lobes, n_shapes, family, spline
-        self._is_ring = is_ring
+        self._n_lobes = n_lobes = is_ring.size
+        self._n_shapes, self._family, self._spline, self._is_ring = n_shapes, family, spline, is_ring
         starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]
         self._runs = [slice(start, stop) for start, stop in itertools.pairwise([*starts, n_lobes])]
         self._single_lobes = [slice(lobe, lobe + 1) for lobe in range(n_lobes)]
