@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import directions, half_difference, incident_cosines
@@ -34,12 +32,11 @@ def test_papers_model_is_the_formula_of_the_paper_at_and_between_the_slices() ->
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_value_is_finite_and_not_negative_and_reciprocal(family: str) -> None:
-    omega_in, omega_out = pairs_of_directions(40_000, lowest=0.0)
+def test_every_value_is_positive_and_reciprocal_and_the_sum_of_its_lobes(family: str) -> None:
+    omega_in, omega_out = pairs_of_directions(20_000, lowest=0.0)
     for seed in range(3):
         model = random_model(seed, family=family)
         values = model.evaluate_directions(omega_in, omega_out)
-        assert np.isfinite(values).all()
         assert values.min() > 0.0
         swapped = model.evaluate_directions(omega_out, omega_in)
         np.testing.assert_allclose(values, swapped, rtol=1e-12)
@@ -48,24 +45,23 @@ def test_every_value_is_finite_and_not_negative_and_reciprocal(family: str) -> N
         np.testing.assert_allclose(np.sum(parts, axis=0), values, rtol=1e-12)
 
 
-angle = st.floats(0.0, np.pi / 2)
-
-
-@given(angle, angle, st.floats(-10.0, 10.0), st.integers(0, 20), st.sampled_from(list(FAMILIES)))
-def test_any_angles_give_a_finite_value_with_the_symmetry_of_phi_diff(
-    theta_half: float, theta_diff: float, phi_diff: float, seed: int, family: str
-) -> None:
-    model = random_model(seed, family=family)
-    value = model.evaluate(theta_half, theta_diff, phi_diff)
-    assert np.isfinite(value).all()
-    assert np.all(value >= 0.0)
-    cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
-    if cosine > 1e-9:
-        assert np.all(value > 0.0)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_any_angles_give_a_finite_value_with_the_symmetry_of_phi_diff(family: str) -> None:
+    ends = [0.0, 1e-300, 1e-9, np.pi / 4, np.pi / 2]
+    edges = np.array(np.meshgrid(ends, ends, [*ends, np.pi])).reshape(3, -1)
+    anywhere = np.random.default_rng(0).uniform((0.0, 0.0, -10.0), (np.pi / 2, np.pi / 2, 10.0), (5000, 3)).T
+    theta_half, theta_diff, phi_diff = np.hstack([edges, anywhere])
+    lowest = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
+    above, below = lowest > 1e-9, lowest < -1e-9
+    for seed in range(3):
+        model = random_model(seed, family=family)
+        values = model.evaluate(theta_half, theta_diff, phi_diff)
+        assert np.isfinite(values).all()
+        assert (values[above] > 0.0).all()
+        assert (values[below] == 0.0).all()
         for same in (-phi_diff, np.pi - phi_diff, phi_diff + np.pi):
-            np.testing.assert_allclose(model.evaluate(theta_half, theta_diff, same), value, rtol=1e-11)
-    elif cosine < -1e-9:
-        assert np.all(value == 0.0)
+            turned = model.evaluate(theta_half, theta_diff, same)
+            np.testing.assert_allclose(turned[above], values[above], rtol=1e-11)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -86,12 +82,8 @@ def test_steps_of_a_thousandth_of_a_degree_change_the_value_by_less_than_one_per
             assert change.max() < 0.01, (axis, np.degrees([angle[change.max(axis=1).argmax()] for angle in angles]))
 
 
-def test_below_the_horizon_is_zero_and_the_rest_of_the_batch_stays() -> None:
+def test_directions_below_the_horizon_give_zero_and_the_rest_of_the_batch_stays() -> None:
     model = random_model()
-    values = model.evaluate([0.1, 1.4, 0.2], [0.1, 1.4, 0.3], [0.0, 0.0, 1.0])
-    assert np.all(values[1] == 0.0)
-    np.testing.assert_array_equal(values[0], model.evaluate(0.1, 0.1, 0.0))
-    assert np.all(values[2] > 0.0)
     below = np.array([[0.0, 0.6, -0.8], [0.0, 0.6, 0.8]])
     up = np.array([0.0, 0.0, 1.0])
     for pair in ((below, up), (up, below)):
@@ -100,13 +92,6 @@ def test_below_the_horizon_is_zero_and_the_rest_of_the_batch_stays() -> None:
         assert np.all(values[1] > 0.0)
     # At the horizon itself there is light still.
     assert np.all(model.evaluate_directions([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]) > 0.0)
-
-
-def test_default_phi_diff_is_a_right_angle_which_is_always_above_the_horizon() -> None:
-    theta_half, theta_diff = np.meshgrid(np.radians(np.arange(90.0)), np.radians(np.arange(90.0)))
-    values = random_model().evaluate(theta_half, theta_diff)
-    assert np.all(values > 0.0)
-    np.testing.assert_array_equal(values, random_model().evaluate(theta_half, theta_diff, np.pi / 2))
 
 
 def test_directions_give_the_values_of_their_angles() -> None:
@@ -129,6 +114,7 @@ def test_broadcasting_equals_a_loop_also_across_blocks() -> None:
         assert single.shape == (3,)
         np.testing.assert_allclose(values[h, i, j], single, rtol=1e-13)
     assert model.evaluate(np.empty((0, 4)), 0.3).shape == (0, 4, 3)
+    np.testing.assert_array_equal(model.evaluate(theta_half, 0.3), model.evaluate(theta_half, 0.3, np.pi / 2))
 
 
 def test_model_without_lobes_is_its_delta() -> None:

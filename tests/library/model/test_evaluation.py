@@ -97,35 +97,29 @@ def points(count: int, seed: int = 1) -> tuple[Array, Array, Array]:
     return theta_half, theta_diff, random.uniform(-7.0, 7.0, count)
 
 
+INTERPOLATIONS = pytest.mark.parametrize("interpolation", ["linear", "spline"])
+ANY_KNOTS = [np.radians([7.0, 70.0]), np.array([0.4]), np.linspace(0.0, 1.5, 400)]
+CHANGES: list[dict[str, Any]] = [
+    *({"rings": rings, "shapes": shapes} for rings in ((), (1,), (0, 1, 2, 3)) for shapes in (1, 3)),
+    *({"knots": knots} for knots in ANY_KNOTS),
+]
+
+
 @pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("interpolation", ["linear", "spline"])
-@pytest.mark.parametrize("rings", [(), (1,), (0, 1, 2, 3)])
-@pytest.mark.parametrize("shapes", [1, 3])
+@INTERPOLATIONS
+@pytest.mark.parametrize("changed", CHANGES)
 def test_many_points_have_the_values_of_the_definition(
-    interpolation: str, rings: tuple[int, ...], shapes: int, family: str
+    interpolation: str, changed: dict[str, Any], family: str
 ) -> None:
-    model = random_model(interpolation, rings=rings, shapes=shapes, family=family)
+    model = random_model(interpolation, family=family, **changed)
     angles = points(4000)
     found = model.evaluate_unmasked(*angles)
     # A cosine close to 1 is rounded to 1e-16, which its power by gamma, 3000, makes 3e-13.
     np.testing.assert_allclose(found, expected_values(model, *angles), rtol=2e-10, atol=1e-60)
 
 
-INTERPOLATIONS = pytest.mark.parametrize("interpolation", ["linear", "spline"])
-ANY_KNOTS = pytest.mark.parametrize("knots", [np.radians([7.0, 70.0]), np.array([0.4]), np.linspace(0.0, 1.5, 400)])
-
-
-@ANY_KNOTS
-@INTERPOLATIONS
-def test_any_number_of_knots(knots: Array, interpolation: str) -> None:
-    model = random_model(interpolation, knots=knots)
-    angles = points(3000)
-    expected = expected_values(model, *angles)
-    np.testing.assert_allclose(model.evaluate_unmasked(*angles), expected, rtol=2e-10, atol=1e-60)
-
-
 @pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("interpolation", ["linear", "spline"])
+@INTERPOLATIONS
 def test_few_points_and_many_have_the_same_values(interpolation: str, family: str) -> None:
     model = random_model(interpolation, rings=(0, 2), family=family)
     angles = points(MANY)
@@ -140,7 +134,7 @@ def test_few_points_and_many_have_the_same_values(interpolation: str, family: st
         np.testing.assert_allclose(many[i : i + 1], single, rtol=1e-13)
 
 
-@ANY_KNOTS
+@pytest.mark.parametrize("knots", ANY_KNOTS)
 @INTERPOLATIONS
 def test_parameters_are_the_curves_of_their_control_values(interpolation: str, knots: Array) -> None:
     model = random_model(interpolation, shapes=3, rings=(0, 2), knots=knots)

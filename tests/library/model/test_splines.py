@@ -82,5 +82,3 @@ def test_roughness_is_the_squared_second_difference(count: int) -> None:
     values = np.random.default_rng(count).normal(size=count)
     assert form.shape == (count, count)
     assert values @ form @ values == pytest.approx(np.sum(np.diff(values, 2) ** 2), abs=1e-12)
-    line = 0.3 + 0.7 * np.arange(count)
-    assert line @ form @ line == pytest.approx(0.0, abs=1e-12)
