@@ -62,7 +62,7 @@ DIMENSIONS: dict[str, Make] = {
     **{
         f"dimensions {dimensions}": (lambda data, dimensions=dimensions: header(*dimensions) + data[12:100_000])  # type: ignore[misc]
         for dimensions in [
-            (89, 90, 180), (90, 91, 180), (90, 90, 179), (90, 90, 360), (180, 45, 180), (1, 1, NODES), (-90, -90, 180),
+            (89, 90, 180), (90, 91, 180), (90, 90, 179), (90, 90, 360), (180, 90, 90), (1, 1, NODES), (-90, -90, 180),
             (0, 0, 0), (-(2**31), 90, 180), (2**31 - 1, 2**31 - 1, 2**31 - 1), (1_610_612_826, 90, 180),
         ]
     },

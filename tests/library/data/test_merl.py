@@ -1,7 +1,6 @@
 import hashlib
 import os
 import struct
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -73,17 +72,6 @@ def test_written_files_have_ordinary_permissions(plastic: Measurement, tmp_path:
     assert (tmp_path / "a.binary").stat().st_mode == (tmp_path / "b").stat().st_mode
 
 
-def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> None:
-    nodes_above_horizon.cache_clear()  # made once per process, and part of the cost
-    tracemalloc.start()
-    try:
-        read_merl(plastic_file)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < FILE_SIZE + 10_000_000
-
-
 def test_reference_files_round_trip(reference_files: dict[str, Path]) -> None:
     for path in list(reference_files.values())[: repeats(1, 100)]:
         assert encode_merl(read_merl(path)) == path.read_bytes()
@@ -91,8 +79,7 @@ def test_reference_files_round_trip(reference_files: dict[str, Path]) -> None:
 
 def test_valid_needs_a_channel_and_the_horizon(data: bytes) -> None:
     changes = {(0, (1, 1, 1)): -1.0, (1, (1, 1, 1)): -1e-300, (2, (1, 1, 1)): -5.0, (2, (2, 2, 2)): -1.0}
-    changes |= {(0, BELOW): 3.0}
-    changes |= {(1, BELOW): 3.0, (2, BELOW): 3.0, (0, (4, 4, 4)): 0.0}
+    changes |= {(0, BELOW): 3.0, (1, BELOW): 3.0, (2, BELOW): 3.0, (0, (4, 4, 4)): 0.0}
     measurement = parse_merl(with_values(data, changes))
     expected = nodes_above_horizon().copy()
     expected[1, 1, 1] = False
