@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsbrdf.data.files import write_atomically
 from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl, parse_merl, read_merl, write_merl
@@ -56,6 +57,8 @@ def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
     path.write_bytes(b"before")
     with pytest.raises(MeasurementFormatError):
         write_merl(path, np.full((3, *GRID_SHAPE), np.nan))
+    with pytest.raises(TypeError):
+        write_atomically(path, [b"half", None])  # type: ignore[list-item]
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
     old = tmp_path / "old"
