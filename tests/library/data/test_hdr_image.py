@@ -32,11 +32,6 @@ def written(mitsuba: ModuleType, image: NDArray[np.floating[Any]], path: Path) -
     return path
 
 
-def radiance_file(path: Path, rows: bytes, head: bytes = HEAD, size: bytes = b"-Y 2 +X 8\n") -> Path:
-    path.write_bytes(head + size + rows)
-    return path
-
-
 def test_pictures_by_another_program_are_read(mitsuba: ModuleType, tmp_path: Path) -> None:
     exact = read_hdr_image(written(mitsuba, IMAGE, tmp_path / "a.exr"))
     np.testing.assert_array_equal(exact, IMAGE.astype(np.float32))
@@ -45,16 +40,12 @@ def test_pictures_by_another_program_are_read(mitsuba: ModuleType, tmp_path: Pat
 
 
 def test_rows_are_flat_or_in_runs(tmp_path: Path) -> None:
-    pixel = bytes([128, 64, 0, 129])
-    flat = read_hdr_image(radiance_file(tmp_path / "flat.hdr", pixel * 16))
-    runs = b"".join(
-        bytes([2, 2, 0, 8, 136, 128, 2, 64, 64, 134, 64, 132, 0, 4, 0, 0, 0, 0, 136, 129]) for _ in range(2)
-    )
-    packed = read_hdr_image(radiance_file(tmp_path / "runs.hdr", runs))
-    np.testing.assert_array_equal(packed, flat)
-    np.testing.assert_allclose(flat[0, 0], np.array([128.5, 64.5, 0.5]) / 128.0)
-    exposed = HEAD.replace(b"\n\n", b"\nEXPOSURE=2\n\n")
-    np.testing.assert_allclose(read_hdr_image(radiance_file(tmp_path / "e.hdr", pixel * 16, exposed)), 0.5 * flat)
+    path, flat = tmp_path / "a.hdr", bytes([128, 64, 0, 129]) * 16
+    runs = bytes([2, 2, 0, 8, 136, 128, 2, 64, 64, 134, 64, 132, 0, 4, 0, 0, 0, 0, 136, 129]) * 2
+    for rows, head, factor in ((flat, HEAD, 1.0), (runs, HEAD, 1.0), (flat, HEAD[:-1] + b"EXPOSURE=2\n\n", 0.5)):
+        path.write_bytes(head + b"-Y 2 +X 8\n" + rows)
+        expected = np.broadcast_to(factor * np.array([128.5, 64.5, 0.5]) / 128.0, (2, 8, 3))
+        np.testing.assert_allclose(read_hdr_image(path), expected, rtol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -28,31 +28,28 @@ def random_model(
     *,
     rings: tuple[int, ...] = (1,),
     shapes: int = 1,
-    n_lobes: int = 4,
     knots: Array = KNOTS,
     family: str = "hemi_epd",
-    seed: int = 0,
-    **changed: Any,
 ) -> DSBRDF:
-    """Lobes that change wildly from knot to knot, cusps among the rings."""
-    random = np.random.default_rng(seed)
+    """Four lobes that change wildly from knot to knot, cusps among the rings."""
+    random = np.random.default_rng(0)
     count = n_control_values if interpolation == "spline" else int
-    shape = (shapes, count(SHAPE_KNOTS.size), n_lobes)
+    shape = (shapes, count(SHAPE_KNOTS.size), 4)
     center = np.zeros(shape)
     center[:, :, list(rings)] = random.uniform(-0.2, 1.2, (*shape[:2], len(rings)))
-    fields: dict[str, Any] = {
-        "amplitude": np.exp(random.uniform(-4.0, 5.0, (3, count(knots.size), n_lobes))),
-        "kappa": np.exp(random.uniform(-4.0, 2.0, shape)),
-        "gamma": np.exp(random.uniform(-2.0, 8.0, shape)),
-        "center": center,
-        "elongation": random.uniform(-0.5, 1.5, (count(ELONGATION_KNOTS.size), n_lobes)),
-        "shape_theta_diff": SHAPE_KNOTS,
-        "elongation_theta_diff": ELONGATION_KNOTS,
-        "delta": random.uniform(0.0, 2.0, (3, knots.size)),
-        "interpolation": interpolation,
-        "lobe": family,
-    }
-    return DSBRDF(knots, **(fields | changed))
+    return DSBRDF(
+        knots,
+        amplitude=np.exp(random.uniform(-4.0, 5.0, (3, count(knots.size), 4))),
+        kappa=np.exp(random.uniform(-4.0, 2.0, shape)),
+        gamma=np.exp(random.uniform(-2.0, 8.0, shape)),
+        center=center,
+        elongation=random.uniform(-0.5, 1.5, (count(ELONGATION_KNOTS.size), 4)),
+        shape_theta_diff=SHAPE_KNOTS,
+        elongation_theta_diff=ELONGATION_KNOTS,
+        delta=random.uniform(0.0, 2.0, (3, knots.size)),
+        interpolation=interpolation,
+        lobe=family,
+    )
 
 
 def curve(model: DSBRDF, knots: Array, values: Array, theta_diff: Array) -> Array:

@@ -61,19 +61,21 @@ def test_normals_are_those_of_a_sphere_seen_from_the_front() -> None:
     normals, mask = sphere_normals(40)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)
     assert mask.sum() == pytest.approx(np.pi / 4 * 40**2, rel=0.01)
-    assert normals[0, 1] > 0.9  # up
     row, column = np.nonzero(mask)
     np.testing.assert_allclose(normals[:, 0], (column + 0.5) / 20 - 1.0, atol=1e-12)
     np.testing.assert_allclose(normals[:, 1], 1.0 - (row + 0.5) / 20, atol=1e-12)
     assert (normals[:, 2] > 0.0).all()
 
 
+def lambertian_sphere(light: Light, size: int) -> np.ndarray:
+    normals, mask = sphere_normals(size)
+    image = np.zeros((size, size, 3))
+    image[mask] = np.maximum(np.outer(normals @ light.direction, light.irradiance), 0.0) * ALBEDO / np.pi
+    return image
+
+
 def test_a_lambertian_sphere_under_three_lights_has_a_closed_form() -> None:
-    normals, mask = sphere_normals(50)
-    expected = np.zeros((50, 50, 3))
-    for light in THREE_LIGHTS:
-        cosine = np.maximum(normals @ np.array(light.direction), 0.0)
-        expected[mask] += cosine[:, np.newaxis] * np.array(light.irradiance) * ALBEDO / np.pi
+    expected = sum(lambertian_sphere(light, 50) for light in THREE_LIGHTS)
     np.testing.assert_allclose(render_sphere(lambertian, size=50), expected, rtol=1e-12)
 
 
@@ -143,12 +145,8 @@ def directions_of(height: int) -> np.ndarray:
 def test_a_picture_of_the_sky_is_the_sky(height: int) -> None:
     environment = EnvironmentMap.from_pixels(environment_radiance(directions_of(height)))
     expected = render_sphere(lambertian, lighting="environment", size=48)
-    lit_by_sun = np.zeros_like(expected)
-    normals, mask = sphere_normals(48)
-    cosine = np.maximum(normals @ np.array(SUN.direction), 0.0)
-    lit_by_sun[mask] = cosine[:, None] * np.array(SUN.irradiance) * ALBEDO / np.pi
     found = render_sphere(lambertian, lighting=environment, size=48)
-    np.testing.assert_allclose(found + lit_by_sun, expected, rtol=0.01)
+    np.testing.assert_allclose(found + lambertian_sphere(SUN, 48), expected, rtol=0.01)
 
 
 def test_a_small_bright_spot_is_a_distant_light() -> None:
