@@ -75,7 +75,7 @@ class ScatteredSamples:
         name: str = "samples",
         notes: tuple[str, ...] = (),
     ) -> ScatteredSamples:
-        """Return checked samples.
+        """Return checked samples; a MeasurementFormatError says in one sentence what is wrong and what would be right.
 
         Parameters
         ----------
@@ -87,11 +87,6 @@ class ScatteredSamples:
             Positive; 1 by default.
         name, notes : optional
             See the attributes.
-
-        Raises
-        ------
-        MeasurementFormatError
-            With one sentence that says what is wrong and what would be right.
         """
         count = len(values) if isinstance(values, Sized) else 0
         if count < FEWEST_SAMPLES:

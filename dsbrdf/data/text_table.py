@@ -69,9 +69,10 @@ def parse_text_table(data: bytes, is_known: Callable[[str], bool]) -> TextTable:
             break
         units = tuple(cell.strip(" []()") for cell in first[: len(names)])
         kept = kept[1:]
-    rows = [
-        _checked_row(cells, number, names) for (number, _), cells in zip(kept, _all_cells(kept, separator), strict=True)
-    ]
+    all_cells = _split([line for _, line in kept], separator)
+    if len(all_cells) != len(kept):  # every line is a row, whatever its quotation marks
+        raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
+    rows = [_checked_row(cells, number, names) for (number, _), cells in zip(kept, all_cells, strict=True)]
     return TextTable(names, units, rows, [number for number, _ in kept], separator)
 
 
@@ -137,14 +138,6 @@ def _split(lines: Sequence[str], separator: str) -> list[list[str]]:
             f"The table cannot be split into cells: one is longer than {csv.field_size_limit()} characters, or a "
             "quotation mark is not closed."
         ) from None
-
-
-def _all_cells(rows: list[tuple[int, str]], separator: str) -> list[list[str]]:
-    """Split rows; every line is one, whatever its quotation marks."""
-    cells = _split([line for _, line in rows], separator)
-    if len(cells) != len(rows):
-        raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
-    return cells
 
 
 def _checked_row(cells: list[str], number: int, names: tuple[str, ...]) -> list[str]:

@@ -153,14 +153,12 @@ class DSBRDF(ReflectanceModel):
         values = self._evaluator.values(theta_half, theta_diff, phi_diff)
         if self._has_delta:
             inside = theta_half < CENTER_CUTOFF
-            for channel in range(3):
-                height = np.interp(theta_diff[inside], self.theta_diff, self.delta[channel])
-                values[inside, channel] += height
+            values[inside] += self._delta_at(theta_diff[inside])
         return values
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
-        delta = np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta])[..., None]
+        delta = self._delta_at(theta_diff).T[..., None]
         for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
             yield values + delta if angle < CENTER_CUTOFF else values
 
@@ -172,8 +170,7 @@ class DSBRDF(ReflectanceModel):
         """
         theta_diff = check_angle("theta_diff", theta_diff)
         flat = theta_diff.ravel()
-        delta = np.stack([np.interp(flat, self.theta_diff, row) for row in self.delta], axis=-1)
-        parts = (*self._evaluator.parameters(flat), delta)
+        parts = (*self._evaluator.parameters(flat), self._delta_at(flat))
         names = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
         return {name: part.reshape(theta_diff.shape + part.shape[1:]) for name, part in zip(names, parts, strict=True)}
 
@@ -241,6 +238,9 @@ class DSBRDF(ReflectanceModel):
     def sampler(self) -> DirectionSampler:
         """The mixture of densities that `sample` draws from, for programs that draw themselves."""
         return direction_sampler(self.evaluate_unmasked)
+
+    def _delta_at(self, theta_diff: Array) -> Array:
+        return np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta], axis=-1)
 
     @cached_property
     def _has_delta(self) -> bool:

@@ -28,7 +28,7 @@ class ReflectanceModel(ABC):
         """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """BRDF values for half and difference angles.
+        """RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
 
         Parameters
         ----------
@@ -36,12 +36,7 @@ class ReflectanceModel(ABC):
             Angles, 0 to pi/2 [rad].
         phi_diff : array_like, optional
             Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
-            the normal. The three broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            RGB values [1/sr]; 0 where one of the directions is below the horizon.
+            the normal. Where one of them is below the horizon the value is 0.
 
         Raises
         ------
@@ -62,17 +57,10 @@ class ReflectanceModel(ABC):
         return values.reshape(*theta_half.shape, 3)
 
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """BRDF values for pairs of directions.
+        """RGB values (..., 3) [1/sr] for pairs of unit vectors (..., 3) that broadcast, the normal being (0, 0, 1).
 
-        Parameters
-        ----------
-        omega_in, omega_out : array_like, shape (..., 3)
-            Unit vectors, the normal being (0, 0, 1); they broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            RGB values [1/sr]; 0 where one of the directions is below the horizon (z < 0).
+        They are 0 where one of the directions is below the horizon (z < 0). Raises InvalidArgumentError if one is not
+        a unit vector.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         second = check_directions("omega_out", omega_out, below_horizon=True)
