@@ -62,7 +62,7 @@ class Evaluator:
 
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""
-        rows = self._rows(theta_diff)
+        rows = self._looked_up(theta_diff)
         amplitude, kappa, gamma, center, elongation = (rows[part].T for part in self._parts)
         n, k = theta_diff.size, self._n_lobes
         kappa, gamma, center = (part.reshape(n, self._n_shapes, k) for part in (kappa, gamma, center))
@@ -75,7 +75,7 @@ class Evaluator:
         tangent = np.minimum(np.tan(theta_half), _LARGEST_TANGENT)
         squared = np.square(tangent, out=tangent)
         if theta_half.size <= _FEW:
-            return self._sum(self._rows(theta_diff), squared, theta_diff, phi_diff)
+            return self._sum(self._looked_up(theta_diff), squared, theta_diff, phi_diff)
         result = np.empty((theta_half.size, 3))
         for start in range(0, theta_half.size, _BLOCK):
             block = slice(start, start + _BLOCK)
@@ -114,11 +114,10 @@ class Evaluator:
             chosen = order[start : start + count]
             start += count
             if count:
-                terms = self._terms[:, :, index : index + 1]
                 steps, angles = step[chosen], theta_diff[chosen]
                 if (angles == angles[0]).all():  # as under one distant light: parameters are found once
                     steps, angles = steps[:1], angles[:1]
-                rows = self._natural(_polynomial(terms, steps))
+                rows = self._rows(self._terms[:, :, index : index + 1], steps)
                 result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
     def _place(self, theta_diff: Array) -> tuple[Indices, Array]:
@@ -128,13 +127,18 @@ class Evaluator:
         piece = breaks[1:-1].searchsorted(held, side="right")
         return piece, held - breaks[piece]
 
-    def _rows(self, theta_diff: Array) -> Array:
-        """Parameters at each angle, looked up one by one."""
+    def _looked_up(self, theta_diff: Array) -> Array:
+        """Rows of parameters at each angle, the terms of each being looked up."""
         piece, step = self._place(theta_diff)
-        return self._natural(_polynomial(self._terms.take(piece, axis=2), step))
+        return self._rows(self._terms.take(piece, axis=2), step)
 
-    def _natural(self, rows: Array) -> Array:
-        """Turn the rows that run as curves into the parameters themselves, in place."""
+    def _rows(self, terms: Array, step: Array) -> Array:
+        """Parameters by the polynomials' terms (4, R, n or 1), where they run as logarithms turned into themselves."""
+        rows = terms[0] * step
+        for term in terms[1:3]:
+            rows += term
+            rows *= step
+        rows += terms[3]
         logarithms = rows[: self._n_logarithms]
         (np.exp if self._spline else np.expm1)(logarithms, out=logarithms)
         return rows
@@ -161,12 +165,3 @@ def _stretch(elongation: Array, theta_diff: Array, phi_diff: Array) -> Array:
     cos2 = np.square(np.cos(phi_diff))
     ratio = np.exp(elongation * log_cosine(theta_diff))
     return cos2 / ratio + (1.0 - cos2) * ratio
-
-
-def _polynomial(terms: Array, step: Array) -> Array:
-    result = terms[0] * step
-    for term in terms[1:3]:
-        result += term
-        result *= step
-    result += terms[3]
-    return result

@@ -14,10 +14,9 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def exposure(image: Array, mask: Mask) -> float:
-    """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1.
+    """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1; 1 if it is black.
 
-    It is 1 where that percentile is black. As a rule the image is that of the measurement: what is compared with it
-    gets the same exposure.
+    As a rule the image is that of the measurement: what is compared with it gets the same exposure.
     """
     bright = float(np.quantile(image[mask], _BRIGHT))
     return 1.0 / bright if bright > 0.0 else 1.0

@@ -69,7 +69,9 @@ class DirectionSampler:
         uniform = rng.random((2, row.size))
         cosine = chosen >= self.along.shape[1]
         omega_in = np.empty_like(omega_out)
-        omega_in[cosine] = _cosine_directions(uniform[:, cosine])
+        radius, turn = np.sqrt(uniform[0, cosine]), 2.0 * np.pi * uniform[1, cosine]
+        up = np.sqrt(1.0 - uniform[0, cosine])
+        omega_in[cosine] = np.stack([radius * np.cos(turn), radius * np.sin(turn), up], axis=-1)
         row, chosen, omega_out = row[~cosine], chosen[~cosine], omega_out[~cosine]
         half = _visible_normals(omega_out, self.along[row, chosen], self.across[row, chosen], uniform[:, ~cosine])
         omega_in[~cosine] = 2.0 * np.einsum("ni,ni->n", half, omega_out)[:, None] * half - omega_out
@@ -181,12 +183,6 @@ def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Arr
     toward, aside = along * (radius * np.cos(turn) + seen[0]), across * radius * np.sin(turn)
     half = np.stack([toward * x - aside * y, toward * y + aside * x, z + seen[1]], axis=-1)
     return np.asarray(half / np.sqrt(np.einsum("ni,ni->n", half, half))[:, None])
-
-
-def _cosine_directions(uniform: Array) -> Array:
-    """Directions (n, 3) with density cos(theta) / pi from numbers (2, n) between 0 and 1."""
-    radius, angle = np.sqrt(uniform[0]), 2.0 * np.pi * uniform[1]
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - uniform[0])], axis=-1)
 
 
 def _row(omega_out: Array) -> Indices:
