@@ -101,7 +101,12 @@ class ScatteredSamples:
             "weight": _numbers("weight", np.ones(count) if weight is None else weight, (count,)),
         }
         for side in ("omega_in", "omega_out"):
-            arrays[side] = _unit(side, arrays[side])
+            length = np.linalg.norm(arrays[side], axis=1)
+            _refuse(
+                "is not of unit length", side, np.abs(length - 1.0) > _UNIT_TOLERANCE, "directions are unit vectors"
+            )
+            _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
+            arrays[side] /= length[:, np.newaxis]
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
         _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, "no reflectance is")
         _refuse("is not positive", "weight", arrays["weight"] <= 0.0, "leave out what must not count")
@@ -124,13 +129,6 @@ def _numbers(name: str, array: ArrayLike, shape: tuple[int, ...]) -> Array:
     finite = np.isfinite(numbers.reshape(shape[0], -1)).all(axis=1)
     _refuse("is NaN or infinite", name, np.logical_not(finite), "numbers are finite")
     return numbers
-
-
-def _unit(name: str, vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1)
-    _refuse("is not of unit length", name, np.abs(length - 1.0) > _UNIT_TOLERANCE, "directions are unit vectors")
-    _refuse("is not above the horizon", name, vectors[:, 2] <= 0.0, "z must be positive")
-    return np.asarray(vectors / length[:, np.newaxis])
 
 
 def _refuse(fault: str, name: str, wrong: Mask, right: str) -> None:

@@ -52,7 +52,6 @@ class EnvironmentRings:
 
     angles: tuple[Array, Array, Array]  # theta_half, theta_diff and phi_diff of all nodes, (M,) each
     spread: tuple[sparse.csc_array, ...]
-    shape: tuple[int, int]  # P and A
     to_pixels: sparse.csr_array  # bilinear interpolation, (N, R * A)
 
     def radiance(self, evaluate: Evaluate, environment: Array) -> Array:
@@ -68,9 +67,9 @@ class EnvironmentRings:
             stop = start + spread.shape[1]
             channels = []
             for channel, harmonics in enumerate(series):
-                maps = (spread @ values[start:stop, channel]).reshape(-1, *self.shape)
+                maps = (spread @ values[start:stop, channel]).reshape(-1, *environment.shape[1:])
                 products = np.einsum("rpm,pm->rm", rfft(maps, axis=-1), harmonics.conj()).conj()
-                channels.append(irfft(products, self.shape[1], axis=-1))
+                channels.append(irfft(products, environment.shape[2], axis=-1))
             rings.append(np.stack(channels, axis=-1))
             start = stop
         turned = np.concatenate(rings).reshape(-1, 3)
@@ -91,7 +90,7 @@ def environment_rings(normals: Array, size: int) -> EnvironmentRings:
     spread = tuple(_spread(nodes[start : start + _RINGS_AT_ONCE], shape) for start in groups)
     position = tilt / rings[-1] * (rings.size - 1), np.arctan2(normals[:, 1], normals[:, 0]) * shape[1] / (2.0 * np.pi)
     to_pixels = _gathering(*_bilinear(*position, (rings.size, shape[1])), rings.size * shape[1])
-    return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, shape, to_pixels)
+    return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, to_pixels)
 
 
 def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:

@@ -30,18 +30,7 @@ class Evaluator:
     channels share them, else 3; `is_ring` says which of the K lobes have a center.
     """
 
-    def __init__(
-        self,
-        amplitude: tuple[Array, Array],
-        shape: tuple[Array, Array],
-        elongation: tuple[Array, Array],
-        *,
-        n_shapes: int,
-        is_ring: Mask,
-        family: str,
-        spline: bool,
-    ) -> None:
-        groups = (amplitude, shape, elongation)
+    def __init__(self, *groups: tuple[Array, Array], n_shapes: int, is_ring: Mask, family: str, spline: bool) -> None:
         breaks = np.unique(np.concatenate([knots for knots, _ in groups]))
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
@@ -54,7 +43,7 @@ class Evaluator:
         starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]
         self._runs = [slice(start, stop) for start, stop in itertools.pairwise([*starts, n_lobes])]
         self._single_lobes = [slice(lobe, lobe + 1) for lobe in range(n_lobes)]
-        self._round = not elongation[1].any()
+        self._round = not groups[2][1].any()
         kc = n_lobes * n_shapes
         ends = np.cumsum([0, 3 * n_lobes, kc, kc, kc, n_lobes]).tolist()
         self._parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
