@@ -102,9 +102,8 @@ class ScatteredSamples:
         }
         for side in ("omega_in", "omega_out"):
             length = np.linalg.norm(arrays[side], axis=1)
-            _refuse(
-                "is not of unit length", side, np.abs(length - 1.0) > _UNIT_TOLERANCE, "directions are unit vectors"
-            )
+            off = np.abs(length - 1.0) > _UNIT_TOLERANCE
+            _refuse("is not of unit length", side, off, "directions are unit vectors")
             _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
             arrays[side] /= length[:, np.newaxis]
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")

@@ -24,7 +24,7 @@ _LARGEST_TANGENT = 1e15  # of theta_half = pi/2
 class Evaluator:
     """The lobes of a model, made ready to be evaluated; safe to use from several threads.
 
-    Each group of parameters has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
+    Each of three `groups` has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
     Rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation (lobe); amplitude,
     kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma. There is one shape if the
     channels share them, else 3; `is_ring` says which of the K lobes have a center.
