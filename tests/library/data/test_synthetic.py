@@ -1,6 +1,7 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.interpolation import interpolate
@@ -8,8 +9,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.model.albedo import directional_albedo
-
-Array = NDArray[np.float64]
+from tests.support.random_models import random_model
 
 
 def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) -> None:
@@ -58,36 +58,22 @@ def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
     assert abs(np.corrcoef(ratio[0], ratio[1]).ravel()[1]) < 5e-3
 
 
-class Tilted:
-    """A model whose values tell the angles, times a factor."""
-
-    def __init__(self, factor: float = 1.0) -> None:
-        self.factor = factor
-
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> Array:
-        half, diff, phi = np.broadcast_arrays(theta_half, theta_diff, phi_diff)
-        return self.factor * np.stack([1.0 + half, 2.0 + diff, 3.0 + half * phi], axis=-1)
-
-
 def test_model_measurement_holds_the_model() -> None:
-    measurement = model_measurement(Tilted(), name="tilted")
-    above = nodes_above_horizon()
+    model, above = random_model(), nodes_above_horizon()
+    measurement = model_measurement(model, name="wild")
     np.testing.assert_array_equal(measurement.valid, above)
-    for i, j, k in ((0, 0, 0), (20, 50, 7), (45, 60, 90), (2, 80, 179)):
-        assert above[i, j, k]
-        half, diff = THETA_HALF[i], THETA_DIFF[j]
-        expected = [1 + half, 2 + diff, 3 + half * np.radians(k)]
-        np.testing.assert_allclose(measurement.values[:, i, j, k], expected, rtol=1e-15)
+    np.testing.assert_allclose(measurement.values[:, above], model.tabulate()[:, above], rtol=1e-11)
     assert (measurement.stored[:, ~above] == -1.0).all()
-    assert measurement.name == "tilted"
+    assert measurement.name == "wild"
+    assert model_measurement(model, noise=0.1, seed=1, name="wild").sha256 != measurement.sha256
 
 
-def test_model_measurement_noise_and_faults() -> None:
-    assert model_measurement(Tilted(), noise=0.1, seed=1).sha256 != model_measurement(Tilted()).sha256
+def test_model_measurement_refuses_what_is_none() -> None:
+    broken = SimpleNamespace(evaluate=lambda _, theta_diff, __: np.full((theta_diff.size, 3), np.nan))
     with pytest.raises(MeasurementFormatError, match="NaN or infinite"):
-        model_measurement(Tilted(np.nan))
+        model_measurement(broken)
     with pytest.raises(InvalidArgumentError, match=r"noise must be in \[0, 1\], not -0\.1"):
-        model_measurement(Tilted(), noise=-0.1)
+        model_measurement(random_model(), noise=-0.1)
 
 
 @pytest.mark.parametrize(

@@ -16,21 +16,6 @@ from tests.support.random_models import SLICES, papers_model, random_model
 Array = NDArray[np.float64]
 
 
-def test_papers_model_is_the_formula_of_the_paper_at_and_between_the_slices() -> None:
-    model, half = papers_model(), np.radians([0.0, 0.999, 1.0, 30.0, 74.0])
-    for theta_diff in (*SLICES.tolist(), 0.0, 0.3, np.pi / 2):
-        for c in range(3):
-            delta = np.interp(theta_diff, SLICES, model.delta[c])
-            kappa, gamma = (
-                np.array([np.interp(theta_diff, SLICES, part[c, :, k]) for k in range(3)])
-                for part in (model.kappa, model.gamma)
-            )
-            expected = np.sum(np.exp(kappa * np.cos(half[:, None]) ** gamma) - 1.0, axis=1)
-            expected += np.where(half < np.radians(1.0), delta, 0.0)
-            found = model.evaluate_unmasked(half, np.full(5, theta_diff), np.zeros(5))[:, c]
-            np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-14)
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_value_is_positive_and_reciprocal_and_the_sum_of_its_lobes(family: str) -> None:
     omega_in, omega_out = pairs_of_directions(20_000, lowest=0.0)
