@@ -21,7 +21,6 @@ SUFFIXES = (".hdr", ".exr")
 """Of pictures of radiance."""
 _MOST_PIXELS = 1 << 26
 _RESOLUTION = re.compile(rb"-Y ([0-9]{1,6}) \+X ([0-9]{1,6})\n")
-_EXR_MAGIC = b"v/1\x01"
 
 
 def read_hdr_image(path: str | os.PathLike[str]) -> Array:
@@ -34,7 +33,7 @@ def read_hdr_image(path: str | os.PathLike[str]) -> Array:
     if source.suffix.lower() not in SUFFIXES:
         raise ImageFormatError(f"A picture of radiance ends in {' or '.join(SUFFIXES)}, unlike {source.name!r}.")
     data = source.read_bytes()
-    if data.startswith(_EXR_MAGIC):
+    if data.startswith(b"v/1\x01"):
         pixels = _read_exr(source)
     elif data.startswith(b"#?"):
         pixels = _parse_radiance(data)

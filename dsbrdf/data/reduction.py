@@ -71,12 +71,8 @@ class Profiles:
         phi_diff, for each (channel, theta_diff, theta_half). Where ``weight`` is 0 the others are 0.
     folded : FoldedProfiles
         The same samples with their phi_diff, and those beyond the cutoff too.
-    horizon_cutoff : float or None
-        Largest angle to the normal of either direction of the samples used [rad]; None is the horizon.
-    weighting : str
-        One of `WEIGHTINGS`; ``folded`` is not weighted.
-    robust : bool
-        Whether outliers over phi_diff were down-weighted.
+    horizon_cutoff, weighting, robust
+        The options of `profiles`; ``folded`` is not weighted.
     name, sha256 : str
         Of the measurement.
     """

@@ -41,10 +41,8 @@ def synthetic_measurement(
     ----------
     roughness : float
         Width of the GGX distribution of slopes (its ``alpha``), in [0.005, 1].
-    diffuse : tuple of float
-        RGB albedo of the diffuse term, in [0, 1].
-    specular : tuple of float
-        RGB reflectance of the surface at normal incidence (``F0``), in [0, 1].
+    diffuse, specular : tuple of float
+        RGB albedo of the diffuse term, and RGB reflectance of the surface at normal incidence (``F0``), in [0, 1].
     noise : float
         Relative standard deviation of independent log-normal noise of mean 1 on every value, in [0, 1].
     seed : int
