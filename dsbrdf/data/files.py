@@ -13,7 +13,8 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     temporary file is removed; an OSError names `path`.
     """
     target = Path(path)
-    temporary = target.with_name(f".{target.name[:100]}.{token_hex(8)}.part")
+    # Fifty characters, of four bytes at most, do not make the name longer than a file system allows.
+    temporary = target.parent / f".{target.name[:50]}.{token_hex(8)}.part"
     try:
         file = temporary.open("xb")
     except OSError as error:

@@ -69,10 +69,13 @@ def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
         write_merl(tmp_path / "missing" / "a.binary", np.ones((3, *GRID_SHAPE)))
 
 
-def test_written_files_have_ordinary_permissions(plastic: Measurement, tmp_path: Path) -> None:
-    write_merl(tmp_path / "a.binary", plastic)
+def test_written_files_have_ordinary_permissions_and_names_of_any_length(tmp_path: Path) -> None:
     (tmp_path / "b").write_bytes(b"")
-    assert (tmp_path / "a.binary").stat().st_mode == (tmp_path / "b").stat().st_mode
+    for name in ("a", "\N{GLOWING STAR}" * 63, "a" * 255):
+        write_atomically(tmp_path / name, [b"whole"])
+        assert (tmp_path / name).stat().st_mode == (tmp_path / "b").stat().st_mode
+    with pytest.raises(IsADirectoryError):
+        write_atomically(tmp_path, [b"whole"])
 
 
 def test_reference_files_round_trip(reference_files: dict[str, Path]) -> None:
