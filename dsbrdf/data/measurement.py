@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
 from dsbrdf.errors import MeasurementFormatError
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class Measurement:
     """One measured material; two are equal if their bytes and their names are.
 
@@ -34,9 +34,9 @@ class Measurement:
         Hexadecimal digest of the file's bytes: the identity of the measurement.
     """
 
-    stored: Array
-    scale: Array
-    valid: Mask
+    stored: Array = field(compare=False)
+    scale: Array = field(compare=False)
+    valid: Mask = field(compare=False)
     name: str
     sha256: str
 
@@ -47,14 +47,6 @@ class Measurement:
         from dsbrdf.output.notebook import measurement_html
 
         return measurement_html(self)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Measurement):
-            return NotImplemented
-        return (self.sha256, self.name) == (other.sha256, other.name)
-
-    def __hash__(self) -> int:
-        return hash((self.sha256, self.name))
 
     def known(self, row: int) -> Mask:
         """Where each channel has a value in the theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
