@@ -6,16 +6,14 @@ longer.
 
 import sqlite3
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application, run_words
 
 from ..errors import CheckFailedError
 from ..storage.blobs import Blobs
-from ..storage.database import FILE_NAME
+from ..storage.database import read_only
 from ..storage.schema import VERSION
 from . import DataDir, Json, run_in_folder
 
@@ -46,13 +44,13 @@ def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
 
 
 def _database(folder: Path) -> str:
-    ((version,),) = _rows(folder, "PRAGMA user_version")
+    ((version,),) = read_only(folder, "PRAGMA user_version")
     if version != VERSION:
         raise CheckFailedError("another release made it, with other tables: use that release")
-    faults = [fault for (fault,) in _rows(folder, "PRAGMA integrity_check(3)")]
+    faults = [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)")]
     if faults != ["ok"]:
         raise CheckFailedError(f"{'; '.join(faults)}: restore the folder from a copy")
-    ((fits,),) = _rows(folder, "SELECT count(*) FROM fits")
+    ((fits,),) = read_only(folder, "SELECT count(*) FROM fits")
     return f"intact, {fits} fits"
 
 
@@ -68,25 +66,16 @@ def _measurements(folder: Path) -> str:
 
 
 def _lost(folder: Path) -> str:
-    number = Blobs(folder).n_lost()
-    if number:
-        place = folder / "lost"
+    if number := Blobs(folder).n_lost():
         raise CheckFailedError(
-            f"{number} files have no row or not the bytes that they are named by: they are in {place}, from where an "
-            "upload of the same measurement takes one back; remove those that nobody needs"
+            f"{number} files have no row or not the bytes that they are named by: they are in {folder / 'lost'}, from "
+            "where an upload of the same measurement takes one back; remove those that nobody needs"
         )
     return "no file is set aside"
 
 
 def _stored(folder: Path) -> set[str]:
-    return {sha256 for (sha256,) in _rows(folder, "SELECT DISTINCT sha256 FROM measurements")}
-
-
-def _rows(folder: Path, query: str) -> list[tuple[Any, ...]]:
-    """Return what `query` selects from the database, which is opened for reading only."""
-    uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
-    with closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as db:
-        return db.execute(query).fetchall()
+    return {sha256 for (sha256,) in read_only(folder, "SELECT DISTINCT sha256 FROM measurements")}
 
 
 CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements, "lost files": _lost}

@@ -172,7 +172,9 @@ class FitViews:
     def _measurement(self, row: FitRow) -> StoredMeasurement | None:
         """Return the fit's measurement, unless it has been deleted or is none on a grid."""
         try:
-            return StoredMeasurement(self._store.measured_grid(row.owner, row.measurement), row.measurement)
+            return StoredMeasurement(
+                self._store.measurement_file(row.owner, row.measurement, drawn=True), row.measurement
+            )
         except ProblemError as error:
             if error.kind != "not-found":
                 raise

@@ -62,8 +62,8 @@ class Context:
             raise
 
     async def stored_measurement(self, owner: str, sha256: str, name: str | None = None) -> StoredMeasurement:
-        """Return a measurement to be drawn; raises as `Store.measured_grid`."""
-        path = await run_in_threadpool(self.store.measured_grid, owner, sha256)
+        """Return a measurement to be drawn; raises as `Store.measurement_file`."""
+        path = await run_in_threadpool(self.store.measurement_file, owner, sha256, drawn=True)
         return StoredMeasurement(path, sha256, name)
 
 

@@ -17,7 +17,7 @@ from typing import Any, ParamSpec, TypeVar
 from anyio import CapacityLimiter, to_thread
 
 from ..errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
-from .schema import VERSION, create_tables, version_of
+from .schema import VERSION, create_tables, pragma
 
 FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"
@@ -44,30 +44,28 @@ class Database:
         self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT
         self._path = folder.resolve() / FILE_NAME
         self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
-        self._resources = ExitStack()
         try:
-            if exclusive:
-                self._resources.enter_context(_lock(folder))
-                check_integrity(folder)
-            with suppress(FileExistsError):  # SQLite gives its other files the same mode
-                os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
-            self._writer, self._reader = self._connection(), self._connection()
-            if exclusive:
-                create_tables(self._writer)
-            elif version_of(self._writer) != VERSION:
-                with _lock(folder):  # one process at a time creates them
+            with ExitStack() as resources:
+                if exclusive:
+                    resources.enter_context(_lock(folder))
+                    check_integrity(folder)
+                with suppress(FileExistsError):  # SQLite gives its other files the same mode
+                    os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
+                self._writer = resources.enter_context(closing(self._connection()))
+                self._reader = resources.enter_context(closing(self._connection()))
+                if exclusive:
                     create_tables(self._writer)
-            for pragma in ("journal_mode = WAL", "synchronous = FULL"):
-                self._writer.execute(f"PRAGMA {pragma}")
-            self._reader.execute("PRAGMA query_only = ON")
-            self._version = self._data_version()
-            self._identity = _identity(self._path)
+                elif pragma(self._writer, "user_version") != VERSION:
+                    with _lock(folder):  # one process at a time creates them
+                        create_tables(self._writer)
+                self._writer.execute("PRAGMA journal_mode = WAL")
+                self._writer.execute("PRAGMA synchronous = FULL")
+                self._reader.execute("PRAGMA query_only = ON")
+                self._version = pragma(self._writer, "data_version")
+                self._status = self._path.stat()
+                self._resources = resources.pop_all()
         except sqlite3.DatabaseError as error:
-            self.close()
             raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}") from error
-        except BaseException:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Close the connections and release the lock."""
@@ -106,29 +104,20 @@ class Database:
     def changed_by_others(self) -> bool:
         """Return whether another process has written since this was asked before, or since the database was opened."""
         with self._writer_lock:
-            before, self._version = self._version, self._data_version()
+            before, self._version = self._version, pragma(self._writer, "data_version")
         return self._version != before
 
-    def _data_version(self) -> int:
-        (version,) = self._writer.execute("PRAGMA data_version").fetchone()
-        return int(version)
-
     def _connection(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(
-            self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False
-        )
-        return self._resources.enter_context(closing(connection))
+        return sqlite3.connect(self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False)
 
     def _check_file(self) -> None:
-        try:
-            same = _identity(self._path) == self._identity
-        except OSError:
-            same = False
-        if not same:
-            raise DatabaseLostError(
-                "its file has been removed or replaced while the service had it open; put it back, or start the "
-                "service again"
-            )
+        with suppress(OSError):
+            if os.path.samestat(self._path.stat(), self._status):
+                return
+        raise DatabaseLostError(
+            "its file has been removed or replaced while the service had it open; put it back, or start the "
+            "service again"
+        )
 
 
 async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -141,20 +130,26 @@ def check_integrity(folder: Path) -> None:
 
     A damaged table can lack rows, and files without a row would be set aside.
     """
-    path = folder.resolve() / FILE_NAME
-    if not path.exists():
+    if not (folder / FILE_NAME).exists():
         return
     remedy = "restore the folder from a copy; nothing in it has been changed"
-    try:  # the other connections would write the log of a damaged database into its file when they are closed
-        with closing(
-            sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=_COMMAND_BUSY_TIMEOUT)
-        ) as connection:
-            ((fault,),) = connection.execute("PRAGMA integrity_check(1)").fetchall()
+    try:
+        ((fault,),) = read_only(folder, "PRAGMA integrity_check(1)")
     except sqlite3.DatabaseError as error:
         raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}; {remedy}") from error
     if fault != "ok":
         first = " ".join(fault.split())
         raise DataFolderError(f"the database {folder / FILE_NAME} is damaged ({first}); {remedy}")
+
+
+def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
+    """Return what `query` selects from the database of a folder, without changing anything.
+
+    Another connection would write the log of a damaged database into its file when it is closed.
+    """
+    uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
+    with closing(sqlite3.connect(uri, uri=True, timeout=_COMMAND_BUSY_TIMEOUT)) as connection:
+        return connection.execute(query).fetchall()
 
 
 def own_folder(folder: Path) -> Path:
@@ -170,11 +165,11 @@ def own_folder(folder: Path) -> Path:
 
 def _claim(folder: Path) -> None:
     """Make the folder; raise DataFolderError if it holds anything, but no database of the service."""
-    if folder.is_symlink() or folder.exists():
-        if not folder.is_dir():
-            raise DataFolderError(f"{folder} is not a folder; give a data folder that is new, empty or the service's")
-    else:
+    try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except FileExistsError:
+        reason = f"{folder} is not a folder; give a data folder that is new, empty or the service's"
+        raise DataFolderError(reason) from None
     names = {path.name for path in folder.iterdir()}
     database = folder / FILE_NAME
     ours = database.is_file() and not database.is_symlink()
@@ -203,9 +198,3 @@ def _lock(folder: Path) -> Iterator[None]:
         raise DataFolderInUseError(f"the data folder {folder} is in use by another server") from None
     finally:
         os.close(descriptor)
-
-
-def _identity(path: Path) -> tuple[int, int]:
-    """Return (device, inode), which identify the file as long as it exists."""
-    status = path.stat()
-    return status.st_dev, status.st_ino

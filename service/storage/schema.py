@@ -53,10 +53,10 @@ IS_UNFINISHED = f"status IN {UNFINISHED}"  # for SQL, which writes a tuple as Py
 _REPEATABLE = ("compute", "system")  # origins of a failure after which the same request runs again
 
 
-def version_of(connection: sqlite3.Connection) -> int:
-    """Return the version of the tables; 0 if there are none yet."""
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    return int(version)
+def pragma(connection: sqlite3.Connection, name: str) -> int:
+    """Return a number that SQLite keeps; `user_version` is that of the tables, 0 if there are none yet."""
+    (value,) = connection.execute(f"PRAGMA {name}").fetchone()
+    return int(value)
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -64,18 +64,18 @@ def create_tables(connection: sqlite3.Connection) -> None:
 
     Raises DataFolderError if another release or another program has written the database.
     """
-    version = version_of(connection)
-    if version == 0 and connection.execute("SELECT 1 FROM sqlite_master").fetchone():
-        raise DataFolderError(
-            "the database is another program's; give a data folder that is new, empty or the service's"
-        )
-    if version not in (0, VERSION):
+    version = pragma(connection, "user_version")
+    if version == VERSION:
+        return
+    if version:
         raise DataFolderError(
             "the database was made by another release, which has other tables; serve it with that release, or give "
             "a data folder that is new or empty"
         )
-    if version == VERSION:
-        return
+    if connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+        raise DataFolderError(
+            "the database is another program's; give a data folder that is new, empty or the service's"
+        )
     connection.executescript(f"BEGIN IMMEDIATE; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
 
 

@@ -7,15 +7,14 @@ state are written in one transaction. One server at a time may open a data folde
 import hashlib
 import json
 import logging
-import sqlite3
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import dsbrdf
 
-from ..errors import DataFolderError, FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
+from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import (
@@ -29,10 +28,9 @@ from .schema import (
     Status,
     checksum,
     columns,
+    pragma,
 )
 from .uploads import Uploads, check_queue, check_storage
-
-_Row = TypeVar("_Row")
 
 logger = logging.getLogger(__name__)
 
@@ -42,19 +40,17 @@ _REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = atte
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
-_INSERT_FIT = (
-    "INSERT INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
+# A fit that runs again is a new row, at the head of the list.
+_ADD_FIT = (
+    "REPLACE INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
     f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
 )
-_INSERT_MEASUREMENT = (
+_ADD_MEASUREMENT = (
     "INSERT INTO measurements (seq, owner, sha256, name, size, valid_nodes, created)"  # noqa: S608
-    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?, ?) RETURNING {columns(MeasurementRow)}"
+    f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?, ?) ON CONFLICT (owner, sha256) DO UPDATE"
+    f" SET name = coalesce(excluded.name, name) RETURNING {columns(MeasurementRow)}"
 )
 _RENAME_FIT = f"UPDATE fits SET name = coalesce(?, name) {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
-_RENAME_MEASUREMENT = (
-    f"UPDATE measurements SET name = coalesce(?, name) {_WHERE_MEASUREMENT}"  # noqa: S608
-    f" RETURNING {columns(MeasurementRow)}"
-)
 
 
 def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
@@ -81,9 +77,6 @@ class Store:
         try:
             self.blobs.make_folders()
             self._match_files_to_rows()
-        except sqlite3.DatabaseError as error:
-            self.close()
-            raise DataFolderError(f"the database in {folder} cannot be used: {error}") from error
         except BaseException:
             self.close()
             raise
@@ -105,52 +98,42 @@ class Store:
         if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
             return found, False
         with self.database.transaction() as db:
-            query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
-            known = db.execute(query, (caller.owner, sha256)).fetchone()
-            if known is None:
+            query = f"SELECT 1 FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
+            new = db.execute(query, (caller.owner, sha256)).fetchone() is None
+            if new:
                 check_storage(db, caller, incoming.size)
-                values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
-                (row,) = db.execute(_INSERT_MEASUREMENT, values).fetchall()
-            else:
-                (row,) = db.execute(_RENAME_MEASUREMENT, (name, caller.owner, sha256)).fetchall()
+            values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
+            (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
             # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
             self.blobs.place(incoming)
-        return MeasurementRow(*row), known is None
+        return MeasurementRow(*row), new
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
         """Return a measurement's row."""
-        query = f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}"
-        return self._one(lambda row: MeasurementRow(*row), query, owner, sha256)
+        rows = self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256)
+        return MeasurementRow(*rows[0]) if rows else None
 
-    def measurement_file(self, owner: str, sha256: str) -> Path:
+    def measurement_file(self, owner: str, sha256: str, *, drawn: bool = False) -> Path:
         """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
 
-        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged.
+        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
+        and ProblemError if it is to be `drawn` and is a table of samples.
         """
         damage = None if self.measurement(owner, sha256) is None else self.blobs.damage(sha256)
-        if self.measurement(owner, sha256) is None:  # or it has been deleted meanwhile, file and row
+        row = self.measurement(owner, sha256)
+        if row is None:  # or it has been deleted meanwhile, file and row
             raise MeasurementNotFoundError(sha256)
         if damage is not None:
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
+        if drawn and not row.on_grid:
+            detail = "The measurement is a table of scattered samples, of which there is no picture."
+            raise ProblemError("not-found", detail)
         return self.blobs.path(sha256)
-
-    def measured_grid(self, owner: str, sha256: str) -> Path:
-        """Return the file of a measurement on a grid, of which there are pictures; raises as `measurement_file`.
-
-        Raises ProblemError if it is a table of samples.
-        """
-        path = self.measurement_file(owner, sha256)
-        row = self.measurement(owner, sha256)
-        if row is not None and not row.on_grid:
-            raise ProblemError(
-                "not-found", "The measurement is a table of scattered samples, of which there is no picture."
-            )
-        return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
-        return self._page(lambda row: MeasurementRow(*row), _SELECT_MEASUREMENT, owner, limit, before, name)
+        return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, name)]
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, its finished fits stay; return whether there was one.
@@ -174,12 +157,7 @@ class Store:
         return removed
 
     def add_fit(
-        self,
-        caller: Caller,
-        sha256: str,
-        options: Mapping[str, Any],
-        queue_limit: int,
-        name: str | None = None,
+        self, caller: Caller, sha256: str, options: Mapping[str, Any], queue_limit: int, name: str | None = None
     ) -> tuple[FitRow, bool]:
         """Accept a fit of a stored measurement, or find the same one; the flag says whether it has to be computed.
 
@@ -189,16 +167,15 @@ class Store:
         Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
-        found = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+        select = f"{_SELECT_FIT} {_WHERE_FIT}"
+        found = _first(self.database.rows(select, *key))
         if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
-        versions = (dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__)
         with self.database.transaction() as db:
-            values = db.execute(f"{_SELECT_FIT} {_WHERE_FIT}", key).fetchone()
-            known = None if values is None else FitRow.from_values(values)
+            known = _first(db.execute(select, key).fetchall())
             if known is not None and not known.repeatable:
-                (values,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
-                return FitRow.from_values(values), False
+                (row,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
+                return FitRow.from_values(row), False
             query = f"SELECT name FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             stored = db.execute(query, (caller.owner, sha256)).fetchone()
             if stored is None:
@@ -212,22 +189,21 @@ class Store:
                     "queue-full",
                     f"{waiting} fits are waiting, the most allowed; the measurement is stored, ask again later.",
                 )
-            # A fit that runs again is a new row, at the head of the list.
-            db.execute(f"DELETE FROM fits {_WHERE_FIT}", key)  # noqa: S608
+            versions = dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__
             new = (caller.owner, *key, name, sha256, json.dumps(options), *versions, time.time())
-            (row,) = db.execute(_INSERT_FIT, new).fetchall()
+            (row,) = db.execute(_ADD_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
     def fit(self, key: FitKey) -> FitRow:
         """Return a fit's row; raise FitNotFoundError if there is no such fit."""
-        row = self._one(FitRow.from_values, f"{_SELECT_FIT} {_WHERE_FIT}", *key)
+        row = _first(self.database.rows(f"{_SELECT_FIT} {_WHERE_FIT}", *key))
         if row is None:
             raise FitNotFoundError(key.id)
         return row
 
     def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
-        return self._page(FitRow.from_values, _SELECT_FIT, owner, limit, before, name)
+        return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, name)]
 
     def fits_of(self, owner: str, sha256: str, limit: int) -> list[str]:
         """Return the ids of a measurement's fits, newest first."""
@@ -298,8 +274,7 @@ class Store:
         for table in ("fits", "measurements"):
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
         with self.database.transaction() as db:
-            (version,) = db.execute("PRAGMA user_version").fetchone()
-            db.execute(f"PRAGMA user_version = {version}")  # writing the same value is a write too
+            db.execute(f"PRAGMA user_version = {pragma(db, 'user_version')}")  # writing the same value is a write too
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]
@@ -309,27 +284,13 @@ class Store:
         query = f"UPDATE fits SET {change} {_WHERE_FIT} AND status IN ({marks}) RETURNING {columns(FitRow)}"  # noqa: S608
         with self.database.transaction() as db:
             rows = db.execute(query, (*values, *key, *states)).fetchall()
-        return FitRow.from_values(rows[0]) if rows else None
+        return _first(rows)
 
-    def _one(self, make: Callable[[tuple[Any, ...]], _Row], query: str, *values: str) -> _Row | None:
-        rows = self.database.rows(query, *values)
-        return make(rows[0]) if rows else None
-
-    def _page(
-        self,
-        make: Callable[[tuple[Any, ...]], _Row],
-        query: str,
-        owner: str,
-        limit: int,
-        before: int | None,
-        name: str | None,
-    ) -> list[_Row]:
+    def _page(self, select: str, owner: str, limit: int, before: int | None, name: str | None) -> list[tuple[Any, ...]]:
         conditions = {"owner = ?": owner, "seq < ?": before, "name = ?": name}
         given = {condition: value for condition, value in conditions.items() if value is not None}
-        rows = self.database.rows(
-            f"{query} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?", *given.values(), limit
-        )
-        return [make(row) for row in rows]
+        query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
+        return self.database.rows(query, *given.values(), limit)
 
     def _match_files_to_rows(self) -> None:
         """Set files aside that have no row, and look there for those of rows without a file.
@@ -347,3 +308,7 @@ class Store:
             self.warnings.append(f"{len(files - rows)} files of measurements have no row; they are in the folder lost")
         if missing:
             self.warnings.append(f"the files of {missing} measurements are missing; dsbrdf doctor names the first")
+
+
+def _first(fits: Sequence[tuple[Any, ...]]) -> FitRow | None:
+    return FitRow.from_values(fits[0]) if fits else None

@@ -12,7 +12,7 @@ import pytest
 from service.commands import doctor
 from service.commands.doctor import CHECKS
 from service.errors import CheckFailedError
-from service.storage.database import FILE_NAME
+from service.storage.database import FILE_NAME, read_only
 from service.storage.schema import VERSION
 from tests.support.commands import run_main
 from tests.support.server import QUICK, Server
@@ -100,7 +100,7 @@ def test_damaged_and_missing_files_are_found(folder: Path) -> None:
 def test_newer_or_corrupt_database_is_found(folder: Path, tmp_path: Path) -> None:
     assert "intact" in found(folder, "database")
     with pytest.raises(sqlite3.OperationalError, match="readonly"):
-        doctor._rows(folder, "DELETE FROM fits")
+        read_only(folder, "DELETE FROM fits")
     name = tmp_path / FILE_NAME
     name.write_bytes((folder / FILE_NAME).read_bytes())
     with closing(sqlite3.connect(name)) as db, db:
