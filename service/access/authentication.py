@@ -56,19 +56,19 @@ class AuthenticationMiddleware:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
-        if scope["type"] == "http":
-            try:
-                self._check(scope)
-                caller = self._begin(scope)
-            except ProblemError as error:
-                await self._refusal(scope, error)(scope, receive, send)
-                return
-            try:
-                await self._app(scope, receive, send)
-            finally:
-                self._end(caller)
-        else:
+        if scope["type"] != "http":
             await self._app(scope, receive, send)
+            return
+        try:
+            self._check(scope)
+            caller = self._begin(scope)
+        except ProblemError as error:
+            await self._refusal(scope, error)(scope, receive, send)
+            return
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._end(caller)
 
     def _begin(self, scope: Scope) -> str | None:
         """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
@@ -127,36 +127,34 @@ class AuthenticationMiddleware:
         return problem_response(error, scope["path"])
 
     def _key(self, scope: Scope) -> ActiveKey | None:
-        """Return the key of a request; None is the local user, who needs none."""
+        """Return the key of a request, and count it; None is the local user, who needs none."""
         headers: _Headers = scope["headers"]
-        sent = [value for name, value in headers if name == b"authorization"]
-        if not sent:
-            key = self._key_of_cookie(headers)
+        if sent := [value for name, value in headers if name == b"authorization"]:
+            scheme, _, text = sent[0].partition(b" ")
+            # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
+            key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
             if key is None:
+                raise invalid_key()
+        else:
+            found = _KEY_IN_COOKIE.search(b"; ".join(value for name, value in headers if name == b"cookie"))
+            key = None if found is None else self._keys.find(found[1])
+            if key is None:  # also one that has been revoked since its owner signed in
                 self._check_local(scope)
                 return None
             if scope["method"] not in SAFE_METHODS and not same_origin(headers):
                 detail = "A key in a cookie changes something only from the pages of the service itself."
                 raise ProblemError("foreign-origin", detail)
-            return _counted(key)
-        scheme, _, text = sent[0].partition(b" ")
-        # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
-        key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
-        if key is None:
-            raise invalid_key()
-        return _counted(key)
-
-    def _key_of_cookie(self, headers: _Headers) -> ActiveKey | None:
-        """Return the key of someone who has signed in; one that has been revoked since is none."""
-        cookies = b"; ".join(value for name, value in headers if name == b"cookie")
-        found = _KEY_IN_COOKIE.search(cookies)
-        return None if found is None else self._keys.find(found[1])
+        if seconds := key.rate_limit.take():
+            detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
+            raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
+        return key
 
     def _check_local(self, scope: Scope) -> None:
         """Check that it is the local user who asks; a link of another site may lead this user to a page."""
         headers: _Headers = scope["headers"]
         if self._needs_key:
-            raise _key_needed("An API key is needed here; send it as 'Authorization: Bearer <key>'.")
+            detail = "An API key is needed here; send it as 'Authorization: Bearer <key>'."
+            raise ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})
         if self._local_only:
             hosts = [value for name, value in headers if name == b"host"]
             if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
@@ -166,15 +164,6 @@ class AuthenticationMiddleware:
             if from_another_site(headers) and not (is_link and scope["method"] == "GET"):
                 detail = "Without an API key the service does not answer to pages of other sites."
                 raise ProblemError("foreign-origin", detail)
-
-
-def _counted(key: ActiveKey) -> ActiveKey:
-    """Count a request of a key; raise ProblemError if it makes more than it may."""
-    seconds = key.rate_limit.take()
-    if seconds:
-        detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
-        raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
-    return key
 
 
 def same_origin(headers: _Headers) -> bool:
@@ -197,7 +186,3 @@ def invalid_key() -> ProblemError:
     """Return the error for a key that is wrong or revoked."""
     detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
     return ProblemError("unauthorized", detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
-
-
-def _key_needed(detail: str) -> ProblemError:
-    return ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})

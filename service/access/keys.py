@@ -12,18 +12,17 @@ import secrets
 import sqlite3
 import time
 from contextlib import closing
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..storage.database import FILE_NAME, Database, check_integrity
-from ..storage.schema import Caller
+from ..storage.schema import Caller, columns
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
     from ..settings import Settings
 
-_LIMITS = "requests_per_second, stored_mb, queued_fits"
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1_000_000
@@ -33,50 +32,34 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class KeyLimits:
-    """What a key may have; None stands for the server's default."""
-
-    requests_per_second: float | None = None
-    stored_mb: int | None = None
-    queued_fits: int | None = None
-
-
-@dataclass(frozen=True)
 class KeyRow:
-    """A key without its secret; times are seconds since 1970, `used` is to the minute."""
+    """A key without its secret; times are seconds since 1970, a limit that is None is the server's default."""
 
     id: str
     name: str
     created: float
-    used: float | None
-    revoked: float | None
-    limits: KeyLimits
-    metrics: bool
+    used: float | None = None  # to the minute
+    revoked: float | None = None
+    requests_per_second: float | None = None
+    stored_mb: int | None = None
+    queued_fits: int | None = None
+    metrics: bool = False  # whether it may read ``/metrics``, which has the totals of all keys
 
 
-def add_key(database: Database, name: str, limits: KeyLimits, *, metrics: bool = False) -> tuple[KeyRow, str]:
-    """Make a key; return its row and the key itself, which is not stored and cannot be shown again.
-
-    With `metrics` it may read ``/metrics``, which has the totals of all keys.
-    """
-    row = KeyRow(secrets.token_hex(6), name, time.time(), None, None, limits, metrics)
-    secret = secrets.token_urlsafe(32)
-    values = (row.id, name, row.created, hashlib.sha256(secret.encode()).hexdigest(), metrics, *astuple(limits))
+def add_key(database: Database, name: str, **fields: Any) -> tuple[KeyRow, str]:
+    """Make a key, with other `fields` of its row; return the row and the key itself, which cannot be shown again."""
+    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), **fields), secrets.token_urlsafe(32)
+    values = {**asdict(row), "secret_sha256": hashlib.sha256(secret.encode()).hexdigest()}
+    names = ", ".join(values)
     with database.transaction() as db:
-        db.execute(
-            f"INSERT INTO keys (id, name, created, secret_sha256, metrics, {_LIMITS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
-            values,
-        )
+        db.execute(f"INSERT INTO keys ({names}) VALUES (:{names.replace(', ', ', :')})", values)  # noqa: S608
     return row, f"dsbrdf_{row.id}_{secret}"
 
 
 def all_keys(database: Database) -> list[KeyRow]:
     """Return every key, in the order in which they were made."""
-    query = f"SELECT id, name, created, used, revoked, metrics, {_LIMITS} FROM keys ORDER BY rowid"  # noqa: S608
-    return [
-        KeyRow(key_id, name, created, used, revoked, KeyLimits(*limits), bool(metrics))
-        for key_id, name, created, used, revoked, metrics, *limits in database.rows(query)
-    ]
+    rows = [KeyRow(*row) for row in database.rows(f"SELECT {columns(KeyRow)} FROM keys ORDER BY rowid")]  # noqa: S608
+    return [replace(row, metrics=bool(row.metrics)) for row in rows]  # SQLite keeps a number
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
@@ -136,10 +119,12 @@ class Keys:
 
     def load(self, database: Database) -> None:
         """Read the keys again; the requests that a key has made still count."""
+        query = (
+            "SELECT id, secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?),"
+            " coalesce(queued_fits, ?), metrics FROM keys WHERE revoked IS NULL"
+        )
         usual = self._settings.key_requests_per_second, self._settings.key_stored_mb, self._settings.key_queued_fits
-        limits = ", ".join(f"coalesce({limit}, ?)" for limit in _LIMITS.split(", "))
-        rows = database.rows(f"SELECT id, secret_sha256, {limits}, metrics FROM keys WHERE revoked IS NULL", *usual)  # noqa: S608
-        self._active = {row[0]: self._key(*row) for row in rows}
+        self._active = {row[0]: self._key(*row) for row in database.rows(query, *usual)}
 
     def find(self, text: bytes) -> ActiveKey | None:
         """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, astuple
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from dsbrdf.cli.arguments import print_error, print_json
 from dsbrdf.cli.commands import Whole, new_application, run_words
 
-from ..access.keys import KeyLimits, KeyRow, add_key, all_keys, revoke_key
+from ..access.keys import KeyRow, add_key, all_keys, revoke_key
 from ..storage.database import FILE_NAME, Database
 from . import DataDir, Json, refuse, run_in_folder
 
@@ -70,8 +70,8 @@ def _add(
             place = folder.resolve()
             print_error(f"{place} becomes a new data folder; the key is for a server of that folder only")
         with closing(Database(folder, exclusive=False)) as database:
-            limits = KeyLimits(requests_per_second, stored_mb, queued_fits)
-            row, key = add_key(database, name, limits, metrics=metrics)
+            limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}
+            row, key = add_key(database, name, **limits, metrics=metrics)
         print_error(f"the key {row.id} of {row.name!r} is shown this once")
         print(key)
         return 0
@@ -99,9 +99,11 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> int:
             return 0
         print(f"{'id':<14}{'created':<18}{'used':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
         for row in rows:
-            rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in astuple(row.limits))
-            times = "".join(f"{_day(seconds):<18}" for seconds in (row.created, row.used, row.revoked))
-            print(f"{row.id:<14}{times}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
+            limits = row.requests_per_second, row.stored_mb, row.queued_fits
+            rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
+            times = (_time(seconds) for seconds in (row.created, row.used, row.revoked))
+            days = "".join(f"{f'{time:%Y-%m-%d %H:%M}' if time else '-':<18}" for time in times)
+            print(f"{row.id:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
         return 0
 
     return run_in_folder(data_dir, work)
@@ -110,13 +112,10 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> int:
 def _document(row: KeyRow) -> dict[str, object]:
     document = asdict(row)
     for name in ("created", "used", "revoked"):
-        document[name] = None if document[name] is None else _time(document[name]).isoformat()
-    return document | document.pop("limits")
+        time = _time(document[name])
+        document[name] = time and time.isoformat()
+    return document
 
 
-def _time(seconds: float) -> datetime:
-    return datetime.fromtimestamp(seconds, UTC)
-
-
-def _day(seconds: float | None) -> str:
-    return "-" if seconds is None else f"{_time(seconds):%Y-%m-%d %H:%M}"
+def _time(seconds: float | None) -> datetime | None:
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)

@@ -18,7 +18,7 @@ import dsbrdf
 from dsbrdf.engines import local
 from dsbrdf.engines.engine import FitLimits, OnProgress, run_step
 from dsbrdf.output.serialize import to_json
-from service.access.keys import KeyLimits, add_key
+from service.access.keys import add_key
 from service.app import create_app
 from service.settings import Settings
 from service.storage.schema import checksum
@@ -89,7 +89,7 @@ class Application:
 
     def new_key(self) -> str:
         """Return a key that has the fit `FIT`."""
-        row, key = add_key(self.store.database, "a key", KeyLimits())
+        row, key = add_key(self.store.database, "a key")
         self.app.state.keys.load(self.store.database)
         model = random_model()
         document = to_json(model, None, dsbrdf.decompose(model))

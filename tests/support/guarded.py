@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from subprocess import CompletedProcess
 from typing import Any
 
-from service.access.keys import KeyLimits, add_key
+from service.access.keys import add_key
 from service.commands import keys
 from service.storage.database import Database
 from tests.support.commands import run_main
@@ -25,10 +25,10 @@ class Guarded:
         return new_key(self.server, name, **limits)[1]
 
 
-def new_key(server: Server, name: str, *, metrics: bool = False, **limits: Any) -> tuple[str, dict[str, str]]:
+def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
     """Make a key beside a running service, and use it once; return its id and the header that holds it."""
     database = Database(server.data_dir, exclusive=False)
-    row, key = add_key(database, name, KeyLimits(**limits), metrics=metrics)
+    row, key = add_key(database, name, **limits)
     database.close()
     header = {"Authorization": f"Bearer {key}"}
     wait_until(lambda: server.http.get("/v1/fits", headers=header).status_code == 200)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.access.keys import KeyLimits, Keys, add_key, all_keys, revoke_key
+from service.access.keys import Keys, add_key, all_keys, revoke_key
 from service.settings import Settings
 from service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command
@@ -43,7 +43,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
 
     monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
     database = Database(tmp_path)
-    row, key = add_key(database, "x", KeyLimits())
+    row, key = add_key(database, "x")
     active = Keys(Settings())
     assert active.find(key.encode()) is None  # not loaded
     active.load(database)
@@ -88,7 +88,7 @@ def test_new_data_folder_is_private(tmp_path: Path) -> None:
 
 def test_last_use_of_a_key_is_written_but_not_at_each_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     database = Database(tmp_path)
-    (used, key), (unused, _) = add_key(database, "a", KeyLimits()), add_key(database, "b", KeyLimits())
+    (used, key), (unused, _) = add_key(database, "a"), add_key(database, "b")
     keys = Keys(Settings())
     keys.load(database)
     assert keys.find(key[:-1].encode() + b"?") is None

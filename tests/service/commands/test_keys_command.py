@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from service.access.keys import KeyLimits, add_key, revoke_key
+from service.access.keys import add_key, revoke_key
 from service.storage.database import Database
 from tests.support.commands import start_in_vain
 from tests.support.guarded import Guarded, keys_command
@@ -104,7 +104,7 @@ def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> N
     assert code == 2
     assert "dsbrdf keys add" in said
     database = Database(folder)
-    _, key = add_key(database, "y", KeyLimits())
+    _, key = add_key(database, "y")
     database.close()
     with Server.running(folder, host="0.0.0.0") as server:
         assert_problem(server.http.get("/v1/fits"), 401, "unauthorized")
