@@ -7,9 +7,10 @@ nobody waits for it any more.
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Hashable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Iterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, TypeVar, get_args
 
 from starlette.concurrency import run_in_threadpool
@@ -96,13 +97,9 @@ class Computations:
         Raises KnownAnswerError if the request is HEAD: nothing has to be computed. Raises ClientDisconnect if the
         client has closed the connection.
         """
-
-        async def in_thread() -> T:
-            async with self._turns[place].turn(turn_owner(request)):
-                self._in_progress[key].can_stop = False
-                return await run_in_threadpool(compute)
-
-        return await self._wait(request, key, in_thread, head)
+        work = partial(run_in_threadpool, compute)
+        result: T = await self._wait(request, key, work, head, place, can_stop=False)
+        return result
 
     async def run_in_process(
         self,
@@ -118,15 +115,13 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-
-        async def in_process() -> Any:
-            async with self._turns[place].turn(turn_owner(request)):
-                return await self._processes.run(step, *arguments, on_progress=lambda _: None)
-
-        found = await self._wait(request, key, in_process, head)
-        if isinstance(found, Fault):
-            raise _error_of(found)
-        return found
+        work = partial(self._processes.run, step, *arguments, on_progress=lambda _: None)
+        found = await self._wait(request, key, work, head, place)
+        if not isinstance(found, Fault):
+            return found
+        if found.origin == "input":
+            raise InvalidArgumentError(found.message)
+        raise ProblemError("internal", f"The answer could not be computed ({found.type}); ask for it again.")
 
     def stream(self, request: Request, parts: Iterator[T], head: Mapping[str, str]) -> AsyncIterator[T]:
         """Return the parts of a long answer, each computed in a turn of its own; who reads slowly holds up nobody.
@@ -135,7 +130,7 @@ class Computations:
         """
         if request.method == "HEAD":
             raise KnownAnswerError(200, head)
-        return self._parts(turn_owner(request), parts)
+        return self._parts(request.scope[CALLER_NAME], parts)
 
     async def _parts(self, caller: str, parts: Iterator[T]) -> AsyncIterator[T]:
         while True:
@@ -154,9 +149,22 @@ class Computations:
         await self._processes.close()
 
     async def _wait(
-        self, request: Request, key: Hashable, compute: Callable[[], Coroutine[Any, Any, T]], head: Mapping[str, str]
-    ) -> T:
-        """Return the result of `compute`, or of what is being computed with this key already."""
+        self,
+        request: Request,
+        key: Hashable,
+        work: Callable[[], Awaitable[Any]],
+        head: Mapping[str, str],
+        place: Place,
+        *,
+        can_stop: bool = True,
+    ) -> Any:
+        """Return the result of `work`, or of what is being computed with this key already."""
+
+        async def compute() -> Any:
+            async with self._turns[place].turn(request.scope[CALLER_NAME]):
+                self._in_progress[key].can_stop = can_stop
+                return await work()
+
         if request.method == "HEAD":
             raise KnownAnswerError(200, head)
         computation = self._in_progress.get(key)
@@ -169,8 +177,7 @@ class Computations:
             await asyncio.wait((computation.task, gone), return_when=asyncio.FIRST_COMPLETED)
             if not computation.task.done():
                 raise ClientDisconnect
-            result: T = computation.task.result()
-            return result
+            return computation.task.result()
         finally:
             gone.cancel()
             computation.n_waiting -= 1
@@ -185,20 +192,8 @@ class Computations:
             task.exception()  # perhaps nobody waits for it any more
 
 
-def turn_owner(request: Request) -> str:
-    """Return who takes turns: the key of a request, or its address."""
-    name: str = request.scope[CALLER_NAME]
-    return name
-
-
 async def departure(request: Request) -> None:
     """Return when the client has closed the connection."""
     with suppress(ProblemError):  # of a body that is not read and arrives too slowly
         while (await request.receive())["type"] != "http.disconnect":
             pass
-
-
-def _error_of(fault: Fault) -> Exception:
-    if fault.origin == "input":
-        return InvalidArgumentError(fault.message)
-    return ProblemError("internal", f"The answer could not be computed ({fault.type}); ask for it again.")

@@ -56,19 +56,11 @@ _DARKEST = 1e-6  # as in `interpolate`; the shader of the page subtracts it [1/s
 
 @dataclass(frozen=True)
 class StoredMeasurement:
-    """A measurement that is stored.
-
-    Attributes
-    ----------
-    path : Path
-    sha256 : str
-    name : str or None
-        What titles call it; the beginning of the digest if it has no name.
-    """
+    """A measurement that is stored."""
 
     path: Path
     sha256: str
-    name: str | None = None
+    name: str | None = None  # what titles call it; the beginning of the digest if it has no name
 
     def mapped(self) -> Measurement:
         """Return the measurement, whose file is mapped."""
@@ -77,29 +69,30 @@ class StoredMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What is drawn of a fit beside its measurement.
+    """What is drawn of a fit beside its measurement; values in 1/sr, None where the measurement is not stored."""
 
-    The pictures are PNG files: the fit and, if the measurement is still stored, it and the difference. `exposure` is
-    what their radiance was multiplied by. `measured` has the means over phi_diff for each (channel, theta_diff,
-    theta_half), NaN where there are no data; `polar` the values in the plane of incidence (light, viewer, channel); in
-    1/sr.
-    """
-
-    exposure: float
-    pictures: dict[str, bytes]
-    measured: Array | None
-    polar: Array | None
+    exposure: float  # what the radiance of the pictures was multiplied by
+    pictures: dict[str, bytes]  # PNG files: the fit and, if the measurement is still stored, it and the difference
+    measured: Array | None  # means over phi_diff (channel, theta_diff, theta_half), NaN where there are no data
+    polar: Array | None  # in the plane of incidence (light, viewer, channel)
 
 
 def view_step(model: DSBRDF, stored: StoredMeasurement | None, horizon_cutoff: float | None, _: OnProgress) -> Drawn:
     """Return what a page shows of a fit, beside its measurement if that is still stored."""
-    means = polar = measurement = None
-    if stored is not None:
-        measurement = stored.mapped()
-        reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
-        means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
-        polar = interpolate(measurement).evaluate(*in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
-    return Drawn(*_pictures(model, measurement), means, polar)
+    fit = render_sphere(model, size=_SIZE)
+    normals = sphere_normals(_SIZE)[1]
+    if stored is None:
+        factor = exposure(fit, normals)
+        return Drawn(factor, {"fit": encode_png(displayed(fit, factor))}, None, None)
+    measurement = stored.mapped()
+    reference = render_sphere(measurement, size=_SIZE)
+    factor = exposure(reference, normals)
+    pictures = {"fit": displayed(fit, factor), "measured": displayed(reference, factor)}
+    pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - pictures["fit"]), 0.0, 1.0)
+    reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
+    means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
+    polar = interpolate(measurement).evaluate(*in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
+    return Drawn(factor, {name: encode_png(picture) for name, picture in pictures.items()}, means, polar)
 
 
 def sphere_step(
@@ -179,16 +172,3 @@ def in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1) for theta in (theta_in, theta_out)
     )
     return half_difference(omega_in, omega_out)
-
-
-def _pictures(model: ReflectanceModel, measurement: Measurement | None) -> tuple[float, dict[str, bytes]]:
-    """Return the exposure and the pictures, which all have it."""
-    fit = render_sphere(model, size=_SIZE)
-    reference = fit if measurement is None else render_sphere(measurement, size=_SIZE)
-    factor = exposure(reference, sphere_normals(_SIZE)[1])
-    seen = displayed(fit, factor)
-    pictures = {"fit": seen}
-    if measurement is not None:
-        pictures["measured"] = displayed(reference, factor)
-        pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - seen), 0.0, 1.0)
-    return factor, {name: encode_png(picture) for name, picture in pictures.items()}
