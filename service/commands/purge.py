@@ -9,7 +9,6 @@ import sqlite3
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,17 +36,8 @@ _OLD_MEASUREMENTS = (
 )
 
 
-@dataclass(frozen=True)
-class Purged:
-    """What was removed, or would be: rows of fits and of measurements, and bytes of files."""
-
-    fits: int
-    measurements: int
-    bytes: int
-
-
-def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
-    """Remove what is older than the time `before` [s since 1970].
+def purge(folder: Path, before: float, *, dry_run: bool = False) -> dict[str, int]:
+    """Remove what is older than the time `before` [s since 1970]; return how many rows, and bytes of files.
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
@@ -61,16 +51,16 @@ def purge(folder: Path, before: float, *, dry_run: bool = False) -> Purged:
         while gone_now := _remove_measurements(database, Blobs(folder), before):
             measurements += len(gone_now)
             freed += sum(gone_now)
-    return Purged(fits, measurements, freed)
+    return {"fits": fits, "measurements": measurements, "bytes": freed}
 
 
-def _counted(database: Database, before: float) -> Purged:
+def _counted(database: Database, before: float) -> dict[str, int]:
     with database.transaction() as db:
         values = {"before": before}
         (fits,) = db.execute(f"SELECT count(*) {_OLD_FITS}", values).fetchone()
         old = db.execute(f"SELECT sha256, size, count(*) {_OLD_MEASUREMENTS} GROUP BY sha256", values).fetchall()
         last = [size for sha256, size, rows in old if rows == _rows_of(db, sha256)]
-    return Purged(fits, sum(rows for *_, rows in old), sum(last))
+    return {"fits": fits, "measurements": sum(rows for *_, rows in old), "bytes": sum(last)}
 
 
 def _remove_fits(database: Database, before: float) -> int:
@@ -125,10 +115,10 @@ def _purge(
     def work(folder: Path) -> int:
         purged = purge(folder, time.time() - older_than, dry_run=dry_run)
         if json:
-            print_json({**asdict(purged), "dry_run": dry_run})
+            print_json({**purged, "dry_run": dry_run})
         else:
-            removed = f"{purged.fits} fits and {purged.measurements} measurements"
-            print(f"{removed} {'would be ' * dry_run}removed, {purged.bytes / 1e6:.1f} MB of files")
+            removed = f"{purged['fits']} fits and {purged['measurements']} measurements"
+            print(f"{removed} {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")
         return 0
 
     return run_in_folder(data_dir, work)

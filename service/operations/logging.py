@@ -22,7 +22,6 @@ from ..settings import Settings
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
 # Characters that would end a line or control a terminal.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-_CONTROLS_BUT_NEWLINE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 # What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
 _LONGEST = 500  # characters of one value in a line
@@ -109,8 +108,7 @@ def _on_one_line(event: dict[str, Any]) -> dict[str, Any]:
     """Escape control characters; a traceback keeps its lines, indented so that none looks like one of the log."""
     for name, value in event.items():
         if name == "exception":
-            escaped = _CONTROLS_BUT_NEWLINE.sub(_escape, str(value))
-            event[name] = "    " + escaped.replace("\n", "\n    ")
+            event[name] = "\n".join(f"    {_CONTROLS.sub(_escape, line)}" for line in str(value).split("\n"))
         elif not isinstance(value, (int, float, type(None))):
             event[name] = _CONTROLS.sub(_escape, str(value))
     return event

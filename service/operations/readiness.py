@@ -29,7 +29,7 @@ class Readiness:
         self._checks: dict[str, Callable[[], Awaitable[None]]] = {
             "The database": partial(_in_thread, store.check),
             "The folder of measurements": partial(_in_thread, store.blobs.check),
-            "The disk": partial(_in_thread, partial(_check_space, store, settings.min_free_mb)),
+            "The disk": partial(_in_thread, _check_space, store, settings.min_free_mb),
             "The engine": engine.check,
         }
         self._asked: dict[str, tuple[float, asyncio.Task[str | None]]] = {}  # when, and what the check returns
@@ -72,6 +72,6 @@ def _check_space(store: Store, least_mb: int) -> None:
         raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
 
 
-async def _in_thread(check: Callable[[], None]) -> None:
+async def _in_thread(check: Callable[..., None], *about: object) -> None:
     # A disk that hangs must not delay the end of the service.
-    await anyio.to_thread.run_sync(check, abandon_on_cancel=True)
+    await anyio.to_thread.run_sync(check, *about, abandon_on_cancel=True)
