@@ -2,35 +2,16 @@
 
 import asyncio
 import errno
+import json
 import os
 from pathlib import Path
 
-import httpx
 import pytest
 from starlette.types import Message
 
-from dsbrdf.data.merl_validation import FILE_SIZE
-from service.app import create_app
 from service.http.responses import OpenFileResponse
-from service.settings import Settings
 from service.storage.blobs import Blobs, Incoming
-from tests.support.server import QUICK, assert_problem
-
-
-def test_discarded_upload_is_removed_and_placed_one_stays(tmp_path: Path) -> None:
-    blobs = Blobs(tmp_path)
-    blobs.make_folders()
-    dropped, kept = blobs.incoming(), blobs.incoming()
-    dropped.write(b"a")
-    dropped.discard()
-    dropped.discard()
-    kept.write(b"b")
-    sha256 = kept.close()
-    blobs.place(kept)
-    kept.discard()
-    assert list(blobs.all()) == [sha256]
-    assert blobs.path(sha256).read_bytes() == b"b"
-    assert not list((tmp_path / "tmp").iterdir())
+from tests.support.application import application
 
 
 def test_file_is_durable_before_it_is_placed_and_its_name_after(
@@ -40,29 +21,23 @@ def test_file_is_durable_before_it_is_placed_and_its_name_after(
     blobs.make_folders()
     incoming = blobs.incoming()
     incoming.write(b"content")
-    steps: list[tuple[str, str]] = []
+    steps: list[tuple[str, Path]] = []
     fsync, replace = os.fsync, Path.replace
 
     def record_fsync(descriptor: int) -> None:
-        steps.append(("fsync", str(Path(f"/proc/self/fd/{descriptor}").readlink())))
+        steps.append(("fsync", Path(f"/proc/self/fd/{descriptor}").readlink()))
         fsync(descriptor)
 
     def record_replace(source: Path, target: Path) -> Path:
-        steps.append(("replace", str(source)))
+        steps.append(("replace", source))
         return replace(source, target)
 
     monkeypatch.setattr(os, "fsync", record_fsync)
     monkeypatch.setattr(Path, "replace", record_replace)
-    sha256 = incoming.close()
+    folder = blobs.path(incoming.close()).parent
     blobs.place(incoming)
-    folder = blobs.path(sha256).parent
-    written = str(incoming.path)
-    assert steps == [
-        ("fsync", written),
-        ("fsync", str(folder.parent)),
-        ("replace", written),
-        ("fsync", str(folder)),
-    ]
+    written = incoming.path
+    assert steps == [("fsync", written), ("fsync", folder.parent), ("replace", written), ("fsync", folder)]
 
 
 def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
@@ -87,30 +62,22 @@ def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
         OpenFileResponse(path, {}, "text/plain", "0" * 64, pytest.fail)
 
 
-def test_full_disk_is_507_until_there_is_room(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    full = {"at": 20_000_000}
+@pytest.mark.anyio
+async def test_full_disk_is_507_until_there_is_room(
+    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write = Incoming.write
 
     def write_until_full(incoming: Incoming, content: bytes | memoryview) -> None:
-        if incoming.size + len(content) > full["at"]:
+        if incoming.size + len(content) > 20_000_000:
             raise OSError(errno.ENOSPC, "No space left on device")
         write(incoming, content)
 
-    monkeypatch.setattr(Incoming, "write", write_until_full)
-    app = create_app(Settings(data_dir=tmp_path / "data", workers=1))
-
-    async def post_twice() -> tuple[httpx.Response, list[Path], httpx.Response]:
-        transport = httpx.ASGITransport(app)
-        async with (
-            app.router.lifespan_context(app),
-            httpx.AsyncClient(transport=transport, base_url="http://localhost", timeout=60) as http,
-        ):
-            first = await http.post("/v1/fits", params=QUICK, content=data)
-            left = list((tmp_path / "data").glob("tmp/*"))
-            full["at"] = FILE_SIZE
-            return first, left, await http.post("/v1/fits", params=QUICK, content=data)
-
-    first, left, second = asyncio.run(post_twice())
-    assert_problem(first, 507, "disk-full")
-    assert left == []
-    assert second.json()["status"] == "succeeded"
+    async with application(tmp_path, monkeypatch) as running:
+        upload = "/v1/measurements", running.new_key(), "POST", data, "application/octet-stream"
+        with monkeypatch.context() as full:
+            full.setattr(Incoming, "write", write_until_full)
+            refused = await running.ask(*upload).end()
+        assert (refused.status, json.loads(refused.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
+        assert list((tmp_path / "tmp").iterdir()) == []
+        assert (await running.ask(*upload).end()).status == 201

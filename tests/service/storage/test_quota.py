@@ -3,7 +3,6 @@
 import asyncio
 import socket
 import threading
-import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from service.errors import ProblemError
-from service.storage.schema import Caller, FitKey
+from service.storage.schema import ROW_SIZE, Caller, FitKey
 from service.storage.store import Store
 from service.storage.uploads import in_thread
 from tests.support.guarded import new_key
@@ -65,22 +64,13 @@ def test_one_upload_at_a_time_may_exceed_a_full_quota(store: Store, tmp_path: Pa
 
 
 def test_uploads_share_few_threads() -> None:
-    running, most, lock = 0, 0, threading.Lock()
+    async def meet(number: int) -> None:
+        together = threading.Barrier(number, timeout=0.3)
+        await asyncio.gather(*(in_thread(together.wait) for _ in range(number)))
 
-    def work() -> None:
-        nonlocal running, most
-        with lock:
-            running += 1
-            most = max(most, running)
-        time.sleep(0.02)  # long enough for all threads to begin
-        with lock:
-            running -= 1
-
-    async def body() -> None:
-        await asyncio.gather(*(in_thread(work) for _ in range(20)))
-
-    asyncio.run(body())
-    assert most == 4
+    asyncio.run(meet(4))
+    with pytest.raises(threading.BrokenBarrierError):
+        asyncio.run(meet(5))
 
 
 def test_upload_that_cannot_begin_reserves_nothing(
@@ -103,23 +93,19 @@ def test_upload_that_cannot_begin_reserves_nothing(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_cancelled_fits_count_as_stored_bytes(store: Store) -> None:
-    caller = Caller("a", stored_bytes=100_000)
-    sha256 = add(store, b"", caller)
+def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
+    sha256 = add(store, b"12345", Caller("a"))
 
-    def cancel_one_more(number: int) -> FitKey:
-        key = store.add_fit(caller, sha256, {"mask": number}, 10)[0].key
-        assert store.cancel_fit(key) is not None
-        return key
+    def submit(mask: int, most: int) -> FitKey:
+        return store.add_fit(Caller("a", stored_bytes=most), sha256, {"mask": mask}, 10)[0].key
 
-    def cancel_until_refused() -> None:
-        for number in range(1000):
-            cancel_one_more(number)
-
-    with pytest.raises(ProblemError, match=r"has stored 0\.1 of 0\.1 MB"):
-        cancel_until_refused()
-    fits = store.fits("a", 1000, None)
-    assert 10 < len(fits) <= 50
-    for row in fits:
-        store.remove_fit(row.key)
-    cancel_one_more(0)  # there is room again
+    first, stored = submit(0, 6), 5 + ROW_SIZE + 2
+    store.start_fit(first)
+    store.complete_fit(first, "é", {})
+    with pytest.raises(ProblemError, match=r"has stored 0\.0 of 0\.0 MB"):
+        submit(1, stored)
+    store.cancel_fit(submit(1, stored + 1))
+    with pytest.raises(ProblemError):
+        submit(2, stored + ROW_SIZE)
+    assert store.remove_fit(first)
+    submit(2, stored + ROW_SIZE)  # there is room again
