@@ -3,23 +3,15 @@
 import os
 import resource
 import signal
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from tests.support.commands import start_in_vain
+from service.__main__ import main
+from tests.support.commands import run_main
 from tests.support.processes import alive, wait_until
-from tests.support.server import ENDLESS, QUICK, SLOW, Server
-
-
-def submit_some(server: Server, data: bytes, count: int) -> list[str]:
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    answers = [server.submit(sha256, prefer="respond-async", **QUICK, mask=0.1 * i) for i in range(count)]
-    assert [answer.status_code for answer in answers] == [202] * count
-    return [answer.json()["id"] for answer in answers]
+from tests.support.server import ENDLESS, QUICK, Server
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -28,18 +20,17 @@ def test_accepted_fits_finish_after_a_restart(
 ) -> None:
     server = own_server(workers="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    endless, in_the_way = (
-        server.submit(sha256, prefer="respond-async", **ENDLESS, mask=mask).json()["id"] for mask in (0.1, 0.2)
-    )
-    fits = submit_some(server, data, 3)
+    wanted = [{**ENDLESS, "mask": 0.1}, {**ENDLESS, "mask": 0.2}, QUICK, {**QUICK, "mask": 0.1}]
+    answers = [server.submit(sha256, prefer="respond-async", **options) for options in wanted]
+    assert [answer.status_code for answer in answers] == [202] * 4
+    endless, in_the_way, *fits = (answer.json()["id"] for answer in answers)
     server.until_running(endless)
     server.until_running(in_the_way)
-    workers = server.workers()
-    helpers = server.helpers()
+    others = server.workers() | server.helpers()
     leftover = server.data_dir / "tmp" / "upload-of-a-client"
     leftover.write_bytes(b"part of a file")
     server.stop(number)
-    wait_until(lambda: not any(alive(pid) for pid in workers | helpers))
+    wait_until(lambda: not any(alive(pid) for pid in others))
 
     server.start()
     assert not leftover.exists()
@@ -52,7 +43,7 @@ def test_accepted_fits_finish_after_a_restart(
     assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, in_the_way, *fits}
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_temporary_folders_are_empty_after_each_stop(
     tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
@@ -71,33 +62,6 @@ def test_temporary_folders_are_empty_after_each_stop(
         for folder in ("tmp", "run"):
             assert not list((server.data_dir / folder).iterdir())
         assert "Traceback" not in server.log.read_text()
-
-
-def test_killed_fit_process_fails_only_its_own_fit(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(workers="1", fit_attempts="1")
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    victim = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-    next_one = server.submit(sha256, prefer="respond-async", n_lobes=2).json()["id"]
-    server.until_running(victim)
-    (worker,) = server.workers()
-    os.kill(worker, signal.SIGKILL)
-    fit = server.http.get(f"/v1/fits/{victim}?wait=30").json()
-    assert fit["status"] == "failed"
-    assert fit["error"]["origin"] == "system"
-    assert fit["error"]["type"] == "ProcessLost"
-    assert server.http.get(f"/v1/fits/{next_one}?wait=30").json()["status"] == "succeeded"
-    assert server.submit(sha256, prefer="respond-async", **ENDLESS).status_code == 202
-    server.until_running(victim)
-
-
-def test_lost_fit_process_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(workers="1", fit_attempts="2")
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    fit_id = server.submit(sha256, prefer="respond-async", **SLOW).json()["id"]
-    server.until_running(fit_id)
-    (worker,) = server.workers()
-    os.kill(worker, signal.SIGKILL)
-    assert server.http.get(f"/v1/fits/{fit_id}?wait=30").json()["status"] == "succeeded"
 
 
 def test_lost_fork_server_is_replaced(own_server: Callable[..., Server], data: bytes) -> None:
@@ -124,19 +88,12 @@ def test_a_fit_has_the_limits_of_the_settings(
 
 
 def test_start_that_could_harm_is_refused(server: Server, tmp_path: Path) -> None:
-    newer = tmp_path / "newer"
-    newer.mkdir()
-    with closing(sqlite3.connect(newer / "dsbrdf.sqlite")) as database:
-        database.execute("PRAGMA user_version = 999")
-    hosts = [(host, tmp_path / "data", "--insecure") for host in ("0.0.0.0", "::", "example.org", "10.0.0.1")]
-    for host, folder, reason in (
-        *hosts,  # that others can reach, without keys
-        ("127.0.0.1", server.data_dir, "in use"),
-        ("127.0.0.1", newer, "made by another release"),
-    ):
-        code, said = start_in_vain(tmp_path, "--host", host, "--port", "0", "--data-dir", str(folder))
-        assert (code, reason in said, "Traceback" in said) == (2, True, False)
-    assert not (tmp_path / "data").exists()
+    folder = tmp_path / "data"
+    for host in ("0.0.0.0", "::", "example.org", "10.0.0.1"):  # that others can reach, without keys
+        refused = run_main(main, "--host", host, "--port", "0", "--data-dir", str(folder))
+        assert (refused.returncode, "--insecure" in refused.stderr, folder.exists()) == (2, True, False)
+    refused = run_main(main, "--port", "0", "--data-dir", str(server.data_dir))
+    assert (refused.returncode, "in use" in refused.stderr) == (2, True)
     assert server.http.get("/health/ready").status_code == 200
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import threading
@@ -14,7 +15,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.support.processes import alive, children, command, wait_until
+from tests.support.processes import alive, command, wait_until
 from tests.support.server import ENDLESS, Server
 from tests.support.soak import repeats
 
@@ -32,10 +33,6 @@ def start_fits(server: Server, data: bytes, number: int) -> list[str]:
     return fits
 
 
-def address(server: Server) -> str:
-    return str(server.http.base_url).rstrip("/")
-
-
 @contextmanager
 def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
     """A connection on which the rest of a measurement does not come."""
@@ -48,7 +45,7 @@ def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
 
 def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
     """Read a stream of events to its end; an end that is none raises."""
-    with httpx.stream("GET", f"{address(server)}/v1/fits/{fit}/events", timeout=30) as stream:
+    with server.http.stream("GET", f"/v1/fits/{fit}/events") as stream:
         events = stream.iter_lines()
         told = [next(events)]
         following.wait()
@@ -57,17 +54,15 @@ def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
 
 def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", shutdown_seconds="40")
-    url = address(server)
     fits = start_fits(server, data, 3)
     sha256 = server.http.get("/v1/measurements").json()["items"][0]["sha256"]
-    helpers = set(children(server.process.pid))
-    workers = server.workers()
+    others = server.helpers() | server.workers()
     following = threading.Barrier(3, timeout=30)
     document = {"measurement": sha256, "options": {**ENDLESS, "mask": 0.99}}
     with ThreadPoolExecutor(8) as threads:
         streams = [threads.submit(follow, server, fit, following) for fit in fits[:2]]
-        polls = [threads.submit(httpx.get, f"{url}/v1/fits/{fit}?wait=60", timeout=30) for fit in fits]
-        post = threads.submit(httpx.post, f"{url}/v1/fits", json=document, headers={"Prefer": "wait=60"}, timeout=30)
+        polls = [threads.submit(server.http.get, f"/v1/fits/{fit}?wait=60") for fit in fits]
+        post = threads.submit(server.http.post, "/v1/fits", json=document, headers={"Prefer": "wait=60"})
         following.wait()
         wait_until(lambda: server.http.get("/v1/fits").text.count('"id"') == 4)
         time.sleep(0.3)  # the polls have nothing to show that they are waiting
@@ -81,17 +76,17 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
     assert {answer.json()["status"] for answer in answers} <= {"running", "accepted"}
     assert accepted.status_code == 202
     assert all(lines[0] in ("event: running", "event: accepted") for lines in told)
-    wait_until(lambda: not any(map(alive, helpers | workers)))
+    wait_until(lambda: not any(map(alive, others)))
     assert "Traceback" not in server.log.read_text()
     with pytest.raises(httpx.ConnectError):
-        httpx.get(f"{url}/health/live")
+        server.http.get("/health/live")
     server.start()
     rows = server.http.get("/v1/fits").json()["items"]
     assert {row["id"] for row in rows} == {*fits, accepted.json()["id"]}
     assert {row["status"] for row in rows} <= {"running", "accepted"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_repeated_signal_is_harmless(own_server: Callable[..., Server], data: bytes, number: int) -> None:
     server = own_server(workers="1")
     (fit,) = start_fits(server, data, 1)
@@ -110,7 +105,7 @@ def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server]
     server = own_server(workers="2", fit_attempts="1", shutdown_seconds="3")
     fits = start_fits(server, data, 2)
     wait_until(lambda: len(server.workers()) == 2)
-    everyone = [*server.workers(), *children(server.process.pid), server.process.pid]
+    everyone = [*server.workers(), *server.helpers(), server.process.pid]
     with upload_in_progress(server, data):
         for pid in everyone:
             os.kill(pid, signal.SIGTERM)
@@ -120,11 +115,10 @@ def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server]
         assert server.status(fit) in ("accepted", "running", "succeeded")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes, number: int) -> None:
+def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(fits=False, shutdown_seconds="1")
     with upload_in_progress(server, data) as connection:
-        server.process.send_signal(number)
+        server.process.send_signal(signal.SIGTERM)
         answer = connection.makefile("rb").read()
     head_of_answer, _, body = answer.partition(b"\r\n\r\n")
     assert head_of_answer.startswith(b"HTTP/1.1 503 ")
@@ -156,14 +150,10 @@ def until_it_takes_ctrl_c(server: Server) -> None:
     """Wait until the process is past the start of its interpreter, which the service cannot change."""
 
     def begun() -> bool:
-        lines = Path(f"/proc/{server.process.pid}/status").read_text().splitlines()
-        masks = {
-            name: int(mask, 16)
-            for name, _, mask in (line.partition(":") for line in lines)
-            if name in ("SigIgn", "SigCgt")
-        }
+        status = Path(f"/proc/{server.process.pid}/status").read_text()
+        ignored, caught = (int(mask, 16) for mask in re.findall(r"^Sig(?:Ign|Cgt):\s*(\w+)", status, re.MULTILINE))
         # Every interpreter ignores SIGPIPE and catches SIGINT, until it is told otherwise.
-        return bool(masks["SigIgn"] >> (signal.SIGPIPE - 1) & 1) and not masks["SigCgt"] >> (signal.SIGINT - 1) & 1
+        return bool(ignored >> (signal.SIGPIPE - 1) & 1) and not caught >> (signal.SIGINT - 1) & 1
 
     wait_until(begun, 20.0)
 

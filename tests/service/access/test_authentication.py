@@ -3,7 +3,6 @@
 import hashlib
 import http.client
 import re
-import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -11,12 +10,9 @@ from typing import Any
 import httpx
 import pytest
 
-from service.access.keys import all_keys, revoke_key
-from service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server, assert_problem
-from tests.support.soak import SOAK
 
 OPEN = ("/health/live", "/health/ready", "/docs", "/page/docs.js", "/openapi.json")
 
@@ -32,25 +28,20 @@ def bad_headers(key: str) -> dict[str, list[tuple[bytes, bytes]]]:
     good = f"Bearer {key}".encode()
     return {
         "none": [],
-        "empty": [(b"Authorization", b"")],
         "no scheme": [(b"Authorization", key.encode())],
         "basic": [(b"Authorization", b"Basic " + key.encode())],
         "longer scheme": [(b"Authorization", b"Bearerx " + key.encode())],
         "tab": [(b"Authorization", b"Bearer\t" + key.encode())],
         "a list": bearer(f"{key}, {key}"),
-        "quoted": bearer(f'"{key}"'),
         "same header twice": [(b"Authorization", good), (b"Authorization", good)],
         "bad before good": [(b"authorization", b"Basic eDp4"), (b"AUTHORIZATION", good)],
         "another header": [(b"Proxy-Authorization", good), (b"X-Api-Key", key.encode()), (b"Cookie", b"key=" + good)],
         "wrong secret": bearer(f"{prefix}_{key_id}_{other}{secret[1:]}"),
-        "wrong end": bearer(f"{key[:-1]}{'A' if key[-1] != 'A' else 'E'}"),
         "cut off": bearer(key[:-1]),
         "longer": bearer(f"{key}A"),
-        "no secret": bearer(f"{prefix}_{key_id}_"),
         "unknown id": bearer(f"{prefix}_{'0' * 12}_{secret}"),
         "upper case": bearer(key.upper()),
-        "like": bearer(f"{prefix}_%_{secret}"),
-        "sql of the right length": bearer(f"{prefix}_' OR ''='' --_{secret}"),
+        "sql": bearer(f"{prefix}_' OR ''='' --_{secret}"),
         "not ascii": bearer(f"{key[:-1]}é"),
         "very long": bearer(key + "A" * 30_000),
     }
@@ -59,10 +50,8 @@ def bad_headers(key: str) -> dict[str, list[tuple[bytes, bytes]]]:
 @pytest.mark.parametrize("case", bad_headers("dsbrdf_0_secret"))
 def test_request_without_valid_key_is_unauthorized(guarded: Guarded, case: str) -> None:
     key = guarded.alice["Authorization"].removeprefix("Bearer ")
-    headers = bad_headers(key)[case]
-    answer = guarded.server.http.get("/v1/fits", headers=headers)
-    detail = assert_problem(answer, 401, "unauthorized")
-    assert "Authorization: Bearer" in detail
+    answer = guarded.server.http.get("/v1/fits", headers=bad_headers(key)[case])
+    assert "Authorization: Bearer" in assert_problem(answer, 401, "unauthorized")
     assert answer.headers["www-authenticate"].startswith("Bearer")
     assert key not in answer.text
     if case not in ("none", "another header"):  # what is wrong with a key is not told
@@ -73,20 +62,17 @@ def test_request_without_valid_key_is_unauthorized(guarded: Guarded, case: str) 
 @pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER"])
 def test_valid_key_is_authorized(guarded: Guarded, scheme: str) -> None:
     key = guarded.alice["Authorization"].removeprefix("Bearer ")
-    answer = guarded.server.http.get("/v1/fits", headers={"authorization": f"{scheme}  {key}"})
-    assert answer.status_code == 200
+    assert guarded.server.http.get("/v1/fits", headers={"authorization": f"{scheme}  {key}"}).status_code == 200
 
 
 def test_every_route_requires_a_key(guarded: Guarded) -> None:
     paths: dict[str, dict[str, Any]] = guarded.server.http.get("/openapi.json").json()["paths"]
-    tried = 0
+    assert len(paths) > 10
     for path, methods in paths.items():
         for method in {*methods, "get", "head", "post", "put", "patch", "delete", "options", "trace"}:
             filled = path.replace("{fit_id}", "0" * 32).replace("{sha256}", "0" * 64).replace("{label}", "diffuse")
             answer = guarded.server.http.request(method.upper(), filled)
             assert (answer.status_code == 401) is (path not in OPEN), (method, path, answer.status_code)
-            tried += 1
-    assert tried > 50
     for path in OPEN:
         assert guarded.server.http.get(path).status_code == 200
 
@@ -123,26 +109,9 @@ def test_upload_without_key_is_refused_before_its_body_is_read(guarded: Guarded,
     assert guarded.server.files() == before
 
 
-def is_refused(server: Server, header: dict[str, str]) -> bool:
-    return server.http.get("/v1/fits", headers=header).status_code == 401
-
-
-def test_revoked_key_is_refused(guarded: Guarded) -> None:
-    database = Database(guarded.server.data_dir, exclusive=False)
-    key_id, header = new_key(guarded.server, "brief")
-    assert revoke_key(database, key_id)
-    seconds = wait_until(lambda: is_refused(guarded.server, header))
-    assert not SOAK or seconds < 1.2
-    (first,) = [row for row in all_keys(database) if row.id == key_id]
-    assert revoke_key(database, key_id)
-    assert [row for row in all_keys(database) if row.id == key_id] == [first]
-    database.close()
-
-
 def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true", workers="1")
     (key_id, header), (_, other) = (new_key(server, name, metrics=True) for name in ("brief", "lasting"))
-    address = (server.http.base_url.host, server.http.base_url.port)
     document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
 
     def submit(who: dict[str, str]) -> str:
@@ -164,8 +133,8 @@ def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callab
     fit = submit(header)
     assert submit(other) == fit
     head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
-    with ThreadPoolExecutor(4) as pool, socket.create_connection(address, timeout=60) as upload:
-        upload.sendall(f"{head}Content-Length: {len(data)}\r\n\r\n".encode() + data[:100_000])
+    head += f"Content-Length: {len(data)}\r\n\r\n"
+    with ThreadPoolExecutor(4) as pool, server.connection(head.encode() + data[:100_000]) as upload:
         polled, posted, followed = pool.submit(poll), pool.submit(post), pool.submit(follow, header)
         lasting = pool.submit(follow, other)
         in_progress = re.compile(r"^dsbrdf_requests_in_progress 6.0$", re.MULTILINE)
@@ -194,19 +163,17 @@ def test_only_local_hosts_are_accepted_on_loopback(server: Server) -> None:
         assert server.http.get("/v1/fits", headers={"Host": host, "Origin": f"http://{host}"}).status_code == 200, host
 
 
-@pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://localhost:1", "", "127.0.0.1"])
-def test_cross_origin_requests_are_refused(server: Server, data: bytes, origin: str) -> None:
-    before = server.files()
-    answer = server.http.post("/v1/measurements", content=data[:100], headers={"Origin": origin})
-    assert "other sites" in assert_problem(answer, 403, "foreign-origin")
-    assert server.files() == before
+ORIGINS = ("https://evil.example", "null", "http://localhost:1", "", "127.0.0.1")
 
 
-@pytest.mark.parametrize("site", ["cross-site", "same-site"])
-@pytest.mark.parametrize(("method", "path"), [("GET", "/v1/fits"), ("GET", "/"), ("POST", "/v1/fits")])
-def test_request_of_a_page_of_another_site_is_refused(server: Server, site: str, method: str, path: str) -> None:
-    answer = server.http.request(method, path, headers={"Sec-Fetch-Site": site})
-    assert "other sites" in assert_problem(answer, 403, "foreign-origin")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [*(("Origin", origin) for origin in ORIGINS), ("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Site", "same-site")],
+)
+def test_requests_of_pages_of_other_sites_are_refused(server: Server, name: str, value: str) -> None:
+    for method, path in (("GET", "/v1/fits"), ("GET", "/"), ("POST", "/v1/fits"), ("POST", "/v1/measurements")):
+        answer = server.http.request(method, path, headers={name: value})
+        assert "other sites" in assert_problem(answer, 403, "foreign-origin")
 
 
 def test_page_that_a_person_opens_is_answered(server: Server) -> None:

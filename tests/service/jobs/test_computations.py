@@ -2,15 +2,21 @@
 
 import asyncio
 import json
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.requests import ClientDisconnect, Request
+from starlette.types import Message
 
+from dsbrdf.engines.engine import FitLimits
 from dsbrdf.fitting import decomposition
+from service.access.authentication import CALLER_NAME
 from service.jobs import results, steps
+from service.jobs.computations import Computations, FairTurns
 from service.routes import brdf, figures, fits, uploads
 from service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
@@ -195,6 +201,59 @@ async def test_head_computes_nothing(running: Application, key: str, monkeypatch
             assert get.headers["etag"] == head.headers["etag"]
     refused = f"{FIT_PATH}/export?format=json&component=diffuse"
     assert (await running.ask(refused, key, "HEAD").end()).status == 422
+
+
+class Client:
+    """A client that leaves when it is told to."""
+
+    def __init__(self) -> None:
+        self.leaves = asyncio.Event()
+        self.request = Request({"type": "http", "method": "GET", CALLER_NAME: "key one"}, self._receive)
+
+    async def _receive(self) -> Message:
+        await self.leaves.wait()
+        return {"type": "http.disconnect"}
+
+
+async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared() -> None:
+    computed: list[str] = []
+    busy, first, computations = threading.Event(), Client(), Computations(FitLimits(10.0, 1024))
+
+    async def ask(client: Client, name: str, steps: int = 0) -> None:
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        compute = busy.wait if name == "busy" else lambda: computed.append(name)
+        await computations.run(client.request, name, compute, {})
+
+    before, given_up = asyncio.create_task(ask(Client(), "busy")), asyncio.create_task(ask(first, "values"))
+    await asyncio.sleep(0)
+    first.leaves.set()
+    with pytest.raises(ClientDisconnect):
+        await given_up
+    # The third comes when the task of the first has ended, the second at once: before its next step.
+    third = asyncio.create_task(ask(Client(), "values", steps=10))
+    asyncio.get_running_loop().call_later(0.1, busy.set)
+    async with asyncio.timeout(60.0):
+        await ask(Client(), "values")
+        await asyncio.gather(before, third)
+    await computations.close()
+    assert computed == ["values"]
+
+
+async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
+    turns = FairTurns()
+
+    async def take() -> None:
+        async with turns.turn("a"):
+            await asyncio.sleep(0)
+
+    async with turns.turn("a"):
+        waits, granted = asyncio.create_task(take()), asyncio.create_task(take())
+        await asyncio.sleep(0)
+        waits.cancel()  # while it waits
+    granted.cancel()  # it has been given the turn, and has not run since
+    await asyncio.wait([waits, granted])
+    await asyncio.wait_for(take(), 1.0)
 
 
 def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:

@@ -36,11 +36,11 @@ class Engine:
         self.at_once = 0
         self.go_on = asyncio.Event()
         self.outcomes: list[Outcome | Exception] = []
-        self._slot = asyncio.Semaphore(1)
+        self.room = asyncio.Semaphore(1)
         self.begun: list[str] = []
 
     def slot(self) -> asyncio.Semaphore:
-        return self._slot
+        return self.room
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         self.begun.append(task.fit_id)
@@ -58,12 +58,6 @@ class Engine:
             return outcome
         return replace(RESULT, report=replace(RESULT.report, warnings=(f"run {number}",)))
 
-    async def start(self) -> None: ...
-
-    async def check(self) -> None: ...
-
-    async def close(self) -> None: ...
-
 
 class _Slow(NamedTuple):
     """A call that has got to its pause, the end of the pause, and that of the first such call."""
@@ -78,11 +72,12 @@ class Race:
 
     def __init__(self, folder: Path) -> None:
         self.store = Store(folder)
-        self.engine = Engine()
-        self.settings = Settings(data_dir=folder)
-        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
-        self.loop = asyncio.get_running_loop()
+        self.engine: Any = Engine()
         self.measurement = self.upload(LOCAL)
+        self.begin()
+
+    def begin(self) -> None:
+        self.jobs = Jobs(self.store, self.engine, Settings(), Metrics())
 
     def upload(self, caller: Caller) -> str:
         incoming = self.store.blobs.incoming()
@@ -95,22 +90,18 @@ class Race:
         """Leave the rows as a process does that is killed; another one is to start."""
         tasks = [live.task for live in self.jobs._running.values() if live.task.cancel()]
         await asyncio.gather(*tasks, return_exceptions=True)
-        self.jobs = Jobs(self.store, self.engine, self.settings, Metrics())
+        self.begin()
 
     async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
         row, _ = await self.jobs.submit(caller, self.measurement, to_wire(options))
         return row.key
 
-    async def until_run(self, number: int) -> None:
-        async with asyncio.timeout(PATIENCE):
-            while self.engine.runs < number:
-                await asyncio.sleep(0.001)
+    async def until_it_runs(self) -> None:
+        await until(lambda: self.engine.runs > 0)
 
     async def end(self, key: FitKey) -> FitRow:
         self.engine.go_on.set()
-        row = await self.jobs.wait(key, PATIENCE)
-        assert row is not None
-        return row
+        return await self.jobs.wait(key, PATIENCE)
 
     def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
         """Make calls of the store pause, one after the other, before they work or after it."""
@@ -132,7 +123,6 @@ class Race:
 
 @pytest.fixture
 async def place(tmp_path: Path) -> AsyncIterator[Race]:
-    """A store and its jobs."""
     race = Race(tmp_path / "data")
     try:
         yield race
@@ -141,21 +131,20 @@ async def place(tmp_path: Path) -> AsyncIterator[Race]:
         race.store.close()
 
 
-async def until(event: threading.Event) -> None:
+async def until(happened: Callable[[], bool]) -> None:
     async with asyncio.timeout(PATIENCE):
-        while not event.is_set():
+        while not happened():
             await asyncio.sleep(0.001)
 
 
 async def test_fit_requested_during_its_cancellation_runs(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
     key = await place.submit()
-    await place.until_run(1)
+    await place.until_it_runs()
     slow = place.slow_down(monkeypatch, "cancel_fit", 0.5, after=True)
     cancelling = asyncio.create_task(place.jobs.cancel(key))
-    await until(slow.there)  # the row is cancelled, its process is still to be ended
+    await until(slow.there.is_set)  # the row is cancelled, its process is still to be ended
     again = asyncio.create_task(place.submit())
-    row = await cancelling
-    assert (row and row.status) == "cancelled"
+    assert await cancelling is not None
     assert await again == key
     row = await place.end(key)
     assert row.status == "succeeded"
@@ -166,19 +155,18 @@ async def test_fit_requested_during_its_cancellation_runs(place: Race, monkeypat
 async def test_cancelled_attempt_cannot_overwrite_the_next_one(
     place: Race, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
-    place.engine.slot().release()  # the next attempt need not wait for a slot
+    place.engine.room.release()  # the next attempt need not wait for a slot
     slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
     key = await place.submit()
     place.engine.go_on.set()
-    await until(slow.there)  # a thread is about to write what is not true any more
+    await until(slow.there.is_set)  # a thread is about to write what is not true any more
     place.engine.go_on.clear()
     runs = place.engine.runs
     cancelling = asyncio.create_task(place.jobs.cancel(key))
-    while place.store.fit(key).status != "cancelled":
-        await asyncio.sleep(0.001)
+    await until(lambda: place.store.fit(key).status == "cancelled")
     assert await place.submit() == key  # while the first attempt is still ending
     assert (await cancelling) is not None
-    await until(slow.over)  # it has written
+    await until(slow.over.is_set)  # it has written
     row = await place.end(key)
     assert (row.status, row.attempts) == ("succeeded", 1)
     assert f'"run {runs + 1}"' in str(place.store.result(key))
@@ -191,7 +179,7 @@ async def test_request_during_completion_gets_the_result(
     slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
     key = await place.submit()
     place.engine.go_on.set()
-    await until(slow.there)
+    await until(slow.there.is_set)
     others = [asyncio.create_task(place.submit()) for _ in range(5)]
     assert {await other for other in others} == {key}
     slow.on.set()
@@ -203,17 +191,16 @@ async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
     place: Race, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     key = await place.submit()
-    await place.until_run(1)
+    await place.until_it_runs()
     slow = place.slow_down(monkeypatch, "fit", PATIENCE)
     waiting = asyncio.create_task(place.jobs.wait(key, PATIENCE))
     await asyncio.sleep(0)
     await place.jobs.cancel(key)
-    await until(slow.there)
+    await until(slow.there.is_set)
     assert await place.submit() == key
     slow.on.set()  # the row that is read now is the new one's
     place.engine.go_on.set()
-    row = await waiting
-    assert (row and row.status) == "succeeded"
+    assert (await waiting).status == "succeeded"
 
 
 @pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
@@ -221,7 +208,6 @@ async def test_result_is_written_when_the_disk_works_again(
     place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
-
     complete = place.store.complete_fit
     failures = iter([error, error])
 
@@ -248,7 +234,6 @@ async def test_engine_exception_is_a_system_fault(place: Race) -> None:
 
 async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs_module, "_RETRY_DELAY", 0.01)
-
     not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
     too_many = OSError(errno.EMFILE, "Too many open files")
     place.engine.outcomes += [not_started, too_many, not_started, RESULT]
@@ -270,21 +255,20 @@ async def test_queued_fits_alternate_between_owners(place: Race) -> None:
     callers = [Caller("many"), Caller("one"), Caller("two")]
     for caller in callers:
         place.upload(caller)
-    of_many = [await place.submit(callers[0], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 5)]
-    of_one = [await place.submit(callers[1])]
-    of_two = [await place.submit(callers[2], dsbrdf.FitOptions(mask=n / 10)) for n in range(1, 1 + 2)]
-    for key in (*of_many, *of_one, *of_two):
+    many, one, two = [
+        [await place.submit(caller, dsbrdf.FitOptions(mask=(1 + n) / 10)) for n in range(count)]
+        for caller, count in zip(callers, (5, 1, 2), strict=True)
+    ]
+    for key in (*many, *one, *two):
         await place.end(key)
-    order = [of_many[0], of_many[1], *of_one, of_two[0], of_many[2], of_two[1], *of_many[3:]]
+    order = [*many[:2], *one, two[0], many[2], two[1], *many[3:]]
     assert place.engine.begun == [str(key) for key in order]
 
 
 @pytest.mark.parametrize("broken_off", [True, False])
 async def test_shutdown_does_not_count_as_an_attempt(place: Race, broken_off: bool) -> None:
-    caller = Caller("one")
-    place.upload(caller)
-    key = await place.submit(caller)
-    await place.until_run(1)
+    key = await place.submit()
+    await place.until_it_runs()
     if not broken_off:
         await place.jobs.close()
     (row,) = place.store.resume()  # as the next process does
@@ -305,7 +289,7 @@ async def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
         await sleep(0.0 if seconds >= 1.0 else seconds)
 
     key = await place.submit()
-    await place.until_run(1)
+    await place.until_it_runs()
     with place.store.database.transaction() as db:
         db.execute("UPDATE fits SET interruptions = ?", (interruptions - 1,))
     await place.break_off()

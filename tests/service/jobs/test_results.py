@@ -16,11 +16,8 @@ from service.storage.schema import FitKey
 from service.storage.store import Store
 from tests.support.stores import LOCAL, add
 
-pytestmark = pytest.mark.anyio
 
-PATIENCE = 60.0  # seconds
-
-
+@pytest.mark.anyio
 async def test_model_that_is_read_before_its_deletion_is_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -34,14 +31,14 @@ async def test_model_that_is_read_before_its_deletion_is_not_kept(
     def read_slowly(key: FitKey) -> str | None:
         document = result(key)
         read.set()
-        assert deleted.wait(PATIENCE)
+        assert deleted.wait(60.0)
         return document
 
     monkeypatch.setattr(store, "result", read_slowly)
     models = ModelCache(store, 8)
 
     reading = asyncio.create_task(models.get(key))
-    async with asyncio.timeout(PATIENCE):
+    async with asyncio.timeout(60.0):
         while not read.is_set():
             await asyncio.sleep(0.001)
     assert store.remove_fit(key)

@@ -15,7 +15,6 @@ from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
-
 KEY = f"dsbrdf_0123456789ab_{SECRET}"
 
 
@@ -41,20 +40,11 @@ def test_valid_request_id_is_kept_and_any_other_replaced(watched: Server, given:
     assert told == given if given in ("abc", "A-b_c.9", "x" * 64) else re.fullmatch("[0-9a-f]{16}", told)
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
-        ("GET", "/health/live", 200),
-        ("GET", "/nowhere", 404),
-        ("PUT", "/v1/fits", 405),
-        ("GET", "/v1/fits?limit=x", 422),
-        ("HEAD", f"/v1/measurements/{'0' * 64}", 404),
-    ],
-)
-def test_every_response_has_a_unique_request_id(watched: Server, method: str, path: str, status: int) -> None:
-    answers = [watched.http.request(method, path) for _ in range(2)]
-    assert [answer.status_code for answer in answers] == [status, status]
-    assert len({answer.headers["x-request-id"] for answer in answers}) == 2
+def test_every_response_has_a_unique_request_id(watched: Server) -> None:
+    paths = ("/health/live", "/nowhere", "/v1/fits?limit=x", f"/v1/measurements/{'0' * 64}")
+    answers = [watched.http.request(method, path) for path in paths for method in ("GET", "PUT", "HEAD", "GET")]
+    assert {answer.status_code for answer in answers} == {200, 404, 405, 422}
+    assert len({answer.headers["x-request-id"] for answer in answers}) == len(answers)
 
 
 def test_request_is_logged_in_one_line(watched: Server) -> None:
@@ -109,7 +99,6 @@ def test_api_key_is_never_logged(watched: Server) -> None:
     assert len(lines_of(watched, "with-key", 23)) == 23
     text = watched.log.read_text()
     assert "dsbrdf_0123456789ab_" in text  # whose key it was may be told
-    assert SECRET not in text
     assert SECRET[-8:] not in text
     assert SECRET[:3] not in text
 
@@ -138,17 +127,14 @@ def test_missing_folder_is_logged_once(own_server: Callable[..., Server], data: 
 
 def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
-    fit = server.http.post(
-        "/v1/fits", params=QUICK, content=data, headers={"Content-Type": "application/octet-stream"}
-    ).json()["id"]
+    fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
         database.execute("UPDATE fits SET options = '[]'")
     answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
     assert_problem(answer, 500, "internal")
     assert answer.headers["x-request-id"] == "broken"
-    told = lines_of(server, "broken")
-    assert [line["level"] for line in told] == ["error", "error"]
-    (with_reason,) = [line for line in told if "exception" in line]
+    with_reason, request = lines_of(server, "broken")
+    assert (with_reason["level"], request["level"]) == ("error", "error")
     assert "ValidationError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
