@@ -22,6 +22,7 @@ from service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
+from tests.support.stores import add
 
 pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]
@@ -54,7 +55,7 @@ def key(running: Application) -> str:
 
 
 @pytest.fixture
-def block(monkeypatch: pytest.MonkeyPatch) -> Callable[[object, str], Blocked]:
+def block(monkeypatch: pytest.MonkeyPatch) -> Block:
     """Replace a function of a module by one that returns when it may."""
 
     def replace(place: object, name: str) -> Blocked:
@@ -146,11 +147,8 @@ async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, 
 async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
     running: Application, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    caller, incoming = Caller(key.split("_")[1]), running.store.blobs.incoming()
-    incoming.write(b"a measurement")
-    incoming.valid_nodes = 1
-    sha256 = incoming.close()
-    running.store.add_measurement(caller, incoming)
+    caller = Caller(key.split("_")[1])
+    sha256 = add(running.store, b"a measurement", caller)
 
     def delete_and_draw(*arguments: Any) -> bytes:
         assert running.store.remove_measurement(caller.owner, sha256)

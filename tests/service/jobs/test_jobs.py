@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome
+from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Fault, FitTask, Outcome
+from service.errors import FitNotFoundError
 from service.jobs import jobs as jobs_module
 from service.jobs.jobs import Jobs
+from service.jobs.results import ModelCache
 from service.operations.metrics import Metrics
 from service.settings import Settings
 from service.storage.schema import Caller, FitKey, FitRow
@@ -25,7 +27,8 @@ from tests.support.materials import glossy_plastic
 pytestmark = pytest.mark.anyio
 LOCAL = Caller()
 OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
-RESULT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
+_FIT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
+RESULT = DecomposedFit(_FIT.model, _FIT.report, dsbrdf.decompose(_FIT))
 
 
 class Engine:
@@ -263,6 +266,20 @@ async def test_queued_fits_alternate_between_owners(place: Race) -> None:
         await place.end(key)
     order = [*many[:2], *one, two[0], many[2], two[1], *many[3:]]
     assert place.engine.begun == [str(key) for key in order]
+
+
+async def test_model_that_is_read_before_its_deletion_is_not_kept(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = await place.submit()
+    await place.end(key)
+    slow, models = place.slow_down(monkeypatch, "result", PATIENCE, after=True), ModelCache(place.store, 8)
+    reading = asyncio.create_task(models.get(key))
+    await until(slow.there.is_set)
+    assert place.store.remove_fit(key)
+    models.forget(key)
+    slow.on.set()
+    assert (await reading).model.n_lobes == 1  # it was there when it was asked for
+    with pytest.raises(FitNotFoundError):
+        await models.get(key)
 
 
 @pytest.mark.parametrize("broken_off", [True, False])
