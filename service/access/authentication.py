@@ -1,7 +1,5 @@
 """Authentication: whose request it is, whether it is allowed, how often, and how many at once.
 
-A request sees the rows of its owner.
-
 A key is needed where other machines can reach the service. On loopback the local user needs none; the request must then
 be this user's own: not one from a page of another site in the user's browser, nor one to a foreign host name that has
 been made to resolve to this machine.
@@ -73,9 +71,7 @@ class AuthenticationMiddleware:
     def _begin(self, scope: Scope) -> str | None:
         """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
 
-        A caller may have at most as many requests in progress as places are free: one caller can take half of all.
-
-        Raises ProblemError if it has more.
+        Raises ProblemError if a caller has more requests in progress than places are free: one can take half of all.
         """
         if scope["path"].startswith(HEALTH):
             return None

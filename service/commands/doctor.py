@@ -1,8 +1,4 @@
-"""The command ``dsbrdf doctor``: check the stored database and every stored file, without changing anything.
-
-``GET /health/ready`` says whether a server can take work; this command reads everything that is stored, which takes
-longer.
-"""
+"""The command ``dsbrdf doctor``: check the stored database and every stored file, without changing anything."""
 
 import sqlite3
 from collections.abc import Callable, Sequence

@@ -1,7 +1,7 @@
 """The command ``dsbrdf purge``: remove what is older than a given age, also while a server runs.
 
-Fits are removed when they ended longer ago than that, measurements when they were stored longer ago and no remaining
-fit of their owner uses them, files with the last row of any owner. A running server notices and empties its cache.
+Fits are removed when they ended longer ago, measurements when they were stored longer ago and no remaining fit of their
+owner uses them, files with the last row of any owner.
 """
 
 import re

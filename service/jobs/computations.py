@@ -1,8 +1,7 @@
 """What requests compute: once for all who wait for it, the callers in turns, and only as long as somebody waits.
 
-Every route that computes more than a few values goes through `Computations`: exports, figures, views, batches. What
-takes longer than some 50 ms is computed in a process of its own, which gives way to the one that answers and ends when
-nobody waits for it any more.
+Every route that computes more than a few values goes through `Computations`. What takes longer than some 50 ms is
+computed in a process of its own, which gives way to the one that answers.
 """
 
 import asyncio
@@ -30,10 +29,7 @@ Place = Literal["short", "medium", "long"]
 
 
 class FairTurns:
-    """Owners take turns; the requests of one owner are served in the order in which they came.
-
-    All calls must be made in one event loop.
-    """
+    """Owners take turns in one event loop; the requests of one are served in the order in which they came."""
 
     def __init__(self) -> None:
         self._taken = False

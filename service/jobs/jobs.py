@@ -1,7 +1,7 @@
 """The life of a fit: accepted, running, then succeeded, failed or cancelled.
 
-The state of a fit is in the store; here is what a running process needs besides: the tasks that wait for a free slot
-or for the engine, their progress, and who waits for a change.
+The state of a fit is in the store; here are the tasks that wait for a free slot or for the engine, their progress, and
+who waits for a change.
 """
 
 import asyncio
@@ -102,11 +102,7 @@ class Jobs:
     async def submit(
         self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or find the same one.
-
-        `options` are all options in their wire form. Return the fit's row, which is durable, and whether it is computed
-        because of this call. It gets the `name`, if there is one.
-        """
+        """Accept a fit or find the same one, as `Store.add_fit`; the row is durable."""
         limit = self._settings.queue_limit
         row, new = await in_write_thread(self._store.add_fit, caller, sha256, options, limit, name)
         if new and not self._stopping.done():

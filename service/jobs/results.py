@@ -1,8 +1,6 @@
-"""What is kept in memory of finished fits: their models, and what a page shows of them beside their measurements.
+"""What is kept in memory of finished fits, so that a request for values reads and fits nothing.
 
-The models used last stay with their components, so that a request for values reads and fits nothing. A view, pictures
-of lit spheres and slices of fit and measurement, takes up to a second and reads the whole measurement; those used last
-stay too, some 300 kB each.
+Models with their components, and views: what a page shows of a fit beside its measurement, which takes up to a second.
 """
 
 from collections import OrderedDict
@@ -30,7 +28,7 @@ from .steps import LIGHT_STEP, POLAR_ANGLES, Drawn, StoredMeasurement, in_plane,
 
 Array = NDArray[np.float64]
 
-_KEPT = 32
+_KEPT = 32  # views, of some 300 kB each
 _CURVE_ANGLES = np.linspace(0.0, 1.0, 160) ** 2 * np.pi / 2  # dense at the peak
 _DIGITS = 4
 
@@ -69,10 +67,7 @@ class ModelCache:
         self._deletions = 0
 
     async def get(self, key: FitKey) -> LoadedFit:
-        """Return the model of a fit.
-
-        Raises ProblemError if there is no such fit, or it has no result.
-        """
+        """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result."""
         loaded = self._models.get(key)
         if loaded is not None:
             self._models.move_to_end(key)

@@ -99,9 +99,8 @@ def sphere_step(
     whole: ReflectanceModel | StoredMeasurement, part: ReflectanceModel | None, lighting: str, size: int, _: OnProgress
 ) -> bytes:
     """Return the PNG of a sphere of a model, of a `part` of it, or of a measurement, with the exposure of the whole."""
-    image = render_sphere(
-        whole.mapped() if isinstance(whole, StoredMeasurement) else whole, lighting=lighting, size=size
-    )
+    shown = whole.mapped() if isinstance(whole, StoredMeasurement) else whole
+    image = render_sphere(shown, lighting=lighting, size=size)
     factor = exposure(image, sphere_normals(size)[1])
     if part is not None:
         image = render_sphere(part, lighting=lighting, size=size)
@@ -145,10 +144,9 @@ def figure_step(
 
 
 def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, int]:
-    """Check a file that is no MERL file, and replace its content by what is stored of it.
+    """Check a file that is no MERL file, and replace that of RGL by a MERL table; a table of samples stays as it is.
 
-    An RGL file becomes a MERL table, so that all that reads measurements can read it; a table of samples stays as it
-    is. Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
+    Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
 
     Raises MeasurementFormatError if the file is wrong.
     """

@@ -1,7 +1,6 @@
 """What is counted and timed, for Prometheus; each application has a registry of its own.
 
-Labels take few values: a path counts under its route's template, every path without a route under one label, and
-nothing is counted by owner, fit or measurement.
+Labels take few values: a path counts under its route's template, and nothing by owner, fit or measurement.
 """
 
 import logging
@@ -27,7 +26,7 @@ _SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300
 logger = logging.getLogger(__name__)
 
 
-class Metrics:
+class Metrics(Collector):
     """The metrics of one service; each says in its description what it counts."""
 
     def __init__(self) -> None:
@@ -69,23 +68,17 @@ class Metrics:
         yield
         self.record_time(stage, perf_counter() - begin)
 
-    def collect_from(self, database: Database) -> None:
-        """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
-        self._registry.register(_Stored(database))
-
     def exposition(self) -> bytes:
         """Return everything in Prometheus' text format."""
         return generate_latest(self._registry)
 
-
-class _Stored(Collector):
-    """Gauges of what is stored, read from the database: counters would start at zero with the process."""
-
-    def __init__(self, database: Database) -> None:
+    def collect_from(self, database: Database) -> None:
+        """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
         self._database = database
+        self._registry.register(self)
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the gauges."""
+        """Yield gauges of what is stored, read from the database: counters would start at zero with the process."""
         states = GaugeMetricFamily("dsbrdf_fits", "Fits by state; the accepted ones are the queue.", labels=("state",))
         files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
         try:

@@ -31,16 +31,14 @@ logger = logging.getLogger(__name__)
 
 
 class Incoming:
-    """A file that is being received, of `size` bytes so far; it is either placed by `Blobs.place` or discarded.
-
-    Once it is closed it has its `sha256`, and who has checked it sets the number of `valid_nodes`, 0 of samples.
-    """
+    """A file that is being received; it is either placed by `Blobs.place` or discarded."""
 
     def __init__(self, folder: Path) -> None:
         descriptor, name = tempfile.mkstemp(prefix=_UPLOAD, dir=folder)
         self.path = Path(name)
-        self.size = self.valid_nodes = 0
-        self.sha256 = ""
+        self.size = 0  # bytes so far
+        self.sha256 = ""  # once it is closed
+        self.valid_nodes = 0  # set by who has checked it; 0 of samples
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
         self._digest = hashlib.sha256()
 
@@ -204,12 +202,9 @@ class Blobs:
 
     def check(self) -> None:
         """Raise OSError unless a file can be written."""
-        probe = self.incoming()
-        try:
+        with tempfile.TemporaryFile(dir=self.temporary, buffering=0) as probe:
             probe.write(b"ready?")
-            probe.close()
-        finally:
-            probe.discard()
+            os.fsync(probe.fileno())
 
 
 def _fingerprint(status: os.stat_result) -> tuple[int, ...]:

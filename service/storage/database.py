@@ -1,8 +1,4 @@
-"""The SQLite database of a data folder, which must be the service's own, and the lock that keeps a second server out.
-
-A server holds the lock, which is on the folder itself, as long as it runs. Commands open the database without it,
-while a server may run.
-"""
+"""The SQLite database of a data folder, which must be the service's own, and the lock that keeps other servers out."""
 
 import fcntl
 import os
@@ -32,8 +28,8 @@ T = TypeVar("T")
 class Database:
     """Two connections that all threads of this process share: one writes, one reads and never waits for the writer.
 
-    The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock; a command
-    goes without, so that a server may run or start. `busy_timeout` is how long a transaction waits until it begins [s].
+    The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock, which is on
+    the folder itself, as long as it runs; a command goes without, so that a server may run or start.
 
     Raises DataFolderError if the folder holds anything else than a service's data, another process holds the lock and
     it is needed, another release has written the database, or it is damaged; then nothing in the folder has changed.
@@ -41,7 +37,7 @@ class Database:
 
     def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
         _claim(folder)
-        self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT
+        self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT  # until a transaction begins [s]
         self._path = folder.resolve() / FILE_NAME
         self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
         try:
@@ -81,7 +77,7 @@ class Database:
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write all or nothing; what is written is durable when the block ends.
 
-        Raises DatabaseBusyError, sqlite3.OperationalError if its turn has not come within `busy_timeout`. Raises
+        Raises DatabaseBusyError or sqlite3.OperationalError if its turn has not come within `busy_timeout`,
         DatabaseLostError if the file is not where it was.
         """
         deadline = time.monotonic() + self.busy_timeout

@@ -50,7 +50,6 @@ VERSION = zlib.crc32(_TABLES.encode()) >> 1  # another one whenever the tables a
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
 IS_UNFINISHED = f"status IN {UNFINISHED}"  # for SQL, which writes a tuple as Python does
-_REPEATABLE = ("compute", "system")  # origins of a failure after which the same request runs again
 
 
 def pragma(connection: sqlite3.Connection, name: str) -> int:
@@ -175,6 +174,5 @@ class FitRow:
 
     @property
     def repeatable(self) -> bool:
-        """Whether the same request computes it once more."""
-        failed_otherwise = self.error is not None and self.error["origin"] in _REPEATABLE
-        return self.status == "cancelled" or failed_otherwise
+        """Whether the same request computes it once more: not where its input is at fault."""
+        return self.status == "cancelled" or (self.error is not None and self.error["origin"] != "input")

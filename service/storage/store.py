@@ -1,7 +1,6 @@
 """What the service keeps: SQLite rows and measurement files in one data folder, and how much of it each key may have.
 
-Every method is safe to call from any thread and returns when the change is durable. A fit's result and its
-state are written in one transaction. One server at a time may open a data folder; commands may open it beside it.
+Every method is safe to call from any thread and returns when the change is durable.
 """
 
 import hashlib
@@ -60,17 +59,11 @@ def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
 
 
 class Store:
-    """Rows and blobs below one folder, which is made if it does not exist; no other server may have it open.
-
-    `warnings` has a sentence for each thing that was not as it ought to be.
-
-    Raises DataFolderError if one has, the folder holds anything else, another release has written it, or the database
-    is damaged.
-    """
+    """Rows and blobs below one folder; made and locked as an exclusive `Database`, whose errors it raises."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.warnings: list[str] = []
+        self.warnings: list[str] = []  # a sentence for each thing that was not as it ought to be
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
@@ -136,20 +129,16 @@ class Store:
         return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, name)]
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
-        """Remove a measurement, its finished fits stay; return whether there was one.
+        """Remove a measurement, whose file goes with its last owner's row; return whether there was one.
 
-        Its file goes with the last owner's row.
-
-        Raises ProblemError if fits of it are unfinished.
+        Its finished fits stay; raises ProblemError if fits of it are unfinished.
         """
         with self.blobs.removal() as remove_file, self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
-                raise ProblemError(
-                    "measurement-in-use",
-                    f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended.",
-                )
+                detail = f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended."
+                raise ProblemError("measurement-in-use", detail)
             delete = f"DELETE FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             removed = db.execute(delete, (owner, sha256)).rowcount > 0
             if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
@@ -161,10 +150,9 @@ class Store:
     ) -> tuple[FitRow, bool]:
         """Accept a fit of a stored measurement, or find the same one; the flag says whether it has to be computed.
 
-        `options` are in their wire form; at most `queue_limit` fits may be waiting. The fit gets the `name`; without
-        one, it has that of its measurement.
+        `options` are in their wire form; without a `name`, the fit has that of its measurement.
 
-        Raises MeasurementNotFoundError, or ProblemError if the queue is full or a quota is reached.
+        Raises MeasurementNotFoundError, or ProblemError if `queue_limit` fits are waiting or a quota is reached.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
@@ -185,10 +173,8 @@ class Store:
             check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
-                raise ProblemError(
-                    "queue-full",
-                    f"{waiting} fits are waiting, the most allowed; the measurement is stored, ask again later.",
-                )
+                detail = f"{waiting} fits are waiting, the most allowed; the measurement is stored, ask again later."
+                raise ProblemError("queue-full", detail)
             versions = dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__
             new = (caller.owner, *key, name, sha256, json.dumps(options), *versions, time.time())
             (row,) = db.execute(_ADD_FIT, new).fetchall()
@@ -218,8 +204,8 @@ class Store:
             return None
         document, metrics, written = rows[0]
         if checksum(metrics, document) != written:
-            remedy = "delete the fit and ask for it once more"
-            raise ProblemError("fit-without-result", f"The stored result of the fit is damaged; {remedy}.")
+            detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
+            raise ProblemError("fit-without-result", detail)
         return str(document, "utf-8")
 
     def start_fit(self, key: FitKey) -> FitRow | None:

@@ -26,7 +26,6 @@ _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
 )
-_REMEDY = "delete what is not needed any more."
 
 
 class Uploads:
@@ -69,8 +68,7 @@ class Uploads:
         ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
         if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
             uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
-            detail = f"{_usage(caller, stored)} and {uploads}, which take the rest; {_REMEDY}"
-            raise ProblemError("storage-quota", detail)
+            raise _full(caller.stored_bytes, stored, f" and {uploads}, which take the rest")
 
 
 async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -90,10 +88,8 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
     query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
-        raise ProblemError(
-            "queue-quota",
-            f"{unfinished} fits of this key are unfinished, the most allowed; ask again when one has ended.",
-        )
+        detail = f"{unfinished} fits of this key are unfinished, the most allowed; ask again when one has ended."
+        raise ProblemError("queue-quota", detail)
 
 
 def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
@@ -103,8 +99,9 @@ def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
     if stored + max(more, 1) > caller.stored_bytes:
         measurement = f" and the measurement has {more / 1e6:.1f} MB" if more else ""
-        raise ProblemError("storage-quota", f"{_usage(caller, stored)}{measurement}; {_REMEDY}")
+        raise _full(caller.stored_bytes, stored, measurement)
 
 
-def _usage(caller: Caller, stored: int) -> str:
-    return f"this key has stored {stored / 1e6:.1f} of {(caller.stored_bytes or 0) / 1e6:.1f} MB"
+def _full(allowed: int, stored: int, more: str) -> ProblemError:
+    usage = f"this key has stored {stored / 1e6:.1f} of {allowed / 1e6:.1f} MB"
+    return ProblemError("storage-quota", f"{usage}{more}; delete what is not needed any more.")
