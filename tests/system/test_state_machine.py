@@ -93,15 +93,6 @@ class Life(RuleBasedStateMachine):
         self.submitted((content, chosen), answer)
         assert self.fits[content, chosen] == "succeeded"
 
-    @precondition(lambda self: self.measurements)
-    @rule(data=st.data())
-    def cancel_and_ask_again(self, data: st.DataObject) -> None:
-        content = data.draw(st.sampled_from(self.measurements))
-        slow = OPTIONS.index(SLOW)
-        self.submit_a_stored_one(content, slow, "respond-async")
-        self.cancel((content, slow))
-        self.submit_a_stored_one(content, slow, "respond-async")
-
     @precondition(lambda self: self.fits)
     @rule(data=st.data(), wait=st.sampled_from([0, 0.3]))
     def look_a_fit_up(self, data: st.DataObject, wait: float) -> None:

@@ -244,16 +244,6 @@ async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monk
     assert (row.status, row.attempts) == ("succeeded", 1)
 
 
-@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"other bytes")])
-async def test_fit_of_a_damaged_file_is_a_system_fault(place: Race, harm: Callable[[Path], Any]) -> None:
-    harm(place.store.blobs.path(place.measurement))
-    row = await place.end(await place.submit())
-    assert row.error is not None
-    assert (row.error["origin"], row.error["type"]) == ("system", "MeasurementDamaged")
-    place.upload(LOCAL)
-    assert (await place.end(await place.submit())).status == "succeeded"
-
-
 async def test_queued_fits_alternate_between_owners(place: Race) -> None:
     callers = [Caller("many"), Caller("one"), Caller("two")]
     for caller in callers:

@@ -58,7 +58,10 @@ def test_failed_fit_runs_again_unless_its_input_is_at_fault(store: Store, origin
 def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     owners = Caller("a"), Caller("b")
     sha256, _ = (add(store, b"x", owner) for owner in owners)
-    of_a, of_b = (store.add_fit(owner, sha256, {}, 10)[0].key for owner in owners)
+    fits = [store.add_fit(owner, sha256, {}, 10)[0] for owner in owners]
+    # Links to further pages hold these numbers, and do not tell what others have.
+    assert [row.seq for row in fits] == [row.seq for row in store.measurements("b", 9, None)] * 2 == [1, 1]
+    of_a, of_b = (row.key for row in fits)
     store.start_fit(of_b)
     store.complete_fit(of_b, "of b", {})
     assert (store.fit(of_a).status, store.result(of_a)) == ("accepted", None)
