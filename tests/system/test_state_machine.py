@@ -56,10 +56,10 @@ class Life(RuleBasedStateMachine):
             self.cancel(key) if OPTIONS[key[1]] is SLOW else self.see(key, wait=60)
             if key in self.fits:
                 assert self.fits[key] in ENDED
-                assert self.delete(self.path(key)).json()["status"] == "deleted"
+                assert self.server.http.delete(self.path(key)).json()["status"] == "deleted"
         self.fits.clear()
         for content in self.measurements:
-            assert self.delete(f"/v1/measurements/{self.sha256(content)}").status_code == 204
+            assert self.server.http.delete(f"/v1/measurements/{self.sha256(content)}").status_code == 204
         self.measurements.clear()
         self.lists_and_files_are_those_of_the_model()
 
@@ -109,13 +109,13 @@ class Life(RuleBasedStateMachine):
         if key not in self.fits:
             if key in self.ids:
                 assert_problem(self.server.http.get(self.path(key)), 404, "not-found")
-                assert_problem(self.delete(self.path(key)), 404, "not-found")
+                assert_problem(self.server.http.delete(self.path(key)), 404, "not-found")
         else:
             self.cancel(key)
 
     @rule(content=contents)
     def remove_a_measurement(self, content: int) -> None:
-        answer = self.delete(f"/v1/measurements/{self.sha256(content)}")
+        answer = self.server.http.delete(f"/v1/measurements/{self.sha256(content)}")
         unfinished = [key for key, known in self.fits.items() if key[0] == content and known is None]
         if content not in self.measurements:
             assert_problem(answer, 404, "not-found")
@@ -185,16 +185,13 @@ class Life(RuleBasedStateMachine):
     def cancel(self, key: tuple[int, int]) -> None:
         """Cancel a fit if it is unfinished, or else delete it."""
         known = self.fits[key]
-        answer = self.delete(self.path(key))
+        answer = self.server.http.delete(self.path(key))
         if answer.json()["status"] == "cancelled":
             assert known is None
             self.fits[key] = "cancelled"
         else:
             assert answer.json()["status"] == "deleted"
             del self.fits[key]
-
-    def delete(self, path: str) -> httpx.Response:
-        return self.server.http.delete(path)
 
     def path(self, key: tuple[int, int]) -> str:
         return f"/v1/fits/{self.ids[key]}"

@@ -40,22 +40,19 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
         return one == other
 
     monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
-    database = Database(tmp_path)
-    row, key = add_key(database, "x")
-    active = Keys(Settings())
-    assert active.find(key.encode()) is None  # not loaded
-    active.load(database)
-    found = active.find(key.encode())
-    assert (found and found.caller.owner) == row.id
-    assert active.find(key.replace(row.id, "0" * 12).encode()) is None
-    assert active.find((key[:-1] + "_").encode()) is None
-    assert len(compared) == 4
-    assert {len(part) for pair in compared for part in pair} == {32}
-    revoke_key(database, row.id)
-    active.load(database)
-    assert active.find(key.encode()) is None
-    assert len(compared) == 5
-    database.close()
+    with closing(Database(tmp_path)) as database:
+        row, key = add_key(database, "x")
+        active = Keys(Settings())
+        assert active.find(key.encode()) is None  # not loaded
+        active.load(database)
+        found = active.find(key.encode())
+        assert (found and found.caller.owner) == row.id
+        for wrong in (key.replace(row.id, "0" * 12), key[:-1] + "_"):
+            assert active.find(wrong.encode()) is None
+        revoke_key(database, row.id)
+        active.load(database)
+        assert active.find(key.encode()) is None
+    assert [len(part) for pair in compared for part in pair] == [32] * 10
 
 
 def test_damaged_or_locked_database_is_reported_in_one_sentence(

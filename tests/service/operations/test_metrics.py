@@ -7,7 +7,7 @@ from collections.abc import Callable
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server
+from tests.support.server import ENDLESS, QUICK, Server
 
 
 def metrics(server: Server) -> dict[tuple[str, ...], float]:
@@ -22,8 +22,9 @@ def metrics(server: Server) -> dict[tuple[str, ...], float]:
     }
 
 
-def test_requests_are_counted_by_route(watched: Server, sha256: str) -> None:
-    fit = watched.submit(sha256, n_lobes=1, em_iterations=3).json()["id"]
+def test_requests_are_counted_by_route(watched: Server, data: bytes) -> None:
+    document = watched.http.post("/v1/fits", params=QUICK, content=data).json()
+    fit, sha256 = document["id"], document["measurement"]
     before = metrics(watched)
     for theta in range(5):
         watched.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg={theta}&theta_diff_deg=1")

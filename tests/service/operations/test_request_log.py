@@ -103,9 +103,9 @@ def test_api_key_is_never_logged(watched: Server) -> None:
     assert SECRET[:3] not in text
 
 
-def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, sha256: str) -> None:
-    document = {"measurement": sha256, "options": {"method": "paper", "n_lobes": 1, "em_iterations": 4}}
-    fit = watched.http.post("/v1/fits", json=document, headers={"X-Request-ID": "wants-fit"}).json()
+def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, data: bytes) -> None:
+    options, headers = {**QUICK, "em_iterations": 4}, {"X-Request-ID": "wants-fit"}
+    fit = watched.http.post("/v1/fits", params=options, content=data, headers=headers).json()
     assert fit["status"] == "succeeded"
     told = {line["event"]: line for line in lines_of(watched, "wants-fit")}
     assert told["the fit has succeeded"]["fit"] == fit["id"]
@@ -146,9 +146,7 @@ def test_output_of_fit_processes_is_in_the_log(
     (tmp_path / "sitecustomize.py").write_text(fault)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     server = own_server(own_interpreter=True, fit_attempts="1")
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    document = {"measurement": sha256, "options": {"method": "paper"}}
-    fit = server.http.post("/v1/fits", json=document, headers={"X-Request-ID": "faulty"}).json()
+    fit = server.http.post("/v1/fits", params=QUICK, content=data, headers={"X-Request-ID": "faulty"}).json()
     assert fit["status"] == "failed"
     (told,) = [line for line in lines_of(server, "faulty") if "exception" in line]
     assert told["logger"] == "dsbrdf.engines.engine"
