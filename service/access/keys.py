@@ -124,7 +124,13 @@ class Keys:
             " coalesce(queued_fits, ?), metrics FROM keys WHERE revoked IS NULL"
         )
         usual = self._settings.key_requests_per_second, self._settings.key_stored_mb, self._settings.key_queued_fits
-        self._active = {row[0]: self._key(*row) for row in database.rows(query, *usual)}
+        active = {}
+        for key_id, digest, rate, stored_mb, queued_fits, metrics in database.rows(query, *usual):
+            known = self._active.get(key_id)
+            rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
+            caller = Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics))
+            active[key_id] = ActiveKey(bytes.fromhex(digest), caller, rate_limit)
+        self._active = active
 
     def find(self, text: bytes) -> ActiveKey | None:
         """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""
@@ -155,8 +161,3 @@ class Keys:
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""
         return not caller.owner or caller.owner in self._active
-
-    def _key(self, key_id: str, digest: str, rate: float, stored_mb: int, queued_fits: int, metrics: int) -> ActiveKey:
-        known = self._active.get(key_id)
-        rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
-        return ActiveKey(bytes.fromhex(digest), Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), rate_limit)

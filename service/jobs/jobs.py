@@ -84,8 +84,6 @@ class Jobs:
         self._store.database.busy_timeout = _FINAL_BUSY_TIMEOUT
         if not self._stopping.done():
             self._stopping.set_result(None)
-        for running in self._running.values():
-            running.notify()
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
@@ -143,7 +141,7 @@ class Jobs:
             if row.ended or self._stopping.done():
                 return
             if changed is not None:
-                await asyncio.wait((changed, *ends), return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait((changed, self._stopping, *ends), return_when=asyncio.FIRST_COMPLETED)
                 if any(end.done() for end in ends):
                     return
             else:  # the row is ahead of, or behind, this process by one step

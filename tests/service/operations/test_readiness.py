@@ -2,7 +2,6 @@
 
 import asyncio
 import shutil
-import signal
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -18,7 +17,6 @@ from service.settings import Settings
 from service.storage.database import FILE_NAME
 from service.storage.store import Store
 from tests.support.application import application
-from tests.support.commands import start_in_vain
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -94,10 +92,6 @@ def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Ser
     wait_until(lambda: server.http.get("/health/ready").status_code == 503)
     assert_problem(server.http.get("/v1/fits"), 503, "not-ready")
     assert "dsbrdf_requests_total" in server.http.get("/metrics").text
-    server.stop(signal.SIGKILL)
-    code, said = start_in_vain(server.data_dir.parent, "--port", "0", "--data-dir", str(server.data_dir))
-    assert (code, said.count("\n")) == (2, 1)
-    assert said.startswith("dsbrdf: the database ")
 
 
 async def test_nearly_full_disk_is_not_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,15 +1,12 @@
 """Files of measurements: placed whole, discarded whole."""
 
-import asyncio
 import errno
 import json
 import os
 from pathlib import Path
 
 import pytest
-from starlette.types import Message
 
-from service.http.responses import OpenFileResponse
 from service.storage.blobs import Blobs, Incoming
 from tests.support.application import application
 
@@ -38,28 +35,6 @@ def test_file_is_durable_before_it_is_placed_and_its_name_after(
     blobs.place(incoming)
     written = incoming.path
     assert steps == [("fsync", written), ("fsync", folder.parent), ("replace", written), ("fsync", folder)]
-
-
-def test_download_survives_deletion_of_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_bytes(b"content")
-    sent: list[Message] = []
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    async def receive() -> Message:
-        await asyncio.sleep(60)
-        return {"type": "http.disconnect"}
-
-    response = OpenFileResponse(path, {}, "text/plain", "0" * 64, pytest.fail)
-    path.unlink()
-    scope = {"type": "http", "method": "GET", "headers": [(b"range", b"bytes=3-")]}
-    asyncio.run(response(scope, receive, send))
-    assert sent[0]["status"] == 206
-    assert b"".join(message.get("body", b"") for message in sent) == b"tent"
-    with pytest.raises(FileNotFoundError):
-        OpenFileResponse(path, {}, "text/plain", "0" * 64, pytest.fail)
 
 
 @pytest.mark.anyio

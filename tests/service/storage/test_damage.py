@@ -72,6 +72,18 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     assert harm is not flip or server.submit(sha256, **options).json()["status"] == "succeeded"
 
 
+def test_download_survives_the_deletion_of_its_file(used: tuple[Server, str, str], data: bytes) -> None:
+    server, sha256, _ = used
+    head = f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    with server.connection(head.encode()) as connection:
+        answer = bytearray(connection.recv(1000))
+        assert server.http.delete(f"/v1/measurements/{sha256}").status_code == 204
+        while piece := connection.recv(1 << 20):  # the connection did not hold it all
+            answer += piece
+    assert answer.endswith(data)
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
+
+
 def test_download_of_a_file_that_changes_meanwhile_is_broken_off(used: tuple[Server, str, str], data: bytes) -> None:
     server, sha256, _ = used
     (path,) = server.files()
