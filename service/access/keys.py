@@ -50,9 +50,9 @@ def add_key(database: Database, name: str, **fields: Any) -> tuple[KeyRow, str]:
     """Make a key, with other `fields` of its row; return the row and the key itself, which cannot be shown again."""
     row, secret = KeyRow(secrets.token_hex(6), name, time.time(), **fields), secrets.token_urlsafe(32)
     values = {**asdict(row), "secret_sha256": hashlib.sha256(secret.encode()).hexdigest()}
-    names = ", ".join(values)
+    marks = ", ".join(f":{name}" for name in values)
     with database.transaction() as db:
-        db.execute(f"INSERT INTO keys ({names}) VALUES (:{names.replace(', ', ', :')})", values)  # noqa: S608
+        db.execute(f"INSERT INTO keys ({', '.join(values)}) VALUES ({marks})", values)  # noqa: S608
     return row, f"dsbrdf_{row.id}_{secret}"
 
 

@@ -102,7 +102,7 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> int:
             limits = row.requests_per_second, row.stored_mb, row.queued_fits
             rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
             times = (_time(seconds) for seconds in (row.created, row.used, row.revoked))
-            days = "".join(f"{f'{time:%Y-%m-%d %H:%M}' if time else '-':<18}" for time in times)
+            days = "".join(f"{time:%Y-%m-%d %H:%M}  " if time else f"{'-':<18}" for time in times)
             print(f"{row.id:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
         return 0
 

@@ -23,9 +23,9 @@ from service.storage.schema import Caller, FitKey, FitRow
 from service.storage.store import Store
 from service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
+from tests.support.stores import LOCAL, add
 
 pytestmark = pytest.mark.anyio
-LOCAL = Caller()
 OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
 _FIT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
 RESULT = DecomposedFit(_FIT.model, _FIT.report, dsbrdf.decompose(_FIT))
@@ -35,7 +35,6 @@ class Engine:
     """Computes when it is told to, and every time something else, so that one can tell who has computed."""
 
     def __init__(self) -> None:
-        self.runs = 0
         self.at_once = 0
         self.go_on = asyncio.Event()
         self.outcomes: list[Outcome | Exception] = []
@@ -47,7 +46,7 @@ class Engine:
 
     async def run(self, task: FitTask, on_progress: Callable[[float], None]) -> Outcome:
         self.begun.append(task.fit_id)
-        number = self.runs = self.runs + 1
+        number = len(self.begun)
         self.at_once += 1
         try:
             assert self.at_once == 1, "the same fit is computed twice at once"
@@ -76,18 +75,11 @@ class Race:
     def __init__(self, folder: Path) -> None:
         self.store = Store(folder)
         self.engine: Any = Engine()
-        self.measurement = self.upload(LOCAL)
+        self.measurement = add(self.store)
         self.begin()
 
     def begin(self) -> None:
         self.jobs = Jobs(self.store, self.engine, Settings(), Metrics())
-
-    def upload(self, caller: Caller) -> str:
-        incoming = self.store.blobs.incoming()
-        incoming.valid_nodes = 1
-        incoming.close()
-        self.store.add_measurement(caller, incoming)
-        return incoming.sha256
 
     async def break_off(self) -> None:
         """Leave the rows as a process does that is killed; another one is to start."""
@@ -100,7 +92,7 @@ class Race:
         return row.key
 
     async def until_it_runs(self) -> None:
-        await until(lambda: self.engine.runs > 0)
+        await until(lambda: bool(self.engine.begun))
 
     async def end(self, key: FitKey) -> FitRow:
         self.engine.go_on.set()
@@ -164,7 +156,7 @@ async def test_cancelled_attempt_cannot_overwrite_the_next_one(
     place.engine.go_on.set()
     await until(slow.there.is_set)  # a thread is about to write what is not true any more
     place.engine.go_on.clear()
-    runs = place.engine.runs
+    runs = len(place.engine.begun)
     cancelling = asyncio.create_task(place.jobs.cancel(key))
     await until(lambda: place.store.fit(key).status == "cancelled")
     assert await place.submit() == key  # while the first attempt is still ending
@@ -187,7 +179,7 @@ async def test_request_during_completion_gets_the_result(
     assert {await other for other in others} == {key}
     slow.on.set()
     assert (await place.end(key)).status == "succeeded"
-    assert place.engine.runs == 1
+    assert len(place.engine.begun) == 1
 
 
 async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
@@ -221,7 +213,7 @@ async def test_result_is_written_when_the_disk_works_again(
 
     monkeypatch.setattr(place.store, "complete_fit", fail_twice)
     row = await place.end(await place.submit())
-    assert (row.status, place.engine.runs) == ("succeeded", 1)
+    assert (row.status, len(place.engine.begun)) == ("succeeded", 1)
 
 
 async def test_engine_exception_is_a_system_fault(place: Race) -> None:
@@ -247,7 +239,7 @@ async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monk
 async def test_queued_fits_alternate_between_owners(place: Race) -> None:
     callers = [Caller("many"), Caller("one"), Caller("two")]
     for caller in callers:
-        place.upload(caller)
+        add(place.store, caller=caller)
     many, one, two = [
         [await place.submit(caller, dsbrdf.FitOptions(mask=(1 + n) / 10)) for n in range(count)]
         for caller, count in zip(callers, (5, 1, 2), strict=True)
@@ -304,5 +296,5 @@ async def test_eight_interruptions_are_forgiven_and_a_hundred_are_too_many(
     await place.jobs.start()  # which counts one more
     error = (await place.end(key)).error or {}
     assert error.get("type") == ("ServiceInterrupted" if delay == "fails" else None)
-    assert place.engine.runs == (1 if delay == "fails" else 2)
+    assert len(place.engine.begun) == (1 if delay == "fails" else 2)
     assert delays == ([delay] if isinstance(delay, float) else [])
