@@ -4,6 +4,7 @@ import hashlib
 import signal
 import struct
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import httpx
@@ -41,27 +42,22 @@ class Life(RuleBasedStateMachine):
     @initialize()
     def begin(self) -> None:
         self.server = self.start()
-        self.measurements: list[int] = []
+        self.measurements: dict[int, None] = {}
         self.fits: dict[tuple[int, int], str | None] = {}
 
     def teardown(self) -> None:
         """Everything unfinished comes to its end, and everything can be removed."""
-        try:
-            self.come_to_an_end()
-        finally:
-            self.server.close()
-
-    def come_to_an_end(self) -> None:
-        for key in list(self.fits):
-            self.cancel(key) if OPTIONS[key[1]] is SLOW else self.see(key, wait=60)
-            if key in self.fits:
-                assert self.fits[key] in ENDED
-                assert self.server.http.delete(self.path(key)).json()["status"] == "deleted"
-        self.fits.clear()
-        for content in self.measurements:
-            assert self.server.http.delete(f"/v1/measurements/{self.sha256(content)}").status_code == 204
-        self.measurements.clear()
-        self.lists_and_files_are_those_of_the_model()
+        with closing(self.server):
+            for key in list(self.fits):
+                self.cancel(key) if OPTIONS[key[1]] is SLOW else self.see(key, wait=60)
+                if key in self.fits:
+                    assert self.fits[key] in ENDED
+                    assert self.server.http.delete(self.path(key)).json()["status"] == "deleted"
+            self.fits.clear()
+            for content in self.measurements:
+                assert self.server.http.delete(f"/v1/measurements/{self.sha256(content)}").status_code == 204
+            self.measurements.clear()
+            self.lists_and_files_are_those_of_the_model()
 
     # What a client does
 
@@ -70,7 +66,7 @@ class Life(RuleBasedStateMachine):
         answer = self.server.http.post("/v1/measurements", content=self.files[content])
         assert answer.status_code == (200 if content in self.measurements else 201)
         assert answer.json()["sha256"] == self.sha256(content)
-        self.stored(content)
+        self.measurements.setdefault(content)
 
     @rule(content=contents, chosen=options, wait=st.sampled_from(["respond-async", "wait=0.2", "wait=60"]))
     def submit_a_stored_one(self, content: int, chosen: int, wait: str) -> None:
@@ -89,7 +85,7 @@ class Life(RuleBasedStateMachine):
     def submit_a_file(self, content: int, chosen: int) -> None:
         headers = {"Content-Type": "application/octet-stream", "Prefer": "wait=60"}
         answer = self.server.http.post("/v1/fits", params=OPTIONS[chosen], content=self.files[content], headers=headers)
-        self.stored(content)
+        self.measurements.setdefault(content)
         self.submitted((content, chosen), answer)
         assert self.fits[content, chosen] == "succeeded"
 
@@ -124,7 +120,7 @@ class Life(RuleBasedStateMachine):
             assert unfinished
         else:
             assert answer.status_code == 204
-            self.measurements.remove(content)
+            del self.measurements[content]
             for key in unfinished:
                 assert self.see(key, 0) in ENDED
 
@@ -146,10 +142,6 @@ class Life(RuleBasedStateMachine):
         assert {path.stem for path in self.server.files()} == {self.sha256(content) for content in self.measurements}
 
     # The model's own steps
-
-    def stored(self, content: int) -> None:
-        if content not in self.measurements:
-            self.measurements.append(content)
 
     def submitted(self, key: tuple[int, int], answer: httpx.Response) -> None:
         """Take in what a submission says; the statuses tell whether the fit is computed because of it."""

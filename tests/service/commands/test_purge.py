@@ -23,24 +23,12 @@ from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 from tests.support.stores import add
 
-DAY = 86400.0
-
 
 def purged(folder: Path, *words: str) -> dict[str, Any]:
     done = run_main(purge.main, "--data-dir", str(folder), "--json", *words)
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout)
     return document
-
-
-def make_older(folder: Path, days: float, table: str, column: str, name: str) -> None:
-    """Set the times of a row back."""
-    times = "created = created - :s" + (", finished = finished - :s" if table == "fits" else "")
-    with closing(sqlite3.connect(folder / FILE_NAME, timeout=30)) as db, db:
-        count = db.execute(
-            f"UPDATE {table} SET {times} WHERE {column} = :name", {"s": days * DAY, "name": name}
-        ).rowcount
-    assert count == 1
 
 
 def test_old_fits_and_measurements_are_removed_beside_a_running_server(
@@ -54,10 +42,13 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(
     )
     old_fit, fresh_fit, kept_fit = (server.submit(sha256, **QUICK).json()["id"] for sha256 in (old, fresh, kept))
     busy_fit = server.submit(busy, prefer="respond-async", **ENDLESS).json()["id"]
-    for sha256 in (old, unused, busy, kept):
-        make_older(folder, 40, "measurements", "sha256", sha256)
-    for fit in (old_fit, busy_fit):
-        make_older(folder, 40, "fits", "id", fit)
+    with closing(sqlite3.connect(folder / FILE_NAME, timeout=30)) as db, db:
+        seconds = 40 * 86_400
+        db.execute("UPDATE measurements SET created = created - ? WHERE sha256 != ?", (seconds, fresh))
+        times = "created = created - :s, finished = finished - :s"
+        db.execute(
+            f"UPDATE fits SET {times} WHERE id IN (:old, :busy)", {"s": seconds, "old": old_fit, "busy": busy_fit}
+        )
     values = f"/v1/fits/{old_fit}/brdf?theta_half_deg=1&theta_diff_deg=1"
     assert server.http.get(values).status_code == 200  # and so its model is in memory
 
