@@ -81,7 +81,10 @@ class AuthenticationMiddleware:
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, the most allowed now; wait for some to end."
-            headers = {"Connection": "close", "Retry-After": str(self._return_after(caller))}
+            now = monotonic()  # the refused ones are to come again one after the other, since each takes time
+            seconds = min(max(self._returns.get(caller, 0.0) - now, 0.0) + 1.0 / _RETURNS_PER_SECOND, _LONGEST_RETURN)
+            self._returns[caller] = now + seconds
+            headers = {"Connection": "close", "Retry-After": str(math.ceil(seconds))}
             raise ProblemError("too-many-at-once", detail, headers)
         self._in_progress[caller] = number + 1
         self._free -= 1
@@ -94,13 +97,6 @@ class AuthenticationMiddleware:
             if not self._in_progress[caller]:
                 del self._in_progress[caller]
                 self._returns.pop(caller, None)
-
-    def _return_after(self, caller: str) -> int:
-        """Return when a refused request may come again [s]: a caller's one after the other, since each takes time."""
-        now = monotonic()
-        due = max(self._returns.get(caller, 0.0), now) + 1.0 / _RETURNS_PER_SECOND
-        self._returns[caller] = min(due, now + _LONGEST_RETURN)
-        return math.ceil(self._returns[caller] - now)
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""

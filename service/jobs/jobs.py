@@ -10,7 +10,7 @@ import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict, dataclass, field
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar, TypeVarTuple
 
 from starlette.concurrency import run_in_threadpool
 
@@ -30,7 +30,7 @@ from .computations import FairTurns
 
 logger = logging.getLogger(__name__)
 
-P = ParamSpec("P")
+Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
 _RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
@@ -255,14 +255,14 @@ class Jobs:
             running.notify()
 
 
-async def _write(write: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
     """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost.
 
     A cancelled call returns when the thread has ended, so that nothing is written after it.
     """
     while True:
         try:
-            return await _run_to_end(in_write_thread(write, *args, **kwargs))
+            return await _run_to_end(in_write_thread(write, *values))
         except _DISK_ERRORS as error:
             logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Awaitable, Callable
 from functools import partial
 
-import anyio.to_thread
+from anyio import to_thread
 
 from dsbrdf.engines.engine import Engine
 
@@ -17,6 +17,8 @@ from ..storage.store import Store
 
 LIMIT = 3.0  # seconds that a part may take to answer
 _FRESH = 1.0  # seconds for which the answer of a part is used again
+# A disk that hangs must not delay the end of the service.
+_in_thread = partial(to_thread.run_sync, abandon_on_cancel=True)
 
 logger = logging.getLogger(__name__)
 
@@ -70,8 +72,3 @@ def _check_space(store: Store, least_mb: int) -> None:
     free = shutil.disk_usage(store.folder).free >> 20
     if free < least_mb:
         raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
-
-
-async def _in_thread(check: Callable[..., None], *about: object) -> None:
-    # A disk that hangs must not delay the end of the service.
-    await anyio.to_thread.run_sync(check, *about, abandon_on_cancel=True)

@@ -5,10 +5,11 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 from anyio import CapacityLimiter, to_thread
 
@@ -19,10 +20,8 @@ FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"
 _BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
 _COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
-# Threads of those that write rows: they may have to wait for each other, and those that read should not wait for them.
-_writers = CapacityLimiter(4)
-P = ParamSpec("P")
-T = TypeVar("T")
+in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
+"""Calls what writes rows: it may have to wait for others that do, for which those that read should not wait."""
 
 
 class Database:
@@ -114,11 +113,6 @@ class Database:
             "its file has been removed or replaced while the service had it open; put it back, or start the "
             "service again"
         )
-
-
-async def in_write_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call what writes to the database in one of the few threads for that."""
-    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_writers)
 
 
 def check_integrity(folder: Path) -> None:

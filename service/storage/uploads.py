@@ -3,9 +3,9 @@
 import asyncio
 import sqlite3
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import ParamSpec, TypeVar
+from functools import partial
 
 from anyio import CapacityLimiter, to_thread
 
@@ -16,12 +16,10 @@ from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import IS_UNFINISHED, Caller
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
 _CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
-# Few threads for all uploads, because each keeps the memory of its last piece.
-_threads = CapacityLimiter(4)
+_threads = CapacityLimiter(4)  # few for all uploads, because each keeps the memory of its last piece
+in_thread = partial(to_thread.run_sync, limiter=_threads)
+"""Calls what belongs to an upload."""
 _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
@@ -69,11 +67,6 @@ class Uploads:
         if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
             uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
             raise _full(caller.stored_bytes, stored, f" and {uploads}, which take the rest")
-
-
-async def in_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call what belongs to an upload in one of the few threads for all of them."""
-    return await to_thread.run_sync(lambda: call(*args, **kwargs), limiter=_threads)
 
 
 def threads_are_busy() -> bool:
