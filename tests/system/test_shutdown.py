@@ -152,8 +152,8 @@ def until_it_takes_ctrl_c(server: Server) -> None:
     def begun() -> bool:
         status = Path(f"/proc/{server.process.pid}/status").read_text()
         ignored, caught = (int(mask, 16) for mask in re.findall(r"^Sig(?:Ign|Cgt):\s*(\w+)", status, re.MULTILINE))
-        # Every interpreter ignores SIGPIPE and catches SIGINT, until it is told otherwise.
-        return bool(ignored >> (signal.SIGPIPE - 1) & 1) and not caught >> (signal.SIGINT - 1) & 1
+        # Every interpreter ignores SIGPIPE and catches SIGINT, or ignores it in the background, until told otherwise.
+        return bool(ignored >> (signal.SIGPIPE - 1) & 1) and not (ignored | caught) >> (signal.SIGINT - 1) & 1
 
     wait_until(begun, 20.0)
 

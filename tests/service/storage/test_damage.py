@@ -44,16 +44,9 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     server, sha256, fit = used
     options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # of a fit that no other test has
     url = f"/v1/measurements/{sha256}"
-    readers = {
-        url: {},
-        f"{url}#a part": {"Range": "bytes=0-11"},
-        f"{url}/figures/sphere.png": {},
-        f"/v1/fits/{fit}/figures/profiles.png": {},
-        f"/v1/fits/{fit}/figures/residual.svg": {},
-        f"/fits/{fit}/view": {},
-        f"/fits/{fit}/spheres/measured.png": {},
-        f"/fits/{fit}/profiles/0": {},
-    }
+    readers = {url: {}, f"{url}#a part": {"Range": "bytes=0-11"}, f"{url}/figures/sphere.png": {}}
+    readers |= {f"/v1/fits/{fit}/figures/{figure}": {} for figure in ("profiles.png", "residual.svg")}
+    readers |= {f"/fits/{fit}/{part}": {} for part in ("view", "spheres/measured.png", "profiles/0")}
     assert server.http.get(url).content == data  # so it was right not long ago
     (path,) = server.files()
     harm(path)
