@@ -13,6 +13,7 @@ from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from tests.support.command_line import QUICK, Capture, printed, run, sentence
+from tests.support.commands import start_in_vain
 
 
 @pytest.mark.parametrize(
@@ -76,6 +77,14 @@ def test_help_lists_all_commands_in_groups() -> None:
     assert {"Models", "Pictures", "Files", "Service", "Options"} <= {*lines}
     listed = {line.split()[0] for line in lines if line}
     assert listed >= {*command_names(), *SERVICE_COMMANDS, "--help", "--version"}
+
+
+def test_help_of_serve_names_the_defaults(tmp_path: Path) -> None:
+    code, text = start_in_vain(tmp_path, "--help")
+    assert code == 0
+    words = " ".join(text.split())
+    assert "Default: one for each core." in words
+    assert "Default: 127.0.0.1." in words
 
 
 def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,6 +203,12 @@ def test_a_cusp_is_no_steeper_than_its_lobe_and_no_lobe_narrower_than_the_data_c
     np.testing.assert_allclose(lobes[:, 4], -0.918 * np.minimum(width[:, 1], 0.25), rtol=1e-3)
     np.testing.assert_array_equal(structure.split(limited)[1][:, [0, 1, 3]], shape[:, [0, 1, 3]])
     np.testing.assert_array_equal(structure.limit(limited), limited)
+    uneven = np.concatenate([np.arange(0.0, 30.0, 2.0), np.arange(30.0, 60.0, 6.0), np.arange(60.0, 90.0, 3.0)])
+    crowded = replace(structure, theta_half=np.radians(uneven))
+    shape[:, 3], shape[:, 4] = np.log(REACH_BOUNDS[0]), np.radians(45.0)
+    lobes = crowded.lobe_shapes(crowded.limit(unknowns))
+    width = half_width(np.exp(lobes[:, :2]), np.exp(lobes[:, 2:4]), "hemi_epd")
+    np.testing.assert_allclose(width, np.broadcast_to(np.radians([2.0, 6.0]) * RESOLVED, width.shape))
 
 
 @pytest.mark.parametrize("family", FAMILIES)

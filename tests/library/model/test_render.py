@@ -149,6 +149,16 @@ def test_a_picture_of_the_sky_is_the_sky(height: int) -> None:
     np.testing.assert_allclose(found + lambertian_sphere(SUN, 48), expected, rtol=0.01)
 
 
+@pytest.mark.parametrize("height", [20, 330])
+def test_a_mirrored_material_under_a_mirrored_panorama_is_mirrored(height: int) -> None:
+    pixels = np.random.default_rng(height).uniform(0.5, 1.5, (height, 2 * height, 3))
+    pixels[[0, -1]] = 1.0  # straight up and down, where all columns meet
+    first = render_sphere(glossy, lighting=EnvironmentMap.from_pixels(pixels), size=24)
+    mirrored = EnvironmentMap.from_pixels(pixels[:, ::-1])
+    second = render_sphere(lambda half, diff, phi: glossy(half, diff, -phi), lighting=mirrored, size=24)
+    np.testing.assert_allclose(second, first[:, ::-1], rtol=1e-9)
+
+
 def test_a_small_bright_spot_is_a_distant_light() -> None:
     directions = directions_of(64)
     pixels = np.full(directions.shape, 0.01)

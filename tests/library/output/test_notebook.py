@@ -42,6 +42,7 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
     assert "<li>less than &lt;1 %&gt;</li>" in html
     assert warned.report._repr_html_() in html
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
+    assert f"<td>{plastic.valid.mean():.1%}</td>" in plastic._repr_html_()
     assert "<td>&lt;b&gt;</td>" in replace(plastic, name="<b>")._repr_html_()
     assert "0 lobes" in two_lobe_fit.model.select((), with_delta=False)._repr_html_()
 
