@@ -7,6 +7,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, closing, suppress
+from pathlib import Path
 
 import httpx
 import pytest
@@ -122,7 +123,8 @@ def test_unread_response_is_aborted(impatient: Server, data: bytes) -> None:
     sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
     with impatient.connection(f"GET /v1/measurements/{sha256} HTTP/1.1\r\nHost: x\r\n\r\n".encode()) as connection:
         assert connection.recv(1000)
-        time.sleep(3 * PATIENCE)
+        client = f":{connection.getsockname()[1]:04X} 01 "  # the server's end of the connection while it is open
+        wait_until(lambda: client not in Path("/proc/net/tcp").read_text())
         received = 0
         with suppress(ConnectionResetError):
             while part := connection.recv(1 << 20):
