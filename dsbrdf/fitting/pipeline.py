@@ -107,7 +107,7 @@ def fit(
             clock.lap("em")
         else:
             found, _ = fit_global(data, options, on_share, clock.lap)
-        result = _result(found, data, options, clock)
+        result = _result(found, data, options, clock, scattered=False)
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
@@ -117,13 +117,14 @@ def fit(
     return result
 
 
-def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock) -> FitResult:
+def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, scattered: bool) -> FitResult:
     """Model and report, without the metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
+    in_slices = options.method == "paper"
     report = FitReport(
-        warnings=fit_warnings(model, data, knots, albedo, in_slices=options.method == "paper"),
+        warnings=fit_warnings(model, data, knots, albedo, in_slices=in_slices, scattered=scattered),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -174,7 +175,7 @@ def _fit_samples(
     if is_usual:
         knots = KnotReport.from_arrays(usual.model.theta_diff, True, True, 0, False)
         found = replace(found, model=usual.model, knots=knots)
-    result = _result(found, data, options, clock)
+    result = _result(found, data, options, clock, scattered=True)
     metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
     of_units = unit_warnings(measured, usual, np.array(result.report.albedo.albedo))
     sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual))

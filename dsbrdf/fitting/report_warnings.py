@@ -26,11 +26,21 @@ _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15
 
 
 def fit_warnings(
-    model: DSBRDF, data: Profiles, knots: KnotReport, albedo: DirectionalAlbedo, *, in_slices: bool = False
+    model: DSBRDF,
+    data: Profiles,
+    knots: KnotReport,
+    albedo: DirectionalAlbedo,
+    *,
+    in_slices: bool = False,
+    scattered: bool = False,
 ) -> tuple[str, ...]:
-    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model."""
+    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
+
+    Of a model of scattered samples that is far too bright `unit_warnings` speaks.
+    """
     convergence = () if np.all(knots.converged) else (convergence_sentence(knots, in_slices=in_slices),)
-    return (*convergence, *_extrapolation(data), *_energy(albedo), *_components(model))
+    energy = _energy(albedo, _TOO_BRIGHT if scattered else np.inf)
+    return (*convergence, *_extrapolation(data), *energy, *_components(model))
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
@@ -83,10 +93,10 @@ def _extrapolation(data: Profiles) -> list[str]:
     ]
 
 
-def _energy(albedo: DirectionalAlbedo) -> list[str]:
+def _energy(albedo: DirectionalAlbedo, limit: float) -> list[str]:
     values = np.array(albedo.albedo)
     row, channel = np.unravel_index(values.argmax(), values.shape)
-    if values[row, channel] <= _LARGEST_ALBEDO:
+    if not _LARGEST_ALBEDO < values[row, channel] <= limit:
         return []
     return [
         f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "

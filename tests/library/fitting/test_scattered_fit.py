@@ -97,6 +97,7 @@ def test_held_out_samples_are_not_fitted_cosines_are_divided_out_and_notes_are_w
     assert any(
         "worse than a material that is like others: the model is that" in said for said in expected.report.warnings
     )
+    assert sum("The model reflects" in said for said in expected.report.warnings) == 1  # too much, once
     for profiles in rounds:
         whole, fitted, held_out = (part.folded.weight for part in profiles)
         assert held_out.sum() > 0.1 * whole.sum()
