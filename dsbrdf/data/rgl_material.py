@@ -142,15 +142,9 @@ def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
         raise MeasurementFormatError(f"The data is {kind}; a material of the RGL data base is a .bsdf file.")
     fields = parse_tensors(data)
     _check(fields)
-    tables = {key: np.asarray(fields[key], dtype=np.float64) for key in _AXES}
-    return RglMaterial(
-        theta_i=tables["theta_i"],
-        ndf=tables["ndf"],
-        sigma=tables["sigma"],
-        vndf=Warp.of(tables["vndf"][0]),
-        rgb=tables["rgb"][0],
-        name=name,
-    )
+    tables = {key: np.asarray(fields[key], dtype=np.float64) for key in ("theta_i", "ndf", "sigma")}
+    rgb = np.asarray(fields["rgb"][0], dtype=np.float64)
+    return RglMaterial(**tables, vndf=Warp.of(fields["vndf"][0]), rgb=rgb, name=name)
 
 
 def _check(fields: Mapping[str, NDArray[Any]]) -> None:

@@ -10,7 +10,6 @@ side of the normal and theta_out on the other; a negative angle is on the side o
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,26 +54,17 @@ def _spellings() -> Iterator[tuple[str, str]]:
 _NAMES = dict(_spellings())
 
 
-@dataclass(frozen=True, eq=False)
-class SampleColumns:
-    """Directions and values of a table, one of n samples a row; NaN where the table has no number."""
-
-    omega_in: Array  # (n, 3), not yet of unit length
-    omega_out: Array  # (n, 3), not yet of unit length
-    values: Array  # (n, 3)
-    weight: Array | None  # (n,)
-    notes: tuple[str, ...]  # what the reader decided, a sentence each
-
-
 def is_known(cell: str) -> bool:
     """Whether a cell is one of the spellings of a column's name."""
     return _meaning(cell)[0] in _NAMES
 
 
-def sample_columns(table: TextTable) -> SampleColumns:
-    """Return the directions and values in a table.
+def sample_columns(table: TextTable) -> tuple[Array, list[str]]:
+    """Return the numbers of a table, and what was decided about them, a sentence each.
 
-    Raises MeasurementFormatError if a column is missing, is there twice, or has another unit.
+    The columns of the numbers (n, 10) are omega_in and omega_out, not yet of unit length, the three values and the
+    weight, 1 if the table has none; NaN is where it has no number. Raises MeasurementFormatError if a column is
+    missing, is there twice, or has another unit.
     """
     places: dict[str, list[int]] = {}
     for place, name in enumerate(table.names):
@@ -102,10 +92,10 @@ def sample_columns(table: TextTable) -> SampleColumns:
             raise MeasurementFormatError(
                 f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr."
             )
-    omega_in, omega_out = _vectors(column, form, units)
-    stacked = np.stack([column[name] for name in (values if len(values) == 3 else values * 3)], axis=-1)
-    notes = _notes(table, form, phis, values, {places[name][0] for name in used})
-    return SampleColumns(omega_in, omega_out, stacked, column.get(_WEIGHT), tuple(notes))
+    colors = [column[name] for name in (values if len(values) == 3 else values * 3)]
+    weight = column.get(_WEIGHT, np.ones(len(table.rows)))
+    numbers = np.column_stack([*_vectors(column, form, units), *colors, weight])
+    return numbers, [*_notes(table, form, phis, values, {places[name][0] for name in used})]
 
 
 def _meaning(cell: str) -> tuple[str, str]:

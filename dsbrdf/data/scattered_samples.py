@@ -166,19 +166,17 @@ def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
         raise MeasurementFormatError(
             f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
         )
-    columns = sample_columns(parse_text_table(data, is_known))
-    notes = list(columns.notes)
-    weights = [] if columns.weight is None else [columns.weight[:, np.newaxis]]
-    numbers = np.hstack([columns.omega_in, columns.omega_out, columns.values, *weights])
+    numbers, notes = sample_columns(parse_text_table(data, is_known))
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
-    first, second = (_unit_vectors(side, getattr(columns, side), used, notes) for side in ("omega_in", "omega_out"))
+    first, second = (
+        _unit_vectors(side, numbers[:, at : at + 3], used, notes) for side, at in (("omega_in", 0), ("omega_out", 3))
+    )
     above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
-    values = _without_noise(columns.values[used], notes)
-    weight = None if columns.weight is None else columns.weight[used]
-    return ScatteredSamples.from_arrays(first[used], second[used], values, weight, name, notes=tuple(notes))
+    values = _without_noise(numbers[used, 6:9], notes)
+    return ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
