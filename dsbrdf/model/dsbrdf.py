@@ -186,13 +186,10 @@ class DSBRDF(ReflectanceModel):
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
         """Return the part of the model made of some of its lobes, with or without the delta term."""
-        index = list(lobes)
-        chosen = {name: getattr(self, name)[..., index] for name in ("amplitude", "kappa", "gamma", "center")}
-        rest = {
-            "elongation": self.elongation[:, index],
-            "delta": self.delta if with_delta else np.zeros_like(self.delta),
-        }
-        return DSBRDF(**(self._state() | chosen | rest))
+        names = ("amplitude", "kappa", "gamma", "center", "elongation")
+        chosen = {name: getattr(self, name)[..., list(lobes)] for name in names}
+        delta = self.delta if with_delta else np.zeros_like(self.delta)
+        return DSBRDF(**(self._state() | chosen | {"delta": delta}))
 
     def albedo(self, theta_out: ArrayLike) -> Array:
         """Directional albedo (..., 3): share of the light from each direction that is reflected, by quadrature.

@@ -11,7 +11,7 @@ are spread over a map of directions in polar coordinates about the view, and the
 circular correlation of that map with the environment's.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
@@ -42,44 +42,11 @@ def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
     return spherical(polar, azimuth)
 
 
-@dataclass(frozen=True, eq=False)
-class EnvironmentRings:
-    """What the image under any environment is made of: R rings, a map of P polar angles by A azimuths.
-
-    `spread` has the weights of the values at the M nodes in the maps of some rings each, of shape (rings * P * A,
-    nodes); together they have all rings and all nodes, in order.
-    """
-
-    angles: tuple[Array, Array, Array]  # theta_half, theta_diff and phi_diff of all nodes, (M,) each
-    spread: tuple[sparse.csc_array, ...]
-    to_pixels: sparse.csr_array  # bilinear interpolation, (N, R * A)
-
-    def radiance(self, evaluate: Evaluate, environment: Array) -> Array:
-        """Radiance of the pixels (N, 3), from values (M, 3) of the three angles.
-
-        The environment (3, P, A) is its radiance at the nodes of the map.
-        """
-        values = evaluate(*self.angles)
-        series = rfft(environment, axis=-1)
-        rings: list[Array] = []
-        start = 0
-        for spread in self.spread:
-            stop = start + spread.shape[1]
-            channels = []
-            for channel, harmonics in enumerate(series):
-                maps = (spread @ values[start:stop, channel]).reshape(-1, *environment.shape[1:])
-                products = np.einsum("rpm,pm->rm", rfft(maps, axis=-1), harmonics.conj()).conj()
-                channels.append(irfft(products, environment.shape[2], axis=-1))
-            rings.append(np.stack(channels, axis=-1))
-            start = stop
-        turned = np.concatenate(rings).reshape(-1, 3)
-        return np.asarray(self.to_pixels @ turned)
-
-
-def environment_rings(normals: Array, size: int) -> EnvironmentRings:
+def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], Array]:
     """Prepare the images of normals (N, 3), z > 0, one for each pixel of a sphere.
 
-    The larger the image, `size` pixels along a side, the finer the rings.
+    The larger the image, `size` pixels along a side, the finer the R rings. What is returned makes the radiance of the
+    pixels (N, 3) from the values of a material and the radiance (3, P, A) of an environment at the nodes of the map.
     """
     shape = map_shape(size)
     tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
@@ -87,14 +54,31 @@ def environment_rings(normals: Array, size: int) -> EnvironmentRings:
     nodes = [_ring_nodes(theta) for theta in rings]
     theta_half, theta_diff, phi_diff = np.concatenate([node[:3] for node in nodes], axis=1)
     groups = range(0, rings.size, _RINGS_AT_ONCE)
-    spread = tuple(_spread(nodes[start : start + _RINGS_AT_ONCE], shape) for start in groups)
+    spreads = [_spread(nodes[start : start + _RINGS_AT_ONCE], shape) for start in groups]
     position = tilt / rings[-1] * (rings.size - 1), np.arctan2(normals[:, 1], normals[:, 0]) * shape[1] / (2.0 * np.pi)
     to_pixels = _gathering(*_bilinear(*position, (rings.size, shape[1])), rings.size * shape[1])
-    return EnvironmentRings((theta_half, theta_diff, phi_diff), spread, to_pixels)
+
+    def radiance(evaluate: Evaluate, environment: Array) -> Array:
+        values = evaluate(theta_half, theta_diff, phi_diff)
+        series = rfft(environment, axis=-1)
+        turned: list[Array] = []
+        start = 0
+        for spread in spreads:
+            stop = start + spread.shape[1]
+            channels = []
+            for channel, harmonics in enumerate(series):
+                maps = (spread @ values[start:stop, channel]).reshape(-1, *environment.shape[1:])
+                products = np.einsum("rpm,pm->rm", rfft(maps, axis=-1), harmonics.conj()).conj()
+                channels.append(irfft(products, environment.shape[2], axis=-1))
+            turned.append(np.stack(channels, axis=-1))
+            start = stop
+        return np.asarray(to_pixels @ np.concatenate(turned).reshape(-1, 3))
+
+    return radiance
 
 
 def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:
-    """Weights of the nodes of some rings in the map of each."""
+    """Weights of the values at the nodes of some rings in the map of each, shape (rings * P * A, nodes)."""
     ring = np.repeat(np.arange(len(nodes)), [node.shape[1] for node in nodes])
     _, theta_diff, _, azimuth, weight = np.concatenate(nodes, axis=1)
     # Twice theta_diff is the angle between light and view.

@@ -12,6 +12,7 @@ Where f is needed depends on the lighting and the size only. It is found once, s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +24,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, environment_radiance
-from dsbrdf.model.environment_rings import EnvironmentRings, environment_rings, map_directions, map_shape
+from dsbrdf.model.environment_rings import environment_rings, map_directions, map_shape
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
 LIGHTINGS = ("three_lights", "environment")
@@ -76,7 +77,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
         values = evaluate(*angles)
         image[mask] = np.stack([part @ values[:, channel] for channel, part in enumerate(gather)], axis=-1)
     if around is not None:
-        image[mask] += _rings(size).radiance(evaluate, around)
+        image[mask] += _rings(size)(evaluate, around)
     return image
 
 
@@ -149,7 +150,7 @@ def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
 
 
 @lru_cache(maxsize=2)
-def _rings(size: int) -> EnvironmentRings:
+def _rings(size: int) -> Callable[[Evaluate, Array], Array]:
     return environment_rings(sphere_normals(size)[0], size)
 
 

@@ -139,35 +139,21 @@ def _improved(share: Array, densities: Array, squared: Array) -> Array:
     return share
 
 
-class _Seen(NamedTuple):
-    """Sums T = omega_in + omega_out in the frame of the module's formula, and omega_out there; each of shape (n,)."""
-
-    toward: Array
-    aside: Array
-    squared_up: Array
-    squared_length: Array
-    height: Array  # o_z
-    radius: Array  # o_x
-
-
-def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> _Seen:
+def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ...]:
+    """T_x, T_y, T_z**2, L**2, o_z and o_x of the module's formula, each of shape (n,)."""
     total = omega_in + omega_out
     x, y = _heading(omega_out)
-    return _Seen(
-        total[:, 0] * x + total[:, 1] * y,
-        total[:, 1] * x - total[:, 0] * y,
-        total[:, 2] ** 2,
-        np.einsum("ni,ni->n", total, total),
-        omega_out[:, 2],
-        np.hypot(omega_out[:, 0], omega_out[:, 1]),
-    )
+    toward, aside = total[:, 0] * x + total[:, 1] * y, total[:, 1] * x - total[:, 0] * y
+    radius = np.hypot(omega_out[:, 0], omega_out[:, 1])
+    return toward, aside, total[:, 2] ** 2, np.einsum("ni,ni->n", total, total), omega_out[:, 2], radius
 
 
-def _mirrored_density(seen: _Seen, along: Array, across: Array) -> Array:
+def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> Array:
     """Density per solid angle of omega_in as omega_out mirrored at a visible normal, see the module."""
-    slopes = seen.squared_up + (seen.toward / along) ** 2 + (seen.aside / across) ** 2
-    visible = seen.height + np.sqrt(seen.height**2 + (along * seen.radius) ** 2)
-    return np.asarray((seen.squared_length / slopes) ** 2 / (2.0 * np.pi * along * across * visible))
+    toward, aside, squared_up, squared_length, height, radius = seen
+    slopes = squared_up + (toward / along) ** 2 + (aside / across) ** 2
+    visible = height + np.sqrt(height**2 + (along * radius) ** 2)
+    return np.asarray((squared_length / slopes) ** 2 / (2.0 * np.pi * along * across * visible))
 
 
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
