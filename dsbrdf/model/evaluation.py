@@ -14,7 +14,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
-from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
+from dsbrdf.model.splines import pieces_of
 
 _FEW = 512  # points that are quicker looked up than sorted
 _BLOCK = 65536  # points sorted at a time
@@ -34,8 +34,7 @@ class Evaluator:
         breaks = np.unique(np.concatenate([knots for knots, _ in groups]))
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
-        pieces = pieces_of_spline if spline else pieces_of_line
-        rows = np.concatenate([pieces(*group, breaks) for group in groups], axis=2)
+        rows = np.concatenate([pieces_of(*group, breaks, spline=spline) for group in groups], axis=2)
         self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # see `dsbrdf.DSBRDF.pieces`
         self._breaks, self._terms = self.pieces
         self._n_lobes = n_lobes = is_ring.size

@@ -34,17 +34,23 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
     return _basis(knot_vector(knots), DEGREE, held)
 
 
-def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
+def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:
     """Coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
 
-    They are those of R splines with control values (D, R) on knots (B,), all of which are among the breaks; the last
-    break ends the last piece. Beyond its own knots a spline is constant.
+    They are those of R splines with control values (D, R) on knots (B,), or of lines between values (B, R) at the
+    knots. All knots are among the breaks; the last break ends the last piece. Beyond its own knots a curve is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:
-        return _constant(values, starts.size)
+        level = np.repeat(values[:1], starts.size, axis=0)
+        return np.stack([np.zeros_like(level)] * 3 + [level])
     inside = ((starts >= knots[0]) & (starts < knots[-1]))[:, None]
     held = np.clip(starts, knots[0], knots[-1])
+    if not spline:
+        piece = np.clip(np.searchsorted(knots, starts, side="right") - 1, 0, knots.size - 2)
+        slope = (np.diff(values, axis=0) / np.diff(knots)[:, None])[piece]
+        level = values[piece] + slope * (held - knots[piece])[:, None]
+        return np.stack([np.zeros_like(level), np.zeros_like(level), slope * inside, level])
     all_knots, terms, factor = knot_vector(knots), [_basis(knot_vector(knots), DEGREE, held) @ values], 1.0
     for order in range(1, DEGREE + 1):
         # The derivative is a spline of one degree less, over the same knots without the outer two.
@@ -57,19 +63,6 @@ def pieces_of_spline(knots: Array, values: Array, breaks: Array) -> Array:
     return np.stack(terms[::-1])
 
 
-def pieces_of_line(knots: Array, values: Array, breaks: Array) -> Array:
-    """`pieces_of_spline` for linear interpolation of values (B, R) at the knots."""
-    starts = breaks[:-1]
-    if knots.size == 1:
-        return _constant(values, starts.size)
-    piece = np.clip(np.searchsorted(knots, starts, side="right") - 1, 0, knots.size - 2)
-    slope = np.diff(values, axis=0) / np.diff(knots)[:, None]
-    inside = ((starts >= knots[0]) & (starts < knots[-1]))[:, None]
-    held = np.clip(starts, knots[0], knots[-1])
-    level = values[piece] + slope[piece] * (held - knots[piece])[:, None]
-    return np.stack([np.zeros_like(level), np.zeros_like(level), slope[piece] * inside, level])
-
-
 def roughness(n_values: int) -> Array:
     """Quadratic form of the squared second differences of control values, shape (D, D)."""
     second = np.diff(np.eye(n_values), 2, axis=0) if n_values > 2 else np.zeros((0, n_values))
@@ -80,11 +73,6 @@ def smooth_control_values(basis: Array, values: Array) -> Array:
     """Control values (D, n) of smooth splines near values (R, n), the basis being that of their R rows."""
     ridge = _SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
     return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
-
-
-def _constant(values: Array, n_pieces: int) -> Array:
-    level = np.repeat(values[:1], n_pieces, axis=0)
-    return np.stack([np.zeros_like(level)] * 3 + [level])
 
 
 def _basis(all_knots: Array, degree: int, at: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.splines import pieces_of_line, pieces_of_spline
+from dsbrdf.model.splines import pieces_of
 
 _LARGEST = 3e38  # in single precision
 
@@ -32,14 +32,13 @@ def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
 
     The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these.
     """
-    pieces = pieces_of_spline if model.interpolation == "spline" else pieces_of_line
     breaks, _ = model.pieces
     knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
     knots |= {"amplitude": model.theta_diff, "elongation": model.elongation_theta_diff}
     bases = {}
     for name in ("amplitude", "kappa", "gamma", "center", "elongation"):
         controls = np.eye(getattr(model, name).shape[-2])
-        terms = pieces(knots[name], controls, breaks)  # (4, P, D)
+        terms = pieces_of(knots[name], controls, breaks, spline=model.interpolation == "spline")  # (4, P, D)
         bases[name] = _bernstein(terms.transpose(0, 2, 1), np.diff(breaks))
     return bases
 

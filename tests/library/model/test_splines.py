@@ -11,8 +11,7 @@ from dsbrdf.model.splines import (
     DEGREE,
     knot_vector,
     n_control_values,
-    pieces_of_line,
-    pieces_of_spline,
+    pieces_of,
     roughness,
     spline_basis,
 )
@@ -52,8 +51,8 @@ def test_a_single_knot_is_a_constant() -> None:
     assert n_control_values(1) == 1
     assert spline_basis(np.array([0.4]), np.array([0.0, 0.4, 1.2])).tolist() == [[1.0]] * 3
     breaks = np.array([0.0, 0.4, 1.0])
-    for pieces in (pieces_of_spline, pieces_of_line):
-        found = pieces(np.array([0.4]), np.array([[7.0, 8.0]]), breaks)
+    for spline in (False, True):
+        found = pieces_of(np.array([0.4]), np.array([[7.0, 8.0]]), breaks, spline=spline)
         assert found.tolist() == [[[0.0, 0.0]] * 2] * 3 + [[[7.0, 8.0]] * 2]
 
 
@@ -63,10 +62,10 @@ def test_pieces_are_scipys_spline_and_numpys_interpolation_also_on_breaks_of_oth
     breaks = np.unique(np.concatenate([knots, [0.0, 0.25, 0.77, 1.2, np.pi / 2]]))
     points = np.concatenate([np.linspace(0.0, np.pi / 2, 200), breaks])
     held = np.clip(points, knots[0], knots[-1])
-    found = PPoly(pieces_of_spline(knots, values, breaks), breaks)(points)
+    found = PPoly(pieces_of(knots, values, breaks, spline=True), breaks)(points)
     np.testing.assert_allclose(found, BSpline(knot_vector(knots), values, 3)(held), atol=1e-12)
     values = values[: knots.size]
-    found = PPoly(pieces_of_line(knots, values, breaks), breaks)(points)
+    found = PPoly(pieces_of(knots, values, breaks, spline=False), breaks)(points)
     np.testing.assert_allclose(found, np.stack([np.interp(points, knots, row) for row in values.T], 1), atol=1e-13)
 
 
