@@ -24,23 +24,19 @@ _SMOOTH = np.zeros(0)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Panel ends that resolve a spike a hundredth of a degree wide, and the edge of the delta term.
 _FINE = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
-_WIDTHS = np.radians([0.8, 4.0])  # of the other panels, from narrow ring lobes to none
+_WIDTH = np.radians(4.0)  # of the other panels
 # Panel ends in the part of the circle where omega_in is above the horizon; theta_diff turns fastest near azimuth 0, and
 # an elongated lobe has its ridge a quarter turn from the plane of incidence.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 
-def directional_albedo(
-    evaluate: Evaluate, theta_out: Array, knots: Array = _SMOOTH, narrowest: float = np.pi / 2
-) -> Array:
+def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _SMOOTH) -> Array:
     """Directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) to the normal [rad].
 
-    `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]; `narrowest` is the half width of
-    the narrowest lobe that is not about the normal [rad]. The relative error is below 1e-5 for lobes wider than a
-    hundredth of a degree, and ring lobes than a degree.
+    `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]. The relative error is below 1e-5
+    for lobes about the normal wider than a hundredth of a degree, and below 5e-4 for ring lobes wider than two.
     """
-    width = float(np.clip(narrowest, *_WIDTHS))
-    rules = (half_vector_rule(float(angle), knots, width) for angle in theta_out.ravel())
+    rules = (half_vector_rule(float(angle), knots) for angle in theta_out.ravel())
     rows = [rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff) for rule in rules]
     return np.array(rows).reshape(*theta_out.shape, 3)
 
@@ -56,12 +52,9 @@ class HalfVectorRule(NamedTuple):
     weight: Array  # of the integral of f cos(theta_in) d omega_in [sr]
 
 
-def half_vector_rule(theta_out: float, knots: Array = _SMOOTH, width: float = float(_WIDTHS[-1])) -> HalfVectorRule:
-    """Nodes in half vectors for integrals over the hemisphere of omega_in, see the module.
-
-    Their panels in theta_half, away from 0, are a `width` apart; `knots` are as for `directional_albedo` [rad].
-    """
-    theta_half, weight = _half_angle_rule(theta_out, knots, width)
+def half_vector_rule(theta_out: float, knots: Array = _SMOOTH) -> HalfVectorRule:
+    """Nodes in half vectors for integrals over the hemisphere of omega_in; knots as for `directional_albedo`."""
+    theta_half, weight = _half_angle_rule(theta_out, knots)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
     theta_half, weight = theta_half[row, None], weight[row, None]
     cos_diff = np.cos(theta_out) * np.cos(theta_half) + np.sin(theta_out) * np.sin(theta_half) * np.cos(phi)
@@ -77,14 +70,14 @@ def half_vector_rule(theta_out: float, knots: Array = _SMOOTH, width: float = fl
     return HalfVectorRule(*(part.ravel() for part in parts))
 
 
-def _half_angle_rule(theta_out: float, knots: Array, width: float) -> tuple[Array, Array]:
+def _half_angle_rule(theta_out: float, knots: Array) -> tuple[Array, Array]:
     """Composite Gauss-Legendre nodes and weights in theta_half.
 
     The panels end where the azimuth range starts to shrink, where it is empty, and where a knot enters or leaves it.
     There it behaves like a square root, so the nodes of a panel are placed by s*s*(3 - 2 s), which flattens both ends.
     """
     shrinks, ends = 0.5 * (np.pi / 2 - theta_out), 0.5 * (np.pi / 2 + theta_out)
-    even = np.arange(_FINE[-1], ends, width)
+    even = np.arange(_FINE[-1], ends, _WIDTH)
     # A knot enters at theta_diff = |theta_half - theta_out|, opposite the normal it leaves at their sum.
     kinks = np.concatenate([np.abs(theta_out - knots), theta_out + knots])
     breaks = np.unique(np.concatenate([[0.0], _FINE, even, kinks, [shrinks, ends]]))

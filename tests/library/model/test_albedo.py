@@ -12,11 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import half_difference
-from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.furnace import white_furnace
 from dsbrdf.model.lobe_families import FAMILIES
-from dsbrdf.model.lobes import half_width
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 
@@ -87,9 +85,6 @@ def test_ring_lobes_against_brute_force(degrees: float, gamma: float) -> None:
     model, angle = single_lobe(1.0, gamma, center=float(np.radians(degrees))), np.radians(50.0)
     reference = brute_force(model.evaluate_unmasked, float(angle))
     np.testing.assert_allclose(model.albedo(angle), reference, rtol=5e-4)
-    width = float(half_width(np.ones(()), np.array(gamma), "hemi_epd"))
-    found = directional_albedo(model.evaluate_unmasked, angle, narrowest=width)
-    np.testing.assert_allclose(found, reference, rtol=1e-5)
 
 
 def test_knots_cost_little_accuracy() -> None:
