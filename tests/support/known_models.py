@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
@@ -45,9 +46,7 @@ def single_lobe(
 def pairs_of_directions(number: int, *, lowest: float = 0.1, spread: float | None = 0.04) -> tuple[Array, Array]:
     """Return pairs in single precision above a smallest cosine; every second one near the mirror direction."""
     random = np.random.default_rng(0)
-    cosine, turn = random.uniform(lowest, 1.0, (2, number)), random.uniform(0.0, 2.0 * np.pi, (2, number))
-    sine = np.sqrt(1.0 - cosine**2)
-    first, second = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
+    first, second = random_directions(random, random.uniform(lowest, 1.0, (2, number)))
     if spread is not None:
         mirrored = first * [-1.0, -1.0, 1.0] + random.normal(0.0, spread, first.shape)
         mirrored[:, 2] = np.maximum(mirrored[:, 2], lowest)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import random_directions
 from dsbrdf.data.reduction import profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.synthetic import model_measurement
@@ -56,17 +57,11 @@ def scattered_samples(model: DSBRDF, count: int = 5000, seed: int = 1) -> Scatte
 def scattered_directions(model: DSBRDF, count: int, seed: int) -> tuple[Array, Array]:
     """Return pairs of directions, shapes (count, 3): half of them where a model reflects, half anywhere."""
     random = np.random.default_rng(seed)
-    omega_in, omega_out = _hemisphere(random, count), _hemisphere(random, count)
+    omega_in, omega_out = (random_directions(random, np.sqrt(random.uniform(0.02, 1.0, count))) for _ in ("in", "out"))
     where = model.sample(omega_out[: count // 2], random)[0]
     above = np.flatnonzero(where[:, 2] > 0.05)
     omega_in[above] = where[above]
     return omega_in, omega_out
-
-
-def _hemisphere(random: np.random.Generator, count: int) -> Array:
-    cosine, turn = np.sqrt(random.uniform(0.02, 1.0, count)), random.uniform(0.0, 2.0 * np.pi, count)
-    sine = np.sqrt(1.0 - cosine**2)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
 
 def found_by_fit(n_lobes: int, seed: int) -> DSBRDF:

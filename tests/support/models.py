@@ -3,16 +3,13 @@
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
-
-Array = NDArray[np.float64]
 
 TEXTS = ("interpolation", "lobe")
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
@@ -53,15 +50,9 @@ def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
         assert getattr(got, name) == getattr(expected, name)
 
 
-def profile_of(model: DSBRDF, data: Profiles) -> Array:
-    """Means over phi_diff of the nodes that the profiles use, shape (3, 90, 90)."""
-    cutoff = np.pi / 2 if data.horizon_cutoff is None else data.horizon_cutoff
-    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, cutoff)
-    mean = (model.tabulate() * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1)
-    return np.asarray(mean.swapaxes(1, 2))
-
-
 def curve_error(found: DSBRDF, truth: DSBRDF, data: Profiles) -> float:
-    """Weighted relative distance of the two models on the nodes used."""
-    a, b = profile_of(found, data), profile_of(truth, data)
+    """Weighted relative distance of the means over phi_diff of two models, up to 80 degrees from the normal."""
+    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, DEFAULT_HORIZON_CUTOFF)
+    means = ((model.tabulate() * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1) for model in (found, truth))
+    a, b = (mean.swapaxes(1, 2) for mean in means)
     return float(np.sqrt(np.sum(data.weight * (a - b) ** 2) / np.sum(data.weight * b**2)))
