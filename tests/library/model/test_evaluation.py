@@ -17,7 +17,6 @@ from tests.support.soak import repeats
 
 Array = NDArray[np.float64]
 
-MANY = 140_000  # more than one block
 KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 33.0, 60.0, 80.0])
 ELONGATION_KNOTS = np.radians([10.0, 60.0])
@@ -113,22 +112,6 @@ def test_many_points_have_the_values_of_the_definition(
     found = model.evaluate_unmasked(*angles)
     # A cosine close to 1 is rounded to 1e-16, which its power by gamma, 3000, makes 3e-13.
     np.testing.assert_allclose(found, expected_values(model, *angles), rtol=2e-10, atol=1e-60)
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-@INTERPOLATIONS
-def test_few_points_and_many_have_the_same_values(interpolation: str, family: str) -> None:
-    model = random_model(interpolation, rings=(0, 2), family=family)
-    angles = points(MANY)
-    many = model.evaluate_unmasked(*angles)
-    assert many.shape == (MANY, 3)
-    for start in (0, 1000, 65_500, MANY - 77):
-        part = slice(start, start + 300)
-        few = model.evaluate_unmasked(*(angle[part] for angle in angles))
-        np.testing.assert_allclose(many[part], few, rtol=1e-13)
-    for i in range(25):
-        single = model.evaluate_unmasked(*(angle[i : i + 1] for angle in angles))
-        np.testing.assert_allclose(many[i : i + 1], single, rtol=1e-13)
 
 
 @pytest.mark.parametrize("knots", ANY_KNOTS)
