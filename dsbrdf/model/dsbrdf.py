@@ -27,15 +27,20 @@ from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator
-from dsbrdf.model.parameter_checks import check_parameters
+from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
+from dsbrdf.model.splines import n_control_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEXTS = ("interpolation", "lobe")
 """Attributes of a model that are texts; the others are arrays."""
+INTERPOLATIONS = ("linear", "spline")
+"""How parameters run between knots, see `DSBRDF`."""
+_LARGEST = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
+_LARGEST_ELONGATION = 10.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,7 +103,58 @@ class DSBRDF(ReflectanceModel):
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        check_parameters({name: getattr(self, name) for name in arrays}, self.interpolation, self.lobe)
+        if self.interpolation not in INTERPOLATIONS:
+            known = ", ".join(INTERPOLATIONS)
+            raise InvalidArgumentError(f"interpolation must be one of {known}, not {self.interpolation!r}")
+        if self.lobe not in FAMILIES:
+            raise InvalidArgumentError(f"lobe must be one of {', '.join(FAMILIES)}, not {self.lobe!r}")
+        self._check_shapes()
+        self._check_ranges()
+
+    def _check_shapes(self) -> None:
+        """Raise InvalidArgumentError unless the knots increase, the shapes agree and all numbers are finite."""
+        for name in ("theta_diff", "shape_theta_diff", "elongation_theta_diff"):
+            knots = getattr(self, name)
+            if knots.ndim != 1 or knots.size == 0:
+                raise InvalidArgumentError(f"{name} must be a sequence of at least one knot")
+            if not (knots[0] >= 0 and knots[-1] <= np.pi / 2 + 1e-9 and np.all(np.diff(knots) > 0)):
+                raise InvalidArgumentError(f"the knots {name} must increase from 0 or more to at most pi/2")
+        if self.amplitude.ndim != 3 or self.kappa.ndim != 3:
+            raise InvalidArgumentError("amplitude and kappa must have three axes: channel, control value and lobe")
+        count = n_control_values if self.interpolation == "spline" else int
+        of_lobes = 1 if len(self.kappa) == 1 else 3, count(self.shape_theta_diff.size), self.n_lobes
+        shapes = {
+            "amplitude": (3, count(self.theta_diff.size), self.n_lobes),
+            **dict.fromkeys(("kappa", "gamma", "center"), of_lobes),
+            "elongation": (count(self.elongation_theta_diff.size), self.n_lobes),
+            "delta": (3, self.theta_diff.size),
+        }
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise InvalidArgumentError(f"{name} must have shape {shape}, not {array.shape}")
+            if not np.isfinite(array).all():
+                raise InvalidArgumentError(f"every {name} must be finite")
+
+    def _check_ranges(self) -> None:
+        """Raise InvalidArgumentError where the formula cannot work with a number."""
+        if not np.all(self.kappa > 0):
+            raise InvalidArgumentError("every kappa must be positive")
+        for name in ("amplitude", "gamma", "delta"):
+            lowest = getattr(self, name).min(initial=np.inf)
+            if self.interpolation == "spline" and name != "delta" and lowest <= 0:
+                raise InvalidArgumentError(f"every {name} must be positive for a spline, which is one of its logarithm")
+            if lowest < 0:
+                raise InvalidArgumentError(f"every {name} must be zero or positive")
+        for name, largest in _LARGEST.items():
+            if getattr(self, name).max(initial=0.0) > largest:
+                raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
+        if np.abs(self.center).max(initial=0.0) > LARGEST_CENTER:
+            raise InvalidArgumentError(
+                f"every center must lie between -{LARGEST_CENTER:g} and {LARGEST_CENTER:g} radians"
+            )
+        if np.abs(self.elongation).max(initial=0.0) > _LARGEST_ELONGATION:
+            raise InvalidArgumentError(f"every elongation must lie between -{_LARGEST_ELONGATION:g} and its opposite")
 
     @property
     def n_lobes(self) -> int:
