@@ -3,9 +3,6 @@
 A file is three little-endian int32 dimensions (90, 90, 180) followed by 3 x 90 x 90 x 180 little-endian
 float64 values, axes (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
 is the BRDF in 1/sr; a negative value marks a node without a measurement.
-
-`MerlChecker` accepts the bytes in pieces of any size, so that an upload can be checked while it arrives;
-`parse_merl` and `read_merl` use the same code.
 """
 
 from __future__ import annotations

@@ -97,9 +97,11 @@ def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement, r
     stored = plastic.stored.copy()
     stored[:, ~plastic.valid] = 1e6
     other = Measurement(stored, plastic.scale, plastic.valid, "other", "")
-    for expected in (profiles(plastic), profiles(plastic, weighting="log"), robust_log):
-        options = expected.horizon_cutoff, expected.weighting, expected.robust
-        found = profiles(other, horizon_cutoff=options[0], weighting=options[1], robust=options[2])
+    assert (robust_log.horizon_cutoff, robust_log.weighting, robust_log.robust) == (None, "log", True)
+    assert (robust_log.name, robust_log.sha256) == (plastic.name, plastic.sha256)
+    for expected in (profiles(plastic), robust_log):
+        cutoff, weighting, robust = expected.horizon_cutoff, expected.weighting, expected.robust
+        found = profiles(other, horizon_cutoff=cutoff, weighting=weighting, robust=robust)
         for name in ("mean", "weight", "within"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
@@ -173,13 +175,6 @@ def test_two_groups_of_samples_in_a_bin_are_no_outliers(matte: Measurement) -> N
     stored = matte.stored.copy()
     stored[1, i, j, members[members > 90]] *= 1.5
     assert profiles(replace(matte, stored=stored), robust=True).folded.weight[1, j, i, fold] == members.size
-
-
-def test_profiles_store_their_options(plastic: Measurement, robust_log: Profiles) -> None:
-    found = robust_log
-    assert (found.horizon_cutoff, found.weighting, found.robust) == (None, "log", True)
-    assert (found.name, found.sha256) == (plastic.name, plastic.sha256)
-    assert profiles(plastic).horizon_cutoff == pytest.approx(np.radians(80.0))
 
 
 @pytest.mark.parametrize(

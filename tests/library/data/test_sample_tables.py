@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.errors import MeasurementFormatError
@@ -24,7 +25,6 @@ IN_PLANE = ANGLES * [1.0, 0.0, 1.0, 0.0] * _RANDOM.choice([-1.0, 1.0], (COUNT, 4
 RGB = _RANDOM.uniform(0.01, 9.0, (COUNT, 3)).round(6)
 GREY = np.repeat(RGB[:, :1], 3, axis=1)
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
-COLORS = ("red", "green", "blue")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
 
 
@@ -36,7 +36,7 @@ def spherical(angles: Array) -> tuple[Array, Array]:
 
 
 def table(
-    names: Sequence[str] | str = (*DIRECTION, *COLORS),
+    names: Sequence[str] | str = (*DIRECTION, *CHANNELS),
     columns: Array | None = None,
     *,
     between: str = ",",
@@ -59,19 +59,19 @@ def with_comma(number: float) -> str:
 
 
 def renamed(*names: str) -> bytes:
-    return table((*names, *COLORS))
+    return table((*names, *CHANNELS))
 
 
 def quoted() -> bytes:
     file = io.StringIO()
     writer = csv.writer(file, quoting=csv.QUOTE_ALL)
-    writer.writerows([[*DIRECTION, *COLORS], *np.hstack([ANGLES, RGB]).tolist()])
+    writer.writerows([[*DIRECTION, *CHANNELS], *np.hstack([ANGLES, RGB]).tolist()])
     return file.getvalue().encode()
 
 
 def saved_by_numpy() -> bytes:
     file = io.BytesIO()
-    np.savetxt(file, np.hstack([ANGLES, RGB]), header=" ".join((*DIRECTION, *COLORS)))
+    np.savetxt(file, np.hstack([ANGLES, RGB]), header=" ".join((*DIRECTION, *CHANNELS)))
     return file.getvalue()
 
 
@@ -80,7 +80,7 @@ def half_and_difference() -> Array:
 
 
 ORDER = [6, 0, 5, 2, 4, 1, 3]
-ALL = (*DIRECTION, *COLORS)
+ALL = (*DIRECTION, *CHANNELS)
 WORDS = table().decode().splitlines()
 SPELLINGS = {
     "commas": table(),
@@ -104,9 +104,9 @@ SPELLINGS = {
     "[deg]": renamed(*(f"{name} [deg]" for name in DIRECTION)),
     "a degree sign": renamed(*(f"{name} (°)" for name in DIRECTION)),
     "a degree sign in an old code page": renamed(*(f"{name} (°)" for name in DIRECTION)).decode().encode("cp1252"),
-    "_rad": table((*(f"{name}_rad" for name in DIRECTION), *COLORS), np.hstack([np.radians(ANGLES), RGB])),
+    "_rad": table((*(f"{name}_rad" for name in DIRECTION), *CHANNELS), np.hstack([np.radians(ANGLES), RGB])),
     "r, g, b": table((*DIRECTION, "R", "G", "B")),
-    "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in COLORS))),
+    "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
     "comment lines": table(before="# satin purple\n# goniometer 3\n"),
     "saved by NumPy": saved_by_numpy(),
     "a preamble": table(before="Instrument: goniometer 3\nDate;2026-02-11\n\n"),
@@ -116,18 +116,18 @@ SPELLINGS = {
     "line ends of Windows and a mark": b"\xef\xbb\xbf" + table(newline="\r\n"),
     "a spreadsheet's Unicode text": table(between="\t").decode().encode("utf-16"),
     "a separator at the end": "\n".join(line + ";" for line in table(between=";").decode().splitlines()).encode(),
-    "unit vectors": table((*VECTORS, *COLORS), np.hstack([*spherical(ANGLES), RGB])),
+    "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
     "half and difference angles": table(
-        ("theta_half", "theta_diff", "phi_diff", *COLORS), np.hstack([half_and_difference(), RGB])
+        ("theta_half", "theta_diff", "phi_diff", *CHANNELS), np.hstack([half_and_difference(), RGB])
     ),
-    "theta_h": table(("theta_h", "theta_d", "phi_d", *COLORS), np.hstack([half_and_difference(), RGB])),
+    "theta_h": table(("theta_h", "theta_d", "phi_d", *CHANNELS), np.hstack([half_and_difference(), RGB])),
 }
 OF_OTHER_TABLES = {
-    "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *COLORS), np.hstack([IN_PLANE[:, ::2], RGB]))),
+    "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *CHANNELS), np.hstack([IN_PLANE[:, ::2], RGB]))),
     "one phi": (
         ANGLES * [1, 0, 1, 1],
         RGB,
-        table(("theta_in", "theta_out", "phi_out", *COLORS), np.hstack([ANGLES[:, [0, 2, 3]], RGB])),
+        table(("theta_in", "theta_out", "phi_out", *CHANNELS), np.hstack([ANGLES[:, [0, 2, 3]], RGB])),
     ),
     **{
         name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
@@ -203,7 +203,7 @@ def test_noise_below_zero_counts_as_zero() -> None:
 
 def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
     first, second = spherical(ANGLES)
-    samples = parse_samples(table((*VECTORS, *COLORS), np.hstack([1.01 * first, second, RGB])))
+    samples = parse_samples(table((*VECTORS, *CHANNELS), np.hstack([1.01 * first, second, RGB])))
     np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
     np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)
     assert samples.notes == ("The vectors omega_in were up to 1.0% off unit length; they were made unit vectors.",)
@@ -217,7 +217,7 @@ def changed(place: int, cell: str) -> bytes:
 
 
 OFF_UNIT = np.hstack([spherical(ANGLES)[0] * 1.05, spherical(ANGLES)[1], RGB])
-NO_Z = table((*VECTORS[:5], "z", *COLORS), np.hstack([*spherical(ANGLES), RGB]))
+NO_Z = table((*VECTORS[:5], "z", *CHANNELS), np.hstack([*spherical(ANGLES), RGB]))
 WRONG = [
     (WORDS[0].encode(), "There are 0 samples; a fit needs at least "),
     ("\n".join(WORDS[:100]).encode(), "There are 99 samples; a fit needs at least 200."),
@@ -225,11 +225,10 @@ WRONG = [
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     ("\n".join(WORDS[1:]).encode(), f"The table begins with '{WORDS[1]}' and has no line that names its columns"),
     (
-        table(("alpha", "beta", "gamma", "delta", *COLORS)),
+        table(("alpha", "beta", "gamma", "delta", *CHANNELS)),
         "The table lacks columns for the directions: theta_in, theta_out. It has alpha, beta, gamma, delta, red, "
         "green, blue. Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or",
     ),
-    (renamed("theta_in", "phi_in", "tilt", "phi_out"), "for the directions: theta_out. It has"),
     (NO_Z, "The table lacks columns for the directions: omega_out_z. It has omega_in_x, "),
     (table((*DIRECTION, "red", "green", "violet")), "The table lacks columns for the values: blue. It has theta_in"),
     (
@@ -261,7 +260,7 @@ WRONG = [
         "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where",
     ),
     (
-        table((*VECTORS, *COLORS), OFF_UNIT),
+        table((*VECTORS, *CHANNELS), OFF_UNIT),
         "In 240 of 240 rows omega_in is not of unit length, which is 1.05 in one of them; directions are unit vectors.",
     ),
     (

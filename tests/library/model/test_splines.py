@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PPoly
+from scipy.interpolate import BSpline
 
 from dsbrdf.model.splines import (
     DEGREE,
     knot_vector,
     n_control_values,
-    pieces_of,
     roughness,
     spline_basis,
 )
@@ -21,13 +20,10 @@ Array = NDArray[np.float64]
 KNOTS = [np.array([0.0, 0.3]), np.array([0.1, 0.4, 1.0]), np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 89.0])]
 
 
-def control_values(knots: Array, rows: int = 2) -> Array:
-    return np.random.default_rng(knots.size).normal(size=(n_control_values(knots.size), rows))
-
-
 @pytest.mark.parametrize("knots", KNOTS)
 def test_basis_is_scipys_clamped_spline_held_beyond_the_knots(knots: Array) -> None:
-    points, values = np.append(np.linspace(0.0, np.pi / 2, 101), knots), control_values(knots)
+    points = np.append(np.linspace(0.0, np.pi / 2, 101), knots)
+    values = np.random.default_rng(0).normal(size=(n_control_values(knots.size), 2))
     clamped = np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
     np.testing.assert_array_equal(knot_vector(knots), clamped)
     expected = BSpline(clamped, values, 3)(np.clip(points, knots[0], knots[-1]))
@@ -50,23 +46,6 @@ def test_basis_is_a_convex_combination_anywhere(knots: list[float], points: list
 def test_a_single_knot_is_a_constant() -> None:
     assert n_control_values(1) == 1
     assert spline_basis(np.array([0.4]), np.array([0.0, 0.4, 1.2])).tolist() == [[1.0]] * 3
-    breaks = np.array([0.0, 0.4, 1.0])
-    for spline in (False, True):
-        found = pieces_of(np.array([0.4]), np.array([[7.0, 8.0]]), breaks, spline=spline)
-        assert found.tolist() == [[[0.0, 0.0]] * 2] * 3 + [[[7.0, 8.0]] * 2]
-
-
-@pytest.mark.parametrize("knots", KNOTS)
-def test_pieces_are_scipys_spline_and_numpys_interpolation_also_on_breaks_of_others(knots: Array) -> None:
-    values = control_values(knots)
-    breaks = np.unique(np.concatenate([knots, [0.0, 0.25, 0.77, 1.2, np.pi / 2]]))
-    points = np.concatenate([np.linspace(0.0, np.pi / 2, 200), breaks])
-    held = np.clip(points, knots[0], knots[-1])
-    found = PPoly(pieces_of(knots, values, breaks, spline=True), breaks)(points)
-    np.testing.assert_allclose(found, BSpline(knot_vector(knots), values, 3)(held), atol=1e-12)
-    values = values[: knots.size]
-    found = PPoly(pieces_of(knots, values, breaks, spline=False), breaks)(points)
-    np.testing.assert_allclose(found, np.stack([np.interp(points, knots, row) for row in values.T], 1), atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9])
