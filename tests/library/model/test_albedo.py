@@ -133,11 +133,9 @@ def test_a_surface_that_returns_too_much_is_found(albedo: float, words: str) -> 
     assert words in str(report)
 
 
-def test_models_are_reciprocal() -> None:
+def test_models_are_reciprocal_and_the_error_is_a_share_of_the_larger_value(monkeypatch: pytest.MonkeyPatch) -> None:
     assert white_furnace(mixture(3, 1)).reciprocity_error < 1e-9
 
-
-def test_error_of_reciprocity_is_a_share_of_the_larger_value(monkeypatch: pytest.MonkeyPatch) -> None:
     def one_way(_: DSBRDF, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.where(first[:, :1] > second[:, :1], 2.0, 1.0) * np.ones(3)
 

@@ -71,25 +71,15 @@ def test_steps_of_a_thousandth_of_a_degree_change_the_value_by_less_than_one_per
             assert change.max() < 0.01, (axis, np.degrees([angle[change.max(axis=1).argmax()] for angle in angles]))
 
 
-def test_directions_below_the_horizon_give_zero_and_the_rest_of_the_batch_stays() -> None:
-    model = random_model()
-    below = np.array([[0.0, 0.6, -0.8], [0.0, 0.6, 0.8]])
-    up = np.array([0.0, 0.0, 1.0])
-    for pair in ((below, up), (up, below)):
-        values = model.evaluate_directions(*pair)
-        assert np.all(values[0] == 0.0)
-        assert np.all(values[1] > 0.0)
-    # At the horizon itself there is light still.
-    assert np.all(model.evaluate_directions([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]) > 0.0)
-
-
-def test_directions_give_the_values_of_their_angles() -> None:
-    model = random_model()
+def test_directions_give_the_values_of_their_angles_and_zero_below_the_horizon() -> None:
+    model, up = random_model(), np.array([0.0, 0.0, 1.0])
     angles = np.random.default_rng(2).uniform(0.0, (0.7, 0.7, 6.2, 6.2), (50, 4)).T
-    omega_in, omega_out = directions(*angles)
-    values = model.evaluate_directions(omega_in, omega_out)
+    values = model.evaluate_directions(*directions(*angles))
     np.testing.assert_allclose(values, model.evaluate(*angles[:3]), rtol=1e-9)
-    assert model.evaluate_directions([0.0, 0.0, 1.0], omega_out).shape == (50, 3)
+    slanted = np.array([[0.0, 0.6, -0.8], [0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])  # below, above and at the horizon
+    for pair in ((slanted, up), (up, slanted)):
+        assert (model.evaluate_directions(*pair) > 0.0).all(axis=1).tolist() == [False, True, True]
+        assert not model.evaluate_directions(*pair)[0].any()
 
 
 def test_broadcasting_equals_a_loop_also_across_blocks() -> None:
@@ -151,8 +141,7 @@ def test_copies_are_equal_read_only_and_hash_alike() -> None:
             assert other == model
             assert hash(other) == hash(model)
             np.testing.assert_array_equal(other.evaluate(0.3, 0.4), model.evaluate(0.3, 0.4))
-            with pytest.raises(ValueError, match="read-only"):
-                other.kappa[0] = 2.0
+            assert not other.kappa.flags.writeable
         assert len(pickle.dumps(model)) < 3000 + 9 * sum(
             getattr(model, name).size for name in ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
         )
@@ -194,9 +183,7 @@ def test_model_keeps_its_own_read_only_arrays() -> None:
     model = DSBRDF(SLICES, kappa, kappa, kappa, interpolation="linear")
     kappa[:] = 5.0
     assert np.all(model.kappa == 1.0)
-    for name in ("theta_diff", "amplitude", "kappa", "gamma", "center", "elongation", "delta"):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(model, name)[...] = 2.0
+    assert not any(array.flags.writeable for array in model.__reduce__()[1] if isinstance(array, np.ndarray))
 
 
 ONE = np.ones((1, 2, 1))

@@ -1,4 +1,4 @@
-"""The lobes of height 1 and their derivatives against mpmath with 60 digits, and the stretch against directions."""
+"""The lobes of height 1 and their derivatives against mpmath with 60 digits."""
 
 from typing import Any
 
@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.lobes import (
     GRAZING_COSINE,
-    fall_to_half,
     gamma_of_half_width,
     half_width,
     lobe_derivatives,
     lobe_values,
     log_cosine,
     reach_of_width,
-    stretch,
     width_of_reach,
 )
 
@@ -95,22 +93,6 @@ def test_values_alone_are_those_with_the_derivatives_and_fall_from_height_1_to_t
         assert np.all(np.diff(values[top:]) <= 1e-12)
 
 
-def test_stretch_is_that_of_the_formula_and_its_derivative_that_of_differences() -> None:
-    phi = np.linspace(0.0, np.pi, 13)
-    for theta_half, theta_diff, elongation in ((0.3, 0.0, 1.0), (0.3, 1.0, 0.7), (1.2, 1.5, -2.0), (0.0, 0.4, 1.0)):
-        c = np.cos(theta_diff)
-        expected = np.tan(theta_half) ** 2 * (np.cos(phi) ** 2 * c**-elongation + np.sin(phi) ** 2 * c**elongation)
-        found, ahead, behind = (
-            stretch(
-                np.array(np.tan(theta_half) ** 2), np.cos(phi) ** 2, np.array(np.log(c)), np.array(elongation + step)
-            )
-            for step in (0.0, 1e-5, -1e-5)
-        )
-        np.testing.assert_allclose(found.squared_tangent, expected, rtol=1e-12)
-        slope = (ahead.squared_tangent - behind.squared_tangent) / 2e-5
-        np.testing.assert_allclose(found.by_elongation, slope, rtol=1e-7, atol=1e-9)
-
-
 def test_cosine_of_the_stretch_is_that_of_theta_diff_held_above_its_value_at_grazing_angles() -> None:
     assert np.exp(log_cosine(np.array(np.pi / 2))) == pytest.approx(GRAZING_COSINE)
     np.testing.assert_allclose(np.exp(log_cosine(np.radians([0.0, 60.0, 75.0]))), [1.0, 0.5, np.cos(1.309)], rtol=3e-3)
@@ -133,12 +115,3 @@ def test_half_width_is_where_a_lobe_has_half_its_height_and_gamma_follows_from_i
         assert value == pytest.approx(0.5, rel=1e-9)
         assert gamma_of_half_width(width, np.array(kappa), family) == pytest.approx(gamma, rel=1e-9)
         assert width_of_reach(reach_of_width(width, family), family) == pytest.approx(float(width), rel=1e-12)
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_slope_of_the_fall_agrees_with_finite_differences(family: str) -> None:
-    kappa, step = np.array([0.01, 0.3, 1.0, 4.0, 10.0]), 1e-6
-    ahead, behind = (np.log(fall_to_half(kappa * np.exp(side * step), family)) for side in (1.0, -1.0))
-    np.testing.assert_allclose(
-        FAMILIES[family].slope_of_fall(kappa), (ahead - behind) / (2.0 * step), rtol=1e-6, atol=1e-8
-    )
