@@ -1,14 +1,12 @@
 """One model of each kind, and pairs of directions at which to compare what becomes of them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
-
-Array = NDArray[np.float64]
 
 MODELS = {
     "mixture": mixture(3, 0),

@@ -1,8 +1,8 @@
 """Synthetic materials made of known lobes, and what the automatic fit makes of them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import random_directions
 from dsbrdf.data.reduction import profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
@@ -11,8 +11,6 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
-
-Array = NDArray[np.float64]
 
 NOISE = 0.02
 """Relative standard deviation of every sample."""

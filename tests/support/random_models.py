@@ -1,11 +1,9 @@
 """Models that tests share."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dsbrdf.model.dsbrdf import DSBRDF
-
-Array = NDArray[np.float64]
 
 KNOTS = np.radians([0.0, 30.0, 60.0, 80.0])
 SLICES = np.radians([5.0, 20.0, 47.0, 80.0])

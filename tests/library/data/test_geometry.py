@@ -3,12 +3,9 @@ import pytest
 from mpmath import cos as mp_cos  # type: ignore[import-untyped]
 from mpmath import mp, mpf
 from mpmath import sin as mp_sin
-from numpy.typing import NDArray
 
 from dsbrdf.data.geometry import check_directions, directions, half_difference
 from dsbrdf.errors import InvalidArgumentError
-
-Array = NDArray[np.float64]
 
 
 def exact_directions(

@@ -187,15 +187,6 @@ def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
         assert used()[1] < 1_000_000
 
 
-def test_file_and_bytes_get_the_same_sentence(data: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "faulty.binary"
-    for content in (b"abc", data[:500], data + b"\0", with_values(data, {(0, ABOVE): np.nan})):
-        path.write_bytes(content)
-        with pytest.raises(MeasurementFormatError) as from_file:
-            read_merl(path)
-        assert str(from_file.value) == refusal(content)
-
-
 near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZE + 64), st.integers(0, FILE_SIZE))
 
 

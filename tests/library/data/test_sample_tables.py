@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.errors import MeasurementFormatError
-
-Array = NDArray[np.float64]
 
 COUNT = 240
 _RANDOM = np.random.default_rng(5)

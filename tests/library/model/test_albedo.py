@@ -3,23 +3,19 @@
 The code integrates over half vectors; the references never do.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.furnace import white_furnace
 from dsbrdf.model.lobe_families import FAMILIES
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
-
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array, Array, Array], Array]
 
 
 def gauss(ends: Array, nodes: int) -> tuple[Array, Array]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, half_difference, incident_cosines
 from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
@@ -16,8 +16,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.random_models import SLICES, papers_model, random_model
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("family", FAMILIES)

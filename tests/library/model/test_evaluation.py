@@ -5,17 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from dsbrdf.arrays import Array
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
 from tests.support.known_models import single_lobe
 from tests.support.soak import repeats
-
-Array = NDArray[np.float64]
 
 KNOTS = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 77.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 33.0, 60.0, 80.0])

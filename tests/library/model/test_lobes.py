@@ -5,7 +5,6 @@ from typing import Any
 import mpmath  # type: ignore[import-untyped]
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.lobes import (
@@ -19,7 +18,6 @@ from dsbrdf.model.lobes import (
     width_of_reach,
 )
 
-Array = NDArray[np.float64]
 Number = Any  # mpmath has no types
 
 mp = mpmath.MPContext()
