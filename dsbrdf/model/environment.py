@@ -116,11 +116,7 @@ class EnvironmentMap:
             raise ImageFormatError("A picture of an environment has values that are finite and not negative.")
         if not image.any():
             raise ImageFormatError("The picture of an environment is black.")
-        return cls(*_without_lights(_at_most(image, _WIDEST)))
-
-    def at_most(self, width: int) -> EnvironmentMap:
-        """Return the environment with at most so many columns of pixels; finer ones are averaged."""
-        return EnvironmentMap(_at_most(self.pixels, width), self.lights)
+        return cls(*_without_lights(averaged(image, _WIDEST)))
 
     def radiance(self, direction: Array) -> Array:
         """Radiance (..., 3) from unit vectors (..., 3), between the pixels' centres."""
@@ -148,8 +144,8 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
     return EnvironmentMap.from_pixels(read_hdr_image(path))
 
 
-def _at_most(image: Array, width: int) -> Array:
-    """Picture with at most so many columns, of mean radiance over larger pixels."""
+def averaged(image: Array, width: int) -> Array:
+    """Return a picture with at most so many columns, of mean radiance over larger pixels."""
     if image.shape[1] <= width:
         return image
     for axis, count in ((0, width // 2), (1, width)):

@@ -1,18 +1,13 @@
 """Lit spheres: a unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
 
-The viewer's direction is (0, 0, 1) at every pixel. Two lightings:
-
-- ``three_lights``: three distant lights, `THREE_LIGHTS`. A key light and a fill light show two highlights; a light
-  from behind shows the rim at a difference angle of 70 degrees.
-- ``environment``: light from all around, `dsbrdf.model.environment.environment_radiance`, and the `SUN`.
-
-Where f is needed depends on the lighting and the size only. It is found once, so that an image costs one call of
-``evaluate`` and sparse products.
+The viewer's direction is (0, 0, 1) at every pixel. Where f is needed depends on the lighting and the size only. It is
+found once, so that an image costs one call of ``evaluate`` and sparse products.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +18,7 @@ from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, environment_radiance
+from dsbrdf.model.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, averaged, environment_radiance
 from dsbrdf.model.environment_rings import environment_rings, map_directions, map_shape
 from dsbrdf.model.image_metrics import displayed, exposure, psnr, ssim
 
@@ -164,7 +159,7 @@ def _map_of_sky(size: int) -> Array:
 def _map_of_picture(size: int, environment: EnvironmentMap) -> Array:
     """Mean radiance of a picture about the nodes of the map of directions, shape (3, P, A)."""
     columns = map_shape(size)[1]
-    picture = environment.at_most(_PIXELS_AT_NODE * columns)
+    picture = replace(environment, pixels=averaged(environment.pixels, _PIXELS_AT_NODE * columns))
     fine = -(-picture.pixels.shape[1] // columns)
     total, weight = np.zeros((*map_shape(size), 3)), np.zeros((*map_shape(size), 1))
     for down, right in (np.indices((fine, fine)).reshape(2, -1).T + 0.5) / fine - 0.5:
