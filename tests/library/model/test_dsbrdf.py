@@ -198,6 +198,8 @@ GOOD: dict[str, Any] = {
     ("changed", "sentence"),
     [
         ({"theta_diff": []}, "theta_diff must be a sequence of at least one knot"),
+        ({"theta_diff": 0.3}, "theta_diff must be a sequence of at least one knot"),
+        ({"theta_diff": [0.0, 1.6]}, "knots theta_diff must increase from 0 or more to at most pi/2"),
         ({"theta_diff": "many"}, "theta_diff must be an array of numbers"),
         ({"theta_diff": [0.5, 0.5]}, "knots theta_diff must increase from 0 or more to at most pi/2"),
         ({"shape_theta_diff": [-0.1, 0.5]}, "knots shape_theta_diff must increase from 0 or more to at most pi/2"),
@@ -213,6 +215,7 @@ GOOD: dict[str, Any] = {
         ({"kappa": np.inf * ONE}, "every kappa must be finite"),
         ({"kappa": 701.0 * ONE}, "no kappa may exceed 700: values would leave the range of numbers"),
         ({"gamma": -ONE}, "every gamma must be zero or positive"),
+        ({"gamma": np.nan * ONE}, "every gamma must be finite"),
         ({"gamma": 2e100 * ONE}, r"no gamma may exceed 1e\+100"),
         ({"amplitude": -np.ones((3, 2, 1))}, "every amplitude must be zero or positive"),
         ({"delta": np.full((3, 2), -1e-9)}, "every delta must be zero or positive"),
@@ -251,6 +254,8 @@ def test_angles_out_of_range_are_refused_by_name(angle: float) -> None:
     ("call", "sentence"),
     [
         (lambda model: model.evaluate(0.1, 0.1, [0.0, np.nan]), "phi_diff must be finite"),
+        (lambda model: model.evaluate(0.1, 0.1, np.inf), "phi_diff must be finite"),
+        (lambda model: model.evaluate_directions([0, 0, np.nan], [0, 0, 1]), "omega_in contains NaN or infinity"),
         (
             lambda model: model.evaluate([0.1, 0.2], [0.1, 0.2, 0.3]),
             r"must broadcast against each other; got theta_half \(2,\), theta_diff \(3,\), phi_diff \(\)",
