@@ -7,6 +7,7 @@ import logging
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from time import perf_counter
 from typing import Any, Literal, get_args
 
@@ -33,27 +34,22 @@ class Metrics(Collector):
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
-        self._requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
+        requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
         timed: dict[str, Any] = {"buckets": _SECONDS, "registry": registry}
-        request_seconds = "Time from a request's head to the end of its answer [s]."
-        self._request_seconds = Histogram("dsbrdf_request_seconds", request_seconds, ("method", "route"), **timed)
+        from_head_to_end = "Time from a request's head to the end of its answer [s]."
+        request_seconds = Histogram("dsbrdf_request_seconds", from_head_to_end, ("method", "route"), **timed)
+        # Looking labels up takes longer than counting.
+        self._of_request = cache(lambda *of: (requests.labels(*of), request_seconds.labels(*of[:2])))
         stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
         self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
         self.event_streams = Gauge("dsbrdf_event_streams", "Streams of a fit's events being sent.", registry=registry)
         self.uploaded_bytes = Counter("dsbrdf_uploaded_bytes", "Bytes of request bodies received.", registry=registry)
         self.retries = Counter("dsbrdf_fit_retries", "Fits that ran again after a lost process.", registry=registry)
-        self._known: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is its route's template or `NO_ROUTE`."""
-        known = self._known.get((method, route, status))
-        if known is None:  # looking labels up takes longer than counting
-            label = method if method in _METHODS else "other"
-            known = self._requests.labels(label, route, str(status)), self._request_seconds.labels(label, route)
-            if label == method:
-                self._known[method, route, status] = known
-        counter, histogram = known
+        counter, histogram = self._of_request(method if method in _METHODS else "other", route, status)
         counter.inc()
         histogram.observe(seconds)
 
