@@ -6,13 +6,14 @@ They import neither NumPy nor pydantic nor FastAPI, so that they answer at once.
 
 import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 from dsbrdf.cli.arguments import BAD_INPUT, print_error
+from dsbrdf.cli.commands import run_words
 
 from .. import DEFAULT_DATA_DIR
 from ..errors import DataFolderError
@@ -22,16 +23,23 @@ DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's fo
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
 
-def run_in_folder(given: Path | None, work: Callable[[Path], int], *, existing: bool = True) -> int:
-    """Call `work` with the data folder: the one given, that of the environment, or the default one.
+def data_folder(given: Path | None, *, existing: bool = True) -> Path:
+    """Return the data folder: the one given, that of the environment, or the default one.
 
-    Return the exit code; with `existing`, a folder that no service has made is refused.
+    Raises DataFolderError if it is to be an `existing` one and no service has made it.
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
+    if existing and not (folder / FILE_NAME).exists():
+        raise DataFolderError(f"{folder} is no data folder of a service; --data-dir names one")
+    return folder
+
+
+def run_on_folder(app: App, words: Sequence[str]) -> int:
+    """Run what `words` ask of an application that works on a data folder; return the exit code."""
     try:
-        if existing and not (folder / FILE_NAME).exists():
-            return refuse(f"{folder} is no data folder of a service; --data-dir names one")
-        return work(folder)
+        return run_words(app, words)
+    except BrokenPipeError:  # of who has read enough
+        raise
     except (DataFolderError, OSError) as error:
         return refuse(str(error))
     except sqlite3.Error as error:

@@ -5,38 +5,35 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dsbrdf.cli.arguments import print_json
-from dsbrdf.cli.commands import new_application, run_words
+from dsbrdf.cli.commands import new_application
 
 from ..errors import CheckFailedError
 from ..storage.blobs import Blobs
 from ..storage.database import read_only
 from ..storage.schema import VERSION
-from . import DataDir, Json, run_in_folder
+from . import DataDir, Json, data_folder, run_on_folder
 
 
 def main(words: Sequence[str]) -> int:
     """Run the command with the words that follow it; return the exit code."""
     app = new_application("dsbrdf doctor", "Check the service's database and every measurement; a server may run.")
     app.default(_examine)
-    return run_words(app, words)
+    return run_on_folder(app, words)
 
 
 def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
-    def work(folder: Path) -> int:
-        found = []
-        for name, check in CHECKS.items():
-            try:
-                fine, detail = True, check(folder)
-            except (CheckFailedError, OSError, sqlite3.Error) as error:
-                fine, detail = False, str(error)
-            found.append({"check": name, "fine": fine, "detail": detail})
-            if not json:
-                print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
-        if json:
-            print_json({"items": found})
-        return 0 if all(item["fine"] for item in found) else 1
-
-    return run_in_folder(data_dir, work)
+    folder, found = data_folder(data_dir), []
+    for name, check in CHECKS.items():
+        try:
+            fine, detail = True, check(folder)
+        except (CheckFailedError, OSError, sqlite3.Error) as error:
+            fine, detail = False, str(error)
+        found.append({"check": name, "fine": fine, "detail": detail})
+        if not json:
+            print(f"{'ok' if fine else 'WRONG':<7}{name + ':':<15} {detail}", flush=True)
+    if json:
+        print_json({"items": found})
+    return 0 if all(item["fine"] for item in found) else 1
 
 
 def _database(folder: Path) -> str:

@@ -5,19 +5,19 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import print_error, print_json
-from dsbrdf.cli.commands import Whole, new_application, run_words
+from dsbrdf.cli.commands import Whole, new_application
 
-from ..access.keys import KeyRow, add_key, all_keys, revoke_key
+from ..access.keys import add_key, all_keys, revoke_key
 from ..storage.database import FILE_NAME, Database
-from . import DataDir, Json, refuse, run_in_folder
+from . import DataDir, Json, data_folder, refuse, run_on_folder
 
 _MAX_NAME = 100
+_TIMES = ("created", "used", "revoked")
 
 
 def main(words: Sequence[str]) -> int:
@@ -26,7 +26,9 @@ def main(words: Sequence[str]) -> int:
     app.command(_add, name="add", help="Make a key and print it, this once.")
     app.command(_list, name="list", help="Print the keys, without their secrets.")
     app.command(_revoke, name="revoke", help="Refuse a key from now on; what is stored with it stays.")
-    return run_words(app, words) if words else refuse("name a command: add, list or revoke (see dsbrdf keys --help)")
+    return (
+        run_on_folder(app, words) if words else refuse("name a command: add, list or revoke (see dsbrdf keys --help)")
+    )
 
 
 def _check_name(_: Any, text: str) -> None:
@@ -64,58 +66,38 @@ def _add(
     queued_fits: _QueuedFits = None,
     metrics: _MayReadMetrics = False,
     data_dir: DataDir = None,
-) -> int:
-    def work(folder: Path) -> int:
-        if not (folder / FILE_NAME).exists():
-            place = folder.resolve()
-            print_error(f"{place} becomes a new data folder; the key is for a server of that folder only")
-        with closing(Database(folder, exclusive=False)) as database:
-            limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}
-            row, key = add_key(database, name, **limits, metrics=metrics)
-        print_error(f"the key {row.id} of {row.name!r} is shown this once")
-        print(key)
-        return 0
-
-    return run_in_folder(data_dir, work, existing=False)
+) -> None:
+    folder = data_folder(data_dir, existing=False)
+    if not (folder / FILE_NAME).exists():
+        print_error(f"{folder.resolve()} becomes a new data folder; the key is for a server of that folder only")
+    with closing(Database(folder, exclusive=False)) as database:
+        limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}
+        row, key = add_key(database, name, **limits, metrics=metrics)
+    print_error(f"the key {row.id} of {row.name!r} is shown this once")
+    print(key)
 
 
 def _revoke(key_id: _KeyId, /, *, data_dir: DataDir = None) -> int:
-    def work(folder: Path) -> int:
-        with closing(Database(folder, exclusive=False)) as database:
-            if revoke_key(database, key_id):
-                return 0
-        # The argument is not repeated: it could be a whole key.
-        return refuse("there is no key with this id; dsbrdf keys list shows the ids")
-
-    return run_in_folder(data_dir, work)
-
-
-def _list(*, data_dir: DataDir = None, json: Json = False) -> int:
-    def work(folder: Path) -> int:
-        with closing(Database(folder, exclusive=False)) as database:
-            rows = all_keys(database)
-        if json:
-            print_json({"items": [_document(row) for row in rows]})
+    with closing(Database(data_folder(data_dir), exclusive=False)) as database:
+        if revoke_key(database, key_id):
             return 0
-        print(f"{'id':<14}{'created':<18}{'used':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
-        for row in rows:
-            limits = row.requests_per_second, row.stored_mb, row.queued_fits
-            rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
-            times = (_time(seconds) for seconds in (row.created, row.used, row.revoked))
-            days = "".join(f"{time:%Y-%m-%d %H:%M}  " if time else f"{'-':<18}" for time in times)
-            print(f"{row.id:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row.name}")
-        return 0
-
-    return run_in_folder(data_dir, work)
+    # The argument is not repeated: it could be a whole key.
+    return refuse("there is no key with this id; dsbrdf keys list shows the ids")
 
 
-def _document(row: KeyRow) -> dict[str, object]:
-    document = asdict(row)
-    for name in ("created", "used", "revoked"):
-        time = _time(document[name])
-        document[name] = time and time.isoformat()
-    return document
-
-
-def _time(seconds: float | None) -> datetime | None:
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
+    with closing(Database(data_folder(data_dir), exclusive=False)) as database:
+        rows = [asdict(row) for row in all_keys(database)]
+    for row in rows:
+        row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC) for name in _TIMES}
+    if json:
+        print_json(
+            {"items": [{**row, **{name: row[name] and row[name].isoformat() for name in _TIMES}} for row in rows]}
+        )
+        return
+    print(f"{'id':<14}{'created':<18}{'used':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
+    for row in rows:
+        limits = (row[name] for name in ("requests_per_second", "stored_mb", "queued_fits"))
+        rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
+        days = "".join(f"{row[name]:%Y-%m-%d %H:%M}  " if row[name] else f"{'-':<18}" for name in _TIMES)
+        print(f"{row['id']:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row['name']}")

@@ -15,12 +15,12 @@ from typing import Annotated, Any
 from cyclopts import CoercionError, Parameter, Token
 
 from dsbrdf.cli.arguments import print_json
-from dsbrdf.cli.commands import new_application, run_words
+from dsbrdf.cli.commands import new_application
 
 from ..storage.blobs import Blobs
 from ..storage.database import Database, check_integrity
 from ..storage.schema import IS_UNFINISHED
-from . import DataDir, Json, run_in_folder
+from . import DataDir, Json, data_folder, run_on_folder
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -92,7 +92,7 @@ def main(words: Sequence[str]) -> int:
     """Run the command with the words that follow it; return the exit code."""
     app = new_application("dsbrdf purge", _PURPOSE)
     app.default(_purge)
-    return run_words(app, words)
+    return run_on_folder(app, words)
 
 
 def _age(_: Any, tokens: Sequence[Token]) -> int:
@@ -111,14 +111,10 @@ def _purge(
     dry_run: Annotated[bool, Parameter(help="Only report what would be removed.")] = False,
     data_dir: DataDir = None,
     json: Json = False,
-) -> int:
-    def work(folder: Path) -> int:
-        purged = purge(folder, time.time() - older_than, dry_run=dry_run)
-        if json:
-            print_json({**purged, "dry_run": dry_run})
-        else:
-            removed = f"{purged['fits']} fits and {purged['measurements']} measurements"
-            print(f"{removed} {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")
-        return 0
-
-    return run_in_folder(data_dir, work)
+) -> None:
+    purged = purge(data_folder(data_dir), time.time() - older_than, dry_run=dry_run)
+    if json:
+        print_json({**purged, "dry_run": dry_run})
+    else:
+        removed = f"{purged['fits']} fits and {purged['measurements']} measurements"
+        print(f"{removed} {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")

@@ -45,6 +45,15 @@ def test_healthy_folder_of_a_running_server_passes_and_is_not_changed(folder: Pa
         read_only(folder, "DELETE FROM fits")
 
 
+def test_a_reader_that_has_read_enough_is_no_fault_of_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def end(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("builtins.print", end)
+    with pytest.raises(BrokenPipeError):  # for `dsbrdf`, which says nothing of it
+        doctor.main(["--data-dir", str(folder)])
+
+
 def test_no_database_is_found(tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_bytes(b"no database, although it is as long as one could be" * 100)
     assert "not a database" in examine(tmp_path)["database"]
