@@ -30,7 +30,7 @@ except ImportError:  # pragma: no cover (no such limits outside POSIX)
 SERVER_FOLDER = "DSBRDF_FORK_SERVER_FOLDER"
 """Environment variable that names the folder of the fork server's socket."""
 
-_MIN_PROGRESS_STEP = 0.005  # smaller steps of progress are not sent
+_MIN_PROGRESS_STEP = 0.01  # smaller steps of progress are not sent
 _POLL_INTERVAL = 0.1  # seconds between two questions whether the outcome is still wanted
 _EXIT_TIMEOUT = 5.0  # seconds that a process has to end after it has sent its outcome
 # Exit codes of a process that an operator or the kernel ended, so that another attempt may succeed.

@@ -37,7 +37,6 @@ _RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allo
 _FINAL_BUSY_TIMEOUT = 1.0  # seconds that a write may wait for others when the service is about to end
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MAX_CANCEL_WAIT = 5.0  # seconds that who cancels a fit waits until its process has ended
-_MIN_PROGRESS_STEP = 0.01  # a smaller change of the progress notifies nobody
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
 # A fit that runs whenever the service is killed may be the cause: after the first number of interruptions it waits
@@ -250,7 +249,7 @@ class Jobs:
 
     def _set_progress(self, key: FitKey, share: float) -> None:
         running = self._running.get(key)
-        if running is not None and (share == 0.0 or share - running.progress >= _MIN_PROGRESS_STEP):
+        if running is not None:
             running.progress = share
             running.notify()
 

@@ -54,18 +54,16 @@ class Incoming:
         """Return at most `size` bytes of what has been written."""
         return os.pread(self._file.fileno(), size, start)
 
-    def close(self) -> str:
-        """Make the content durable and return its sha256."""
+    def close(self) -> None:
+        """Make the content durable."""
         os.fsync(self._file.fileno())
         self._file.close()
         self.sha256 = self._digest.hexdigest()
-        return self.sha256
 
     def discard(self) -> None:
         """Remove the file, unless it has been placed."""
         self._file.close()
-        with suppress(FileNotFoundError):
-            self.path.unlink()
+        self.path.unlink(missing_ok=True)
 
 
 class Blobs:

@@ -98,7 +98,7 @@ async def test_what_nobody_waits_for_is_not_computed(
 async def test_view_of_a_page_is_computed_once(running: Application, key: str, block: Block) -> None:
     blocked = block(results, "view_step")
     asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
-    await blocked.until_called()
+    await until_waiting(running, 4)
     blocked.may_return.set()
     assert [(await one.end()).status for one in asked] == [200] * 4
     assert len(blocked.calls) == 1

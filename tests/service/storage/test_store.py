@@ -209,9 +209,9 @@ def test_file_is_durable_before_it_is_placed_and_its_name_after(
 
     monkeypatch.setattr(os, "fsync", record_fsync)
     monkeypatch.setattr(Path, "replace", record_replace)
-    folder = blobs.path(incoming.close()).parent
+    incoming.close()
     blobs.place(incoming)
-    written = incoming.path
+    written, folder = incoming.path, blobs.path(incoming.sha256).parent
     assert steps == [("fsync", written), ("fsync", folder.parent), ("replace", written), ("fsync", folder)]
 
 
