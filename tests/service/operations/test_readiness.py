@@ -83,23 +83,21 @@ def test_removed_socket_of_the_fork_server_is_not_ready_until_the_next_start(
     assert server.http.get(f"/v1/fits/{fit}?wait=60").json()["status"] == "succeeded"
 
 
-def test_database_damaged_at_run_time_is_not_ready(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False)
-    server.stop()  # what it has written is in the file, and no longer in its memory
-    server.start()
-    database = server.data_dir / FILE_NAME
-    with database.open("r+b") as file:
-        file.write(b"\xff" * database.stat().st_size)
-    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
-    assert_problem(server.http.get("/v1/fits"), 503, "not-ready")
-    assert "dsbrdf_requests_total" in server.http.get("/metrics").text
+async def test_nearly_full_disk_and_damaged_database_are_not_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise sqlite3.DatabaseError("database disk image is malformed")
 
-
-async def test_nearly_full_disk_is_not_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with application(tmp_path, monkeypatch, min_free_mb=10**9) as running:
-        answer = await running.ask("/health/ready", "").end()
-    assert (answer.status, "retry-after" in answer.headers) == (503, True)
-    assert b"the service needs 1000000000 MB" in answer.body
+        key = running.new_key()
+        monkeypatch.setattr(running.store.database, "rows", fail)
+        for path in ("/health/ready", "/v1/fits"):
+            answer = await running.ask(path, key).end()
+            assert (answer.status, "retry-after" in answer.headers) == (503, True)
+            for fault in (b"the service needs 1000000000 MB", b"disk image is malformed"):
+                assert (fault in answer.body) is (path == "/health/ready")
+        assert "dsbrdf_requests_total" in running.app.state.metrics.exposition().decode()
 
 
 class Asked:
