@@ -50,7 +50,7 @@ SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py 
   fitting/test_scattered_fit.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \
   http/test_openapi_conformance.py operations/test_readiness.py operations/test_log_and_metrics.py routes/test_figures.py \
-  routes/test_other_uploads.py storage/test_damage.py storage/test_restore.py test_client.py)
+  routes/test_other_uploads.py storage/test_damage.py storage/test_folder.py test_client.py)
 
 quick: $(READY)  ## run the tests of library and service that take little time
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \
