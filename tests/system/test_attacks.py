@@ -8,8 +8,8 @@ accepted: the machine that tests run on may be slow or busy.
 import json
 import resource
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 
 import httpx
 import pytest
@@ -150,19 +150,6 @@ def test_request_with_two_lengths_is_refused(target: Target) -> None:
             assert received.count(b"HTTP/1.1 ") == 1
             assert received.endswith(b"}")
     target.close(8, "bodies with two ends")
-
-
-def test_idle_connections_leave_descriptors_for_others(own_server: Callable[..., Server]) -> None:
-    before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))  # which the server inherits
-    try:
-        server = own_server(own_interpreter=True, header_timeout="600")
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, before)
-    with ExitStack() as stack:
-        for _ in range(400):
-            stack.enter_context(closing(server.connection()))
-        assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
 
 
 @pytest.mark.parametrize(("files", "most"), [(300, 150), (1 << 20, 4096), (-1, 4096)])

@@ -137,19 +137,13 @@ def test_bad_heads_are_refused_by_nginx(proxy: Proxy) -> None:
     assert b"urn:dsbrdf:problem:bad-request" in proxy.send(b"GET / HTTP/1.1\r\nHost: a b\r\nbad header\r\n\r\n")
 
 
-def test_slow_head_times_out(own_proxy: Callable[..., Proxy]) -> None:
-    proxy = own_proxy(**{"client_header_timeout 10s": "client_header_timeout 1s"})
-    assert proxy.send(b"GET /health/live HTTP/1.1\r\nHost") == b""
-
-
-def test_stalled_body_times_out_in_the_service(
+def test_slow_head_times_out_in_nginx_and_a_stalled_body_in_the_service(
     own_server: Callable[..., Server], own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
-    proxy = own_proxy(own_server(fits=False, idle_timeout="1").http.base_url.port)
+    changes = {"client_header_timeout 10s": "client_header_timeout 1s"}
+    proxy = own_proxy(own_server(fits=False, idle_timeout="1").http.base_url.port, **changes)
+    assert proxy.send(b"GET /health/live HTTP/1.1\r\nHost") == b""
     assert b"urn:dsbrdf:problem:request-timeout" in proxy.send(head_of_upload(len(data)) + data[:1000])
-
-
-def test_nginx_body_timeout_exceeds_that_of_the_service() -> None:
     seconds = re.search(r"client_body_timeout (\d+)s;", CONFIGURATION.read_text())
     assert seconds
     assert int(seconds[1]) > Settings().idle_timeout
@@ -159,8 +153,7 @@ def test_request_rate_of_an_address_is_limited(own_proxy: Callable[..., Proxy]) 
     proxy = own_proxy(**{"rate=100r/s": "rate=1r/s", "burst=200": "burst=5"})
     answers = [proxy.http.get("/health/live") for _ in range(30)]
     refused = [answer for answer in answers if answer.status_code != 200]
-    assert 30 - len(refused) >= 6
-    assert refused
+    assert 1 <= len(refused) <= 24
     for answer in refused:
         assert_problem(answer, "rate-limited")
         assert int(answer.headers["retry-after"]) >= 1

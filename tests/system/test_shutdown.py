@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from itertools import cycle
 from pathlib import Path
 
@@ -177,18 +177,20 @@ def test_ctrl_c_while_the_service_starts_prints_no_traceback(tmp_path: Path) -> 
         server.close()
 
 
-def test_service_that_ignores_hangups_goes_on(tmp_path: Path) -> None:
-    server = Server(tmp_path / "data")
-    server.own_interpreter = True
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does it: it is inherited
+def test_service_heeds_what_it_inherits(own_server: Callable[..., Server]) -> None:
+    limit, hangup = resource.getrlimit(resource.RLIMIT_NOFILE), signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, limit[1]))
     try:
-        server.start()
-        server.process.send_signal(signal.SIGHUP)
-        assert server.http.get("/health/ready").status_code == 200
-        assert server.stop() == 0
+        server = own_server(own_interpreter=True, header_timeout="600")
     finally:
-        signal.signal(signal.SIGHUP, before)
-        server.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+        signal.signal(signal.SIGHUP, hangup)
+    server.process.send_signal(signal.SIGHUP)
+    with ExitStack() as stack:
+        for _ in range(400):  # idle connections, which leave descriptors for others
+            stack.enter_context(closing(server.connection()))
+        assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
+    assert server.stop() == 0
 
 
 def test_accepted_fits_finish_after_a_kill(own_server: Callable[..., Server], data: bytes) -> None:
