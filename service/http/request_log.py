@@ -42,19 +42,17 @@ class RequestLogMiddleware:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        body = BodyTimeout(receive, self._settings.idle_timeout, self._settings.least_upload_rate)
         exchange = _Exchange(scope, send)
         bind("request_id", exchange.request_id)
-        if exchange.has_body:
-            idle_timeout, least_rate = self._settings.idle_timeout, self._settings.least_upload_rate
-            receive = exchange.body = BodyTimeout(receive, idle_timeout, least_rate)
         self._in_progress += 1
         self._metrics.requests_in_progress.inc()
         try:
-            await self._answer(scope, receive, exchange)
+            await self._answer(scope, body, exchange)
         finally:
             self._in_progress -= 1
             self._metrics.requests_in_progress.dec()
-            self._log(scope, exchange)
+            self._log(scope, exchange, body.n_bytes)
 
     async def _answer(self, scope: Scope, receive: Receive, exchange: "_Exchange") -> None:
         path = scope["path"]
@@ -75,13 +73,12 @@ class RequestLogMiddleware:
             if not exchange.complete:
                 raise
 
-    def _log(self, scope: Scope, exchange: "_Exchange") -> None:
+    def _log(self, scope: Scope, exchange: "_Exchange", n_received: int) -> None:
         seconds = perf_counter() - exchange.begin
         method, status = scope["method"], exchange.status or 499  # the client went before there was an answer
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         self._metrics.answered(method, route, status, seconds)
-        if exchange.body is not None:
-            self._metrics.uploaded_bytes.inc(exchange.body.n_bytes)
+        self._metrics.uploaded_bytes.inc(n_received)
         if status >= 500:
             level = logging.ERROR if status == 500 else logging.WARNING
         elif status < 400 and method in SAFE_METHODS:
@@ -96,7 +93,7 @@ class RequestLogMiddleware:
                 "status": status,
                 "seconds": round(seconds, 6),
                 "client": client[0] if client else None,
-                "received_bytes": 0 if exchange.body is None else exchange.body.n_bytes,
+                "received_bytes": n_received,
             }
             logger.log(level, "request", extra=about)
 
@@ -104,22 +101,15 @@ class RequestLogMiddleware:
 class _Exchange:
     """One request and the state of its response."""
 
-    __slots__ = ("_head", "_send", "begin", "body", "complete", "has_body", "request_id", "status")
+    __slots__ = ("_head", "_send", "begin", "complete", "request_id", "status")
 
     def __init__(self, scope: Scope, send: Send) -> None:
         self.begin = perf_counter()
         self.status: int | None = None
         self.complete = False
-        self.has_body = False
-        self.body: BodyTimeout | None = None
         self._send = send
         self._head = scope["method"] == "HEAD"
-        given = b""
-        for name, value in scope["headers"]:
-            if name == b"x-request-id":
-                given = value
-            elif name in (b"content-length", b"transfer-encoding"):
-                self.has_body = True
+        given = next((value for name, value in reversed(scope["headers"]) if name == b"x-request-id"), b"")
         self.request_id = given.decode() if _ACCEPTABLE_ID.fullmatch(given) else secrets.token_hex(8)
 
     async def send(self, message: Message) -> None:
