@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any, NamedTuple
+from typing import Any
 
 from backports import zstd
 from starlette.concurrency import run_in_threadpool
@@ -59,7 +59,7 @@ async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mm
                 raise too_large
             file.write(data)
 
-        encoded = decoder(encoding_of(request), keep)
+        feed, finish = decoder(encoding_of(request), keep)
         declared = request.headers.get("content-length", "")
         if declared.isdecimal() and int(declared) > limit:
             raise too_large
@@ -69,10 +69,10 @@ async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mm
             if n_encoded > limit + limit // 64 + 1024:  # compressors add less; what decodes to nothing could go on
                 raise too_large
             if n_encoded > IN_MEMORY:
-                await run_in_threadpool(encoded.feed, piece)
+                await run_in_threadpool(feed, piece)
             else:
-                encoded.feed(piece)
-        encoded.finish()
+                feed(piece)
+        finish()
         size = file.tell()
         if size > IN_MEMORY:
             file.flush()
@@ -81,22 +81,15 @@ async def receive_body(request: Request, limit: int, folder: Path) -> bytes | mm
         return file.read()
 
 
-class Decoder(NamedTuple):
-    """Takes a body in pieces, and its end."""
-
-    feed: Sink
-    finish: Callable[[], None]
-
-
-def decoder(content_encoding: str, sink: Sink) -> Decoder:
-    """Return the decoder for a ``Content-Encoding`` header, which may name one encoding.
+def decoder(content_encoding: str, sink: Sink) -> tuple[Sink, Callable[[], None]]:
+    """Return what takes a body with this ``Content-Encoding``, which may name one, in pieces, and what takes its end.
 
     Raises ProblemError if it is not one that the service decodes.
     """
     given = (name.strip().lower() for name in content_encoding.split(","))
     name = ", ".join(name for name in given if name not in ("", "identity"))
     if not name:
-        return Decoder(sink, lambda: None)
+        return sink, lambda: None
     if name in ("gzip", "x-gzip"):
         members = _MemberDecoder("gzip", partial(zlib.decompressobj, wbits=16 + zlib.MAX_WBITS), sink)
     elif name == "zstd":
@@ -105,7 +98,7 @@ def decoder(content_encoding: str, sink: Sink) -> Decoder:
     else:
         detail = f"The content encoding {name[:40]!r} is not supported; send the body as it is, or as gzip or zstd."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip, zstd"})
-    return Decoder(members.feed, members.finish)
+    return members.feed, members.finish
 
 
 class _MemberDecoder:

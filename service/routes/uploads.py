@@ -72,12 +72,10 @@ async def receive_upload(
     with context.metrics.timing("upload"):
         if kind is not None:
             _check_convertible(length or 0)
-        elif length not in (None, FILE_SIZE):
-            await _refuse_early(request.stream(), length or 0)
         async with context.store.uploads.incoming(caller) as incoming:
             at_once = context.store.uploads.few
             if kind is None:
-                incoming.valid_nodes = await _write_merl(request, incoming, at_once=at_once)
+                incoming.valid_nodes = await _write_merl(request, incoming, length, at_once=at_once)
                 await in_thread(incoming.close)
             else:
                 await _write(request, partial(_write_convertible, incoming), at_once=at_once)
@@ -91,9 +89,10 @@ async def receive_upload(
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
 
-async def _write_merl(request: Request, incoming: Incoming, *, at_once: bool) -> int:
+async def _write_merl(request: Request, incoming: Incoming, length: int | None, *, at_once: bool) -> int:
     """Write the MERL file that the body decodes to; return the number of valid nodes.
 
+    A wrong `length` that is declared is refused by the first bytes, with the sentence that the whole would get.
     Its values are checked `at_once` or at the end: a check takes memory that many uploads should not have together.
     """
     header = b""
@@ -105,6 +104,9 @@ async def _write_merl(request: Request, incoming: Incoming, *, at_once: bool) ->
             header += data[: HEADER_SIZE - len(header)]
             if len(header) == HEADER_SIZE:
                 check_header(header)
+                if length is not None:
+                    _check_not_longer(length)
+                    check_length(length)
         _check_not_longer(incoming.size + len(data))
         incoming.write(data)
         if checker is not None:
@@ -130,7 +132,7 @@ def _write_convertible(incoming: Incoming, data: bytes) -> None:
 async def _write(request: Request, write: Sink, *, at_once: bool) -> None:
     """Write what the body decodes to, each piece while the next one arrives."""
     n_received = 0
-    decoded = decoder(encoding_of(request), write)
+    feed, finish = decoder(encoding_of(request), write)
     writing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     writing.set_result(None)
     try:
@@ -140,11 +142,12 @@ async def _write(request: Request, write: Sink, *, at_once: bool) -> None:
             if n_received > _MAX_ENCODED:
                 most = f"The body is longer than {_MAX_ENCODED} bytes, more than an encoded measurement takes."
                 raise ProblemError("too-large", most)
-            writing = asyncio.ensure_future(in_thread(decoded.feed, piece))
-            if threads_are_busy():  # reading ahead would only take memory
+            writing = asyncio.ensure_future(in_thread(feed, piece))
+            # What is wrong with the header is told at once; with busy threads, reading ahead would only take memory.
+            if n_received == len(piece) or threads_are_busy():
                 await writing
         await writing
-        await in_thread(decoded.finish)
+        await in_thread(finish)
     finally:
         await asyncio.gather(writing, return_exceptions=True)
 
@@ -163,18 +166,6 @@ async def _pieces(parts: AsyncIterator[bytes], least: int) -> AsyncIterator[byte
             yield piece
     if size:
         yield b"".join(waiting)
-
-
-async def _refuse_early(parts: AsyncIterator[bytes], length: int) -> None:
-    """Refuse a body of a wrong length by its first bytes, with the sentence that the whole would get."""
-    start = b""
-    async for part in parts:
-        start += part
-        if len(start) >= HEADER_SIZE:
-            check_header(start)
-            break
-    _check_not_longer(length)
-    check_length(length)
 
 
 def _check_not_longer(n_bytes: int) -> None:

@@ -42,10 +42,10 @@ def decoded(encoding: str, body: bytes, step: int) -> bytes | str:
         parts.append(data)
 
     try:
-        stage = decoder(encoding, sink)
+        feed, finish = decoder(encoding, sink)
         for start in range(0, len(body), step):
-            stage.feed(body[start : start + step])
-        stage.finish()
+            feed(body[start : start + step])
+        finish()
     except ProblemError as error:
         return error.detail
     finally:
