@@ -36,6 +36,7 @@ _DEFAULT_HEADERS = (
 )
 _PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
+_QUALITY = re.compile(r"(?:^|;)\s*q\s*=\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(?:;|$)")
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
@@ -179,3 +180,24 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
         if math.isfinite(seconds) and seconds >= 0:
             return min(seconds, longest)
     return 0.0 if "respond-async" in preferences else min(default, longest)
+
+
+def accepted_type(request: Request, first: str, second: str) -> str | None:
+    """Return which of two media types ``Accept`` prefers, the first where it takes both alike; None if neither.
+
+    A quality of the type itself counts before that of a range.
+    """
+    ranges: dict[str, float] = {}
+    for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
+        media_type, _, parameters = entry.partition(";")
+        quality = _QUALITY.search(parameters)
+        if media_type.strip():
+            weight = min(float(quality[1]), 1.0) if quality else 1.0
+            ranges[media_type.strip()] = max(ranges.get(media_type.strip(), 0.0), weight)
+
+    of_range = ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
+    # A type that is named counts more.
+    for_first, for_second = ranges.get(first, 0.5 * of_range), ranges.get(second, 0.25 * of_range)
+    if not (for_first or for_second):
+        return None
+    return second if for_second > for_first else first

@@ -23,7 +23,7 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import IN_MEMORY, PIECE, media_type_of, receive_body
-from ..http.responses import tagged_reply
+from ..http.responses import accepted_type, tagged_reply
 from ..jobs.computations import Place
 from ..jobs.results import LoadedFit
 from ..operations.metrics import Metrics
@@ -79,7 +79,6 @@ _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 _MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
 _JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
 _NPY_BYTES_PER_POINT = 48
-_QUALITY = re.compile(r"(?:^|;)\s*q\s*=\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(?:;|$)")
 _STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
 
 
@@ -171,7 +170,9 @@ async def _values_of_query(request: Request, context: Context, fit: FitKey, labe
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     await no_query(request)
-    media_type = _accepted_type(request)
+    media_type = accepted_type(request, JSON, NPY)
+    if media_type is None:
+        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
     loaded = await _loaded(context, fit, label)
     points = await _batch(request, context)
     if len(points) > context.settings.max_points:
@@ -231,24 +232,6 @@ def _from_json(body: bytes, max_points: int) -> Points:
         return from_directions(**dict(parse_document(DirectionsRequest, rest, strict=True)) | lists)
     rest, lists = take_lists(body, 1)
     return from_angles(**dict(parse_document(AnglesRequest, rest, strict=True)) | lists)
-
-
-def _accepted_type(request: Request) -> str:
-    """Return which of JSON and .npy ``Accept`` prefers; a quality of the type itself counts before that of a range."""
-    ranges: dict[str, float] = {}
-    for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
-        media_type, _, parameters = entry.partition(";")
-        quality = _QUALITY.search(parameters)
-        if media_type.strip():
-            weight = min(float(quality[1]), 1.0) if quality else 1.0
-            ranges[media_type.strip()] = max(ranges.get(media_type.strip(), 0.0), weight)
-
-    of_range = ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
-    # A type that is named counts more; JSON is the default.
-    json, npy = ranges.get(JSON, 0.5 * of_range), ranges.get(NPY, 0.25 * of_range)
-    if not (json or npy):
-        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
-    return NPY if npy > json else JSON
 
 
 def _npy_head(n_points: int) -> bytes:

@@ -11,19 +11,21 @@ from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
-from ..http.responses import OpenFileResponse, check_range, check_wanted, json_reply, next_page, prefix_of, tagged_reply
+from ..http.responses import (
+    OpenFileResponse,
+    accepted_type,
+    check_range,
+    check_wanted,
+    json_reply,
+    next_page,
+    prefix_of,
+    tagged_reply,
+)
 from ..storage.database import in_write_thread
 from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
-from .dependencies import (
-    NO_QUERY,
-    NO_REPETITION,
-    Sha256,
-    TheCaller,
-    TheContext,
-    no_query,
-)
+from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
 from .uploads import CONTENT, PARAMETERS, UPLOADED, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
@@ -108,7 +110,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     if row is None:
         raise MeasurementNotFoundError(sha256)
-    if _wants_document(request):
+    if accepted_type(request, BINARY, JSON) == JSON:  # who accepts anything gets the file
         fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
         return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
     headers = {"ETag": f'"{sha256}"', **_VARY}
@@ -124,13 +126,6 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
         return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256, distrust)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
-
-
-def _wants_document(request: Request) -> bool:
-    """Return whether ``Accept`` names JSON, and not the file: who accepts anything gets the file."""
-    accepted = ",".join(request.headers.getlist("accept")).lower().split(",")
-    named = {entry.partition(";")[0].strip() for entry in accepted}
-    return JSON in named and BINARY not in named
 
 
 @router.delete(

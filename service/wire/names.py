@@ -4,6 +4,7 @@ A name is no part of an identity: the same measurement or fit sent with another 
 """
 
 import re
+from contextlib import suppress
 from email.message import Message
 from email.utils import collapse_rfc2231_value
 from urllib.parse import quote
@@ -25,16 +26,21 @@ def check_name(text: str) -> str:
 
 
 def given_name(given: str | None, content_disposition: str) -> str | None:
-    """Return the name that a query gives, or the file name of a ``Content-Disposition``; None without either.
+    """Return the name in a query, or the file name in a ``Content-Disposition`` (RFC 6266); None without either.
 
     Raises InvalidArgumentError if it is no name.
     """
     if given is not None:
         return check_name(given)
-    file_name = _file_name(content_disposition) if content_disposition else None
-    if file_name is None:
+    message = Message()
+    message["Content-Disposition"] = content_disposition
+    parameters = {name.lower(): value for name, value in message.get_params([], "content-disposition")}
+    if "filename" not in parameters:
         return None
-    return check_name(re.split(r"[/\\]", file_name)[-1].removesuffix(_SUFFIX))  # a folder is the sender's matter
+    name = collapse_rfc2231_value(parameters["filename"])  # the extended form comes last, so it is the one that is kept
+    with suppress(UnicodeError):
+        name = name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
+    return check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))  # a folder is the sender's matter
 
 
 def content_disposition(file_name: str) -> str:
@@ -42,17 +48,3 @@ def content_disposition(file_name: str) -> str:
     encoded = quote(file_name, safe="")
     plain = f'filename="{file_name}"' if encoded == file_name else f"filename*=UTF-8''{encoded}"
     return f"attachment; {plain}"
-
-
-def _file_name(header: str) -> str | None:
-    """Return the file name of a ``Content-Disposition`` header (RFC 6266)."""
-    message = Message()
-    message["Content-Disposition"] = header
-    given = {name.lower(): value for name, value in message.get_params([], "content-disposition")}
-    if "filename" not in given:
-        return None
-    name = collapse_rfc2231_value(given["filename"])  # the extended form comes last, so it is the one that is kept
-    try:
-        return name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
-    except UnicodeError:
-        return name

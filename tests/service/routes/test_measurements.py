@@ -91,8 +91,9 @@ def test_measurement_has_a_document_with_its_fits(server: Server, matte: dsbrdf.
     for name in ("content-type", "content-length", "etag"):
         assert head.headers[name] == answer.headers[name]
     assert server.http.get(url, headers={**headers, "If-None-Match": answer.headers["etag"]}).status_code == 304
-    file = server.http.get(url, headers={"Accept": "application/octet-stream, application/json;q=0.5"})
-    assert file.content == content
+    for accepted in ("application/octet-stream, application/json;q=0.5", "application/json;q=0, */*", "text/html"):
+        file = server.http.get(url, headers={"Accept": accepted})
+        assert file.content == content
     assert file.headers["etag"] != answer.headers["etag"]
     for either in (answer, file):
         assert "Accept" in either.headers["vary"]
