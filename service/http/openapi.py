@@ -52,25 +52,20 @@ _MEASUREMENT: dict[str, Any] = {
 }
 
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
-_COMPONENTS: dict[str, Any] = {
-    "items": [
-        {
-            "label": "diffuse",
-            "lobe": {
-                "theta_diff_deg": [0, 30, 60, 75],
-                "height": [[0.11, 0.05, 0.03], [0.11, 0.05, 0.03], [0.1, 0.04, 0.03], [0.08, 0.03, 0.02]],
-                "half_width_deg": [74.0, 74.0, 73.0, 72.0],
-                "tail": [1.1, 1.1, 1.1, 1.1],
-                "elongation": [0.0, 0.0, 0.0, 0.0],
-            },
-            "albedo": [0.33, 0.15, 0.09],
-            "color": [1.0, 0.455, 0.273],
-            "half_width_deg": 74.0,
-            "clarity": 0.93,
-        },
-    ]
+_COMPONENT: dict[str, Any] = {
+    "label": "diffuse",
+    "lobe": {
+        "theta_diff_deg": [0, 30, 60, 75],
+        "height": [[0.11, 0.05, 0.03], [0.11, 0.05, 0.03], [0.1, 0.04, 0.03], [0.08, 0.03, 0.02]],
+        "half_width_deg": [74.0, 74.0, 73.0, 72.0],
+        "tail": [1.1, 1.1, 1.1, 1.1],
+        "elongation": [0.0, 0.0, 0.0, 0.0],
+    },
+    "albedo": [0.33, 0.15, 0.09],
+    "color": [1.0, 0.455, 0.273],
+    "half_width_deg": 74.0,
+    "clarity": 0.93,
 }
-
 _SUMMARY: dict[str, Any] = {
     "id": EXAMPLE_FIT,
     "name": "nickel",
@@ -104,15 +99,10 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasurementDetails": {**_MEASUREMENT, "fits": [EXAMPLE_FIT]},
     "MeasurementList": {"items": [_MEASUREMENT]},
     "FitRequest": {"measurement": EXAMPLE_SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}},
-    "FitDocument": {
-        **_SUMMARY,
-        "warnings": [],
-        "components": _COMPONENTS["items"],
-        "model": model_document(_MODEL),
-    },
+    "FitDocument": {**_SUMMARY, "warnings": [], "components": [_COMPONENT], "model": model_document(_MODEL)},
     "FitList": {"items": [_SUMMARY]},
     "RemovedFit": {"id": EXAMPLE_FIT, "status": "cancelled"},
-    "ComponentList": _COMPONENTS,
+    "ComponentList": {"items": [_COMPONENT]},
     "Values": {"values": [[0.42, 0.21, 0.11]]},
     "Health": {"status": "live", "version": dsbrdf.__version__},
     "Readiness": {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0},
