@@ -180,13 +180,14 @@ def headline(file: Path, result: FitResult) -> str:
     metrics, seconds = result.report.metrics, sum(result.report.timings.values())
     close = "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
     if metrics.psnr is not None:
-        close = f"{likeness(metrics.psnr)} ({metrics.psnr:.1f} dB)"
+        close = likeness(metrics.psnr)
     return f"{file.stem}: {close}; {lobes_phrase(result.model)}; {seconds:.2f} s"
 
 
 def likeness(psnr: float) -> str:
     """Return in words how alike the lit spheres of a measurement and its fit are, with this PSNR [dB]."""
-    return next((words for least, words in _VERDICTS if psnr >= least), "strongly different")
+    words = next((words for least, words in _VERDICTS if psnr >= least), "strongly different")
+    return f"{words} ({psnr:.1f} dB)"
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:

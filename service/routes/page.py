@@ -22,7 +22,7 @@ from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export import FORMATS
-from dsbrdf.output.report_text import lobes_phrase
+from dsbrdf.output.report_text import likeness, lobes_phrase
 
 from ..access.authentication import COOKIE, from_another_site, same_origin
 from ..errors import ProblemError
@@ -45,7 +45,6 @@ from .page_text import (
     facts_of,
     metrics_in_words,
     options_in_words,
-    verdict,
 )
 
 _MAX_FORM = 1 << 12
@@ -287,13 +286,14 @@ async def _source(context: Context, fit: FitKey, name: str) -> ReflectanceModel 
 
 async def _shown(context: Context, row: FitRow) -> dict[str, Any]:
     """Return what a page shows of a fit that has succeeded."""
-    loaded = await context.models.get(row.key)
+    loaded, metrics = await context.models.get(row.key), row.metrics or {}
+    psnr = metrics.get("psnr")
     return {
         "row": row,
         "facts": facts_of(row),
         "options": options_in_words(row.options),
-        "verdict": verdict(row.metrics or {}),
-        "metrics": metrics_in_words(row.metrics or {}),
+        "verdict": "how good it is" if psnr is None else likeness(psnr),
+        "metrics": metrics_in_words(metrics),
         "warnings": loaded.report.warnings if loaded.report else (),
         "components": [component_facts(component) for component in loaded.components],
     }

@@ -9,7 +9,6 @@ import numpy as np
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
-from dsbrdf.output.report_text import likeness
 
 from ..storage.schema import FitRow
 from ..wire.fit_options import DEFAULTS, canonical
@@ -46,14 +45,6 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[dict[str, str]
         for name, title, write, meaning in _METRICS
         if (value := metrics.get(name)) is not None
     ]
-
-
-def verdict(metrics: Mapping[str, float | None]) -> str:
-    """Return how close the lit spheres of fit and measurement are, in a few words."""
-    psnr = metrics.get("psnr")
-    if psnr is None:
-        return "How good it is"
-    return f"{likeness(psnr).capitalize()}: {psnr:.1f} dB"
 
 
 def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
