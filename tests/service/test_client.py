@@ -5,7 +5,6 @@ import hashlib
 import inspect
 import re
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import pytest
 
 import dsbrdf
 from service.client import AccessError, AsyncClient, Client, ClientEngine, LimitError, ServiceError, Source
-from service.wire.fit_options import canonical, from_wire, to_wire
+from service.wire.fit_options import canonical, to_wire
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
@@ -79,23 +78,6 @@ def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measur
         with pytest.raises(ServiceError, match="There is no fit") as missing:
             client.get("0" * 32)
         assert missing.value.problem["status"] == 404
-
-
-def test_client_waits_for_lists_and_deletes_fits(own_server: Callable[..., Server], plastic_file: Path) -> None:
-    server = own_server(workers="1")
-    with Client(str(server.http.base_url)) as client:
-        first = client.submit(plastic_file, from_wire(ENDLESS))
-        second = client.submit(plastic_file, OPTIONS)
-        assert not first.ended
-        assert [fit.id for fit in client.fits()] == [second.id, first.id]
-        client.delete(first.id)
-        assert client.get(first.id).status == "cancelled"
-        client.delete(first.id)
-        assert client.get(second.id, wait=30).status == "succeeded"
-        assert [fit.id for fit in client.fits()] == [second.id]
-        client.delete_measurement(second.measurement)
-        with pytest.raises(ServiceError, match="no measurement"):
-            client.measurement(second.measurement)
 
 
 def test_client_sends_its_key_and_raises_what_was_refused(
@@ -187,6 +169,18 @@ async def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(engine.slot().__aenter__(), 0.01)
     await engine.close()
+
+
+def test_client_follows_the_pages_of_a_list(server: Server, fitted: str) -> None:
+    def answer(request: httpx.Request) -> httpx.Response:
+        following = {} if "cursor" in request.url.params else {"Link": '</v1/fits?name=a%26b&cursor=7>; rel="next"'}
+        assert request.url.params["name"] == "a&b"
+        return httpx.Response(200, headers=following, json={"items": [item]})
+
+    item = server.http.get(f"/v1/fits/{fitted}").json()
+    client = Client()
+    client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
+    assert [fit.id for fit in client.fits(name="a&b")] == [fitted] * 2
 
 
 def refused(status: int, retry_after: str | None = None) -> httpx.Response:

@@ -12,8 +12,7 @@ import pytest
 
 from dsbrdf.data.hdr_image import read_hdr_image
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.environment import THREE_LIGHTS, EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
@@ -163,38 +162,10 @@ def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit
     assert len(parts) > 2
     assert all(part.mean() < whole.mean() for whole, part in pairwise(parts))
     assert parts[-1][..., :3].max() == 0.0
-
-
-def test_red_paint_has_a_neutral_highlight_on_a_red_ground(visit: Visit, site: Site, tmp_path: Path) -> None:
-    paint = {"roughness": 0.06, "diffuse": (0.40, 0.16, 0.10)}
-    file = tmp_path / "red.binary"
-    write_merl(file, synthetic_measurement(**paint, specular=(0.04,) * 3, noise=0.02))  # type: ignore[arg-type]
-    fit = site.submit(file.read_bytes(), "red paint")
-    page = visit(f"/fits/{fit}").page
-    page.locator(PAINTED).wait_for()
-    shown = pixels(page)[..., :3]
-    boxes = {label: page.locator(f'[data-component="{label}"]') for label in ("specular_spike", "diffuse")}
-    expect(page.locator("[data-component]")).to_have_count(len(boxes))
-    ground = repaint(page, boxes["specular_spike"].uncheck)[..., :3]
-    repaint(page, boxes["specular_spike"].check)
-    highlight = repaint(page, boxes["diffuse"].uncheck)[..., :3]
-    size = len(highlight)
-    row, column = (np.indices((size, size)) + 0.5) / (0.5 * size) - 1.0
-    trusted = np.hypot(row, column) < np.sin(np.radians(80.0))  # nearer to the horizon than the default cutoff: no data
-    bright = trusted & (highlight.max(axis=2) > 0.3)
-    assert np.ptp(highlight[bright], axis=1).max() < 0.03  # neutral
-    peak = highlight.min(axis=2) > 0.9
-    assert peak.any()
-    assert shown[peak].min() > 0.9
-    assert ground[peak].max() < 0.8  # gone with the specular component
-    # The ground is that of the paint without its highlight, and nothing is left or missing where that was.
-    bare = synthetic_measurement(**paint, specular=(0.0,) * 3)  # type: ignore[arg-type]
-    expected = displayed(0.96 * render_sphere(bare, size=len(ground)), site.exposure(fit))
-    normals, mask = sphere_normals(len(ground))
-    facing = np.zeros_like(mask)
-    facing[mask] = normals[:, 2] > 0.85  # farther out, what has no highlight at normal incidence has one
-    assert (bright & facing).sum() > 50
-    assert np.abs(ground - expected)[bright & facing].max() < 0.03
+    alone = repaint(page, page.locator('[data-component="diffuse"]').check)
+    diffuse = render_sphere(decompose(site.model(site.fits["glossy"]))["diffuse"], size=len(alone))
+    expected = displayed(diffuse, site.exposure(site.fits["glossy"]))
+    assert np.abs(alone[..., :3] - expected)[sphere_normals(len(alone))[1]].mean() < 0.5 / 255
 
 
 def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, tmp_path: Path) -> None:

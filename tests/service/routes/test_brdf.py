@@ -1,8 +1,8 @@
-"""Values over HTTP are the library's, of as many points as is said, and not one more."""
+"""Values over HTTP are the library's, of as many points as is said; points that are none are refused by name."""
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import httpx
@@ -102,24 +102,17 @@ def test_points_at_the_edges_of_the_hemisphere_are_accepted(server: Server, url:
     close(opposite, [model.evaluate_directions([1.0, 0, 0], [-1.0, 0, 0])])
 
 
-@pytest.mark.parametrize(("dtype", "order"), [(">f8", "C"), ("<f4", "F")])
-def test_npy_batch_of_another_layout_equals_the_library(
-    server: Server, url: str, model: dsbrdf.DSBRDF, dtype: str, order: str
+@pytest.mark.parametrize(
+    ("count", "dtype", "order"),
+    [(2000, ">f8", "C"), (2000, "<f4", "F"), *((count, "<f8", "C") for count in (4096, 4097, 131_072, 131_073))],
+)
+def test_npy_batch_is_answered_completely(
+    server: Server, url: str, model: dsbrdf.DSBRDF, count: int, dtype: str, order: str
 ) -> None:
-    angles = np.random.default_rng(3).uniform(0, 90, size=(2000, 2)).astype(dtype, order=order)  # type: ignore[call-overload]
+    angles = np.random.default_rng(count).uniform(0, 90, size=(count, 2)).astype(dtype, order=order)  # type: ignore[call-overload]
+    expected = model.evaluate(*np.radians(angles.astype(float).T))
     answer = server.http.post(url, content=npy(angles), headers=NPY_BOTH_WAYS)
-    assert answer.headers["content-type"] == NPY
-    values = np.load(io.BytesIO(answer.content), allow_pickle=False)
-    radians = np.radians(angles.astype(float))
-    np.testing.assert_allclose(values, model.evaluate(radians[:, 0], radians[:, 1]), rtol=1e-12)
-
-
-@pytest.mark.parametrize("count", [4096, 4097, 131_072, 131_073])
-def test_large_batch_is_streamed_completely(server: Server, url: str, model: dsbrdf.DSBRDF, count: int) -> None:
-    angles = np.random.default_rng(count).uniform(0, 90, size=(count, 2))
-    expected = model.evaluate(np.radians(angles[:, 0]), np.radians(angles[:, 1]))
-    answer = server.http.post(url, content=npy(angles), headers=NPY_BOTH_WAYS)
-    assert answer.headers["content-length"] == str(len(answer.content))
+    assert (answer.headers["content-type"], answer.headers["content-length"]) == (NPY, str(len(answer.content)))
     np.testing.assert_array_equal(np.load(io.BytesIO(answer.content), allow_pickle=False), expected)
     if count < 10_000:
         text = server.http.post(url, content=npy(angles), headers=FROM_NPY)
@@ -196,3 +189,100 @@ def test_json_batch_has_a_hundred_thousand_points_and_npy_a_million(server: Serv
     assert "100000 points" in assert_problem(send(100_001), 413, "too-large")
     too_many = server.http.post(url, content=npy(np.zeros((1_000_001, 3))), headers=NPY_BOTH_WAYS)
     assert_problem(too_many, 413, "too-large")
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("", ["theta_half_deg", "omega_in"]),
+        ("theta_half_deg=1", ["has theta_half_deg;", "theta_diff_deg"]),
+        ("theta_half_deg=1&theta_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["theta_diff_deg and omega_in"]),
+        ("theta_half_deg=1&omega_out=0,0,1", ["has theta_half_deg and omega_out;"]),
+        (
+            "&".join(["theta_half_deg=1"] * 2 + ["theta_diff_deg=1"] * 3),
+            ["2 values of theta_half_deg", "3 values of theta_diff_deg", "one for all"],
+        ),
+        ("theta_half=1&theta_diff=1", ["'theta_half'", "theta_half_deg"]),
+        ("theta_half_deg=x&theta_diff_deg=1", ["theta_half_deg", "'x'"]),
+        ("theta_half_deg=-0.1&theta_diff_deg=1", ["theta_half_deg", "0 to 90", "-0.1"]),
+        ("theta_half_deg=1&theta_diff_deg=90.1", ["theta_diff_deg", "90.1"]),
+        ("theta_half_deg=90.00000000000001&theta_diff_deg=1", ["0 to 90", "90.00000000000001"]),
+        ("theta_half_deg=nan&theta_diff_deg=1", ["theta_half_deg", "nan"]),
+        ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "x,y,z"]),
+        ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in", "a,b,c"]),
+        ("omega_in=0,0,1.1&omega_out=0,0,1", ["omega_in", "unit"]),
+        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["has phi_diff_deg and omega_in"]),
+        ("phi_diff_deg=1&theta_half_deg=1", ["has phi_diff_deg and theta_half_deg;"]),
+        (
+            "&".join(["theta_half_deg=1"] * 3 + ["theta_diff_deg=1", "phi_diff_deg=1", "phi_diff_deg=2"]),
+            ["2 values of phi_diff_deg"],
+        ),
+        ("theta_half_deg=1_0&theta_diff_deg=1", ["theta_half_deg", "'1_0'"]),
+        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
+        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
+        ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "NaN"]),
+    ],
+)
+def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
+    for path in ("brdf", "components/diffuse/brdf"):
+        answer = server.http.get(f"/v1/fits/{fitted}/{path}?{query}")
+        detail = assert_problem(answer, 422, "invalid-argument")
+        assert [word for word in words if word not in detail] == []
+
+
+def bad_npy() -> dict[str, bytes]:
+    good = npy(np.ones((3, 2)))
+    huge = good.replace(b"(3, 2)", b"(9999999999, 2)"[:6])
+    return {
+        "nothing": b"",
+        "cut header": good[:40],
+        "cut values": good[:-1],
+        "one byte more": good + b"\0",
+        "version 3": good[:6] + b"\x03" + good[7:],
+        "objects": npy(np.array([[{}, {}]], dtype=object)),
+        "integers": npy(np.ones((3, 2), dtype=int)),
+        "text": npy(np.array([["1", "2"]])),
+        "records": npy(np.zeros(3, dtype=[("a", "f8"), ("b", "f8")])),
+        "shape of a vector": npy(np.ones(6)),
+        "four columns": npy(np.ones((3, 4))),
+        "promises more": huge,
+        "negative shape": good.replace(b"(3, 2)", b"(-3,2)"),
+        "code": good.replace(b"(3, 2)", b"exit()"),
+        "long header": good[:8] + (60_000).to_bytes(2, "little") + b"(" * 60_000,
+        "phi_diff not finite": npy(np.array([[1.0, 1.0, np.inf]])),
+        "out of range": npy(np.full((3, 2), 91.0)),
+        "not a number": npy(np.full((3, 2), np.nan)),
+        "not unit": npy(np.ones((3, 6))),
+    }
+
+
+@pytest.mark.parametrize("fault", bad_npy())
+def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=bad_npy()[fault], headers=FROM_NPY)
+    assert_problem(answer, 422, "invalid-argument")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{}",
+        b'{"theta_half_deg": [1]}',
+        b'{"theta_half_deg": [1, 2, 3], "theta_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [NaN], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": ["1"], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
+        b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
+        b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2, 3], "phi_diff_deg": [1, 2]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": ["1"]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
+        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "omega_in": [[0, 0, 1]], "omega_out": [[0, 0, 1]]}',
+        b'{"omega_in": [[0, 0, 1]], "omega_out": [[0, 0]]}',
+        b'{"omega_in": [[0, 0, 1e999]], "omega_out": [[0, 0, 1]]}',
+        b'{"theta_half_deg": ' + b"[" * 30_000,
+    ],
+)
+def test_invalid_json_is_refused(server: Server, fitted: str, body: bytes) -> None:
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
+    assert_problem(answer, 422, "invalid-argument")

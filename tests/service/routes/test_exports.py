@@ -1,7 +1,6 @@
 """Exports hold the fitted model without loss."""
 
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -56,16 +55,6 @@ def test_formats_of_other_programs_are_those_of_the_library(
 def test_a_shader_has_the_name_and_the_sampling_asked_for(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     url, query = f"/v1/fits/{fitted}/export", {"format": "glsl", "name": "paint", "sampling": "true"}
     assert server.http.get(url, params=query).content == export_model(model, "glsl", name="paint", sampling=True)
-
-
-def test_the_openapi_document_and_the_page_list_every_format(server: Server, fitted: str) -> None:
-    page = server.http.get(f"/fits/{fitted}").text
-    assert re.findall(rf'href="\.\./v1/fits/{fitted}/export\?format=([\w-]+)"', page) == [*FORMATS]
-    operation = server.http.get("/openapi.json").json()["paths"]["/v1/fits/{fit_id}/export"]["get"]
-    (parameter,) = [one for one in operation["parameters"] if one["name"] == "format"]
-    assert parameter["schema"]["enum"] == [*FORMATS]
-    declared = set(operation["responses"]["200"]["content"])
-    assert declared == {kind.media_type.partition(";")[0] for kind in FORMATS.values()}
 
 
 def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,20 +1,19 @@
 """Pictures of fits are those of the library."""
 
-import asyncio
 from io import BytesIO
 
 import httpx
 import numpy as np
 import pytest
-from fastapi import FastAPI
 from numpy.typing import NDArray
 from PIL import Image
+from starlette.requests import Request
 
 import dsbrdf
-from dsbrdf.extras import require
+from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
-from service.http import problems
+from service.http.problems import KINDS, problem_of
 from tests.support.server import QUICK, Server, assert_problem
 
 
@@ -42,10 +41,19 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     answer = server.http.get(url, params={"size": "32"})
     picture = dsbrdf.render_sphere(plastic, size=32)
     assert_shows(answer, displayed(picture, exposure(picture, sphere_normals(32)[1])))
-    current = {"If-None-Match": answer.headers["etag"]}
-    assert server.http.get(url, params={"size": "32"}, headers=current).status_code == 304
-    assert server.http.get(url, params={"size": "16"}, headers=current).status_code == 200
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
+
+
+def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted: str) -> None:
+    for path, others in ((f"fits/{fitted}", ["component=diffuse"]), (f"measurements/{stored}", [])):
+        url = f"/v1/{path}/figures/sphere.png?size=16"
+        current = {"If-None-Match": server.http.get(url).headers["etag"]}
+        assert server.http.get(url, headers=current).status_code == 304
+        for other in (
+            url.replace("size=16", "size=24"),
+            *(f"{url}&{query}" for query in ("lighting=environment", *others)),
+        ):
+            assert server.http.get(other, headers=current).status_code == 200, other
 
 
 def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes) -> None:
@@ -73,15 +81,8 @@ def test_there_are_no_other_figures(server: Server, fitted: str, figure: str) ->
 
 
 def test_a_missing_library_is_named() -> None:
-    app = FastAPI()
-    problems.install(app)
-
-    @app.get("/")
-    def draw() -> None:
+    with pytest.raises(MissingExtraError) as raised:
         require("plot", "no_such_library", purpose="figures")
-
-    async def ask() -> httpx.Response:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x") as client:
-            return await client.get("/")
-
-    assert "pip install 'dsbrdf[plot]'" in assert_problem(asyncio.run(ask()), 501, "not-installed")
+    problem = problem_of(Request({"type": "http", "path": "/", "headers": []}), raised.value)
+    assert (KINDS[problem.kind].status, problem.kind) == (501, "not-installed")
+    assert "pip install 'dsbrdf[plot]'" in problem.detail

@@ -16,7 +16,7 @@ import pytest
 import dsbrdf
 from dsbrdf.data.merl import encode_merl
 from tests.support.processes import alive, wait_until
-from tests.support.server import ENDLESS, QUICK, SLOW, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 from tests.support.soak import SOAK
 
 
@@ -94,14 +94,6 @@ def test_request_that_may_not_wait_long_gets_202_and_a_location(server: Server, 
     assert server.http.get(url, params={"wait": 0.1}).json()["status"] == "running"
     assert time.monotonic() - start > 0.09
     assert server.http.delete(url).json()["status"] == "cancelled"
-
-
-def test_long_poll_returns_the_finished_fit(server: Server, stored: str) -> None:
-    place = server.submit(stored, prefer="respond-async", mask=0.11, **SLOW).headers["location"]
-    ended = server.http.get(place, params={"wait": 60})
-    assert ended.status_code == 200
-    assert ended.json()["status"] == "succeeded"
-    assert "retry-after" not in ended.headers
 
 
 def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> None:

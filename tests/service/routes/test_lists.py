@@ -1,59 +1,111 @@
-"""Lists: newest first, in pages that a cursor and a link lead through."""
-
-from collections.abc import Iterator
+"""Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
 
 import pytest
 
-from tests.support.server import Server
+from service.client import Client
+from service.wire.names import content_disposition, given_name
+from tests.support.server import QUICK, Server, assert_problem
 
 
 @pytest.fixture(scope="module")
-def filled(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Server]:
-    """A service with one measurement and five fits, named by their iterations; the tests come in order."""
-    with Server.running(tmp_path_factory.mktemp("lists") / "data") as server:
-        sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-        for number in range(1, 6):
-            assert server.submit(sha256, n_lobes=1, em_iterations=number).status_code == 201
-        yield server
+def other(data: bytes) -> bytes:
+    """A measurement that no other test sends."""
+    return data[:-8] + b"\0" * 7 + b"\xc0"
+
+
+def names_of(server: Server, noun: str, **query: str) -> list[str | None]:
+    return [item["name"] for item in server.http.get(f"/v1/{noun}", params=query).json()["items"]]
+
+
+def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: bytes) -> None:
+    fit = server.http.post("/v1/fits", params={**QUICK, "name": "Näckel 1"}, content=other).json()
+    assert fit["name"] == "Näckel 1"
+    assert (
+        names_of(server, "fits", name="Näckel 1") == names_of(server, "measurements", name="Näckel 1") == ["Näckel 1"]
+    )
+    assert names_of(server, "fits", name="nobody's") == []
+    file = server.http.get(f"/v1/measurements/{fit['measurement']}")
+    assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
+
+    # The same again is renamed, not fitted; without a name it keeps the one that it has.
+    named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
+    again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
+    assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
+    assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
+    assert names_of(server, "measurements", name="nickel") == ["nickel"]
+    for query, name in (("format=json&component=guide", "nickel-guide.json"), ("format=merl", "nickel.binary")):
+        export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")
+        assert export.headers["content-disposition"] == f'attachment; filename="{name}"'
+
+    # A fit of a stored measurement has its name, or one of its own.
+    document = {"measurement": fit["measurement"], "options": {**QUICK, "em_iterations": 4}}
+    assert server.http.post("/v1/fits", json=document).json()["name"] == "nickel"
+    assert server.http.post("/v1/fits", json=document, params={"name": "b"}).json()["name"] == "b"
+    page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
+    assert page.links == {}
+    with Client(str(server.http.base_url)) as client:
+        assert [fit.name for fit in client.fits(name="b")] == ["b"]
+        assert client.upload(other) == fit["measurement"]
+
+
+@pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
+def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: str) -> None:
+    before = server.files()
+    for noun in ("fits", "measurements"):
+        answer = server.http.post(f"/v1/{noun}", params={"name": name}, content=b"not even a measurement")
+        assert "A name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
+    assert server.files() == before
+
+
+@pytest.mark.parametrize(
+    ("header", "name"),
+    [
+        ("", None),
+        ("inline", None),
+        ("attachment; filename=nickel.binary", "nickel"),
+        ('attachment; filename="a \\"b\\".binary"', 'a "b"'),
+        ('attachment; filename="C:\\\\data\\\\nickel.binary"', "nickel"),
+        ("attachment; filename=\"x\"; filename*=UTF-8''N%C3%A4ckel.binary", "Näckel"),
+        ("attachment; filename=" + "Näckel".encode().decode("latin-1"), "Näckel"),
+        (content_disposition('ä;"'), 'ä;"'),
+    ],
+)
+def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
+    assert given_name(None, header) == name
 
 
 def numbers(items: list[dict[str, dict[str, int]]]) -> list[int]:
     return [item["options"]["em_iterations"] for item in items]
 
 
-def test_fits_are_listed_newest_first_page_by_page(filled: Server) -> None:
-    whole = filled.http.get("/v1/fits")
-    assert numbers(whole.json()["items"]) == [5, 4, 3, 2, 1]
-    assert "link" not in whole.headers
+def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) -> None:
+    def submit(iterations: int) -> None:
+        options = {"method": "paper", "n_lobes": 1, "em_iterations": iterations}
+        document = {"measurement": stored, "options": options}
+        assert server.http.post("/v1/fits", params={"name": "a&b"}, json=document).json()["status"] == "succeeded"
+
+    for iterations in range(11, 16):
+        submit(iterations)
+    whole = server.http.get("/v1/fits", params={"name": "a&b", "limit": 5})
+    assert numbers(whole.json()["items"]) == [15, 14, 13, 12, 11]
+    assert whole.links == {}
     assert {"components", "model"}.isdisjoint(whole.json()["items"][0])
-
-    found, url, pages = [], "/v1/fits?limit=2", 0
-    while url:
-        answer = filled.http.get(url)
-        found += numbers(answer.json()["items"])
-        url = answer.links.get("next", {}).get("url", "")
-        pages += 1
-    assert found == [5, 4, 3, 2, 1]
-    assert pages == 3
-    assert filled.http.get("/v1/fits?limit=5").links == {}
-
-
-def test_page_cursor_stays_valid_when_fits_come_and_go(filled: Server) -> None:
-    first = filled.http.get("/v1/fits?limit=2")
-    items = first.json()["items"]
-    sha256 = items[0]["measurement"]
-    filled.submit(sha256, n_lobes=2, em_iterations=9)
-    assert filled.http.delete(f"/v1/fits/{items[1]['id']}").json()["status"] == "deleted"
-    second = filled.http.get(first.links["next"]["url"])
-    assert numbers(second.json()["items"]) == [3, 2]
+    page = server.http.get("/v1/fits", params={"name": "a&b", "limit": 2})
+    pages = [numbers(page.json()["items"])]
+    # The cursor stays valid when fits come and go.
+    submit(16)
+    assert server.http.delete(f"/v1/fits/{page.json()['items'][1]['id']}").json()["status"] == "deleted"
+    while "next" in page.links:
+        page = server.http.get(page.links["next"]["url"])
+        pages.append(numbers(page.json()["items"]))
+    assert pages == [[15, 14], [13, 12], [11]]
 
 
-def test_measurements_are_listed(filled: Server, data: bytes) -> None:
-    (item,) = filled.http.get("/v1/measurements").json()["items"]
-    assert item["size"] == len(data)
-    changed = data[:-8] + b"\0" * 8
-    second = filled.http.post("/v1/measurements", content=changed).json()
-    first_page = filled.http.get("/v1/measurements?limit=1")
-    assert first_page.json()["items"] == [second]
-    rest = filled.http.get(first_page.links["next"]["url"])
-    assert rest.json()["items"] == [item]
+def test_measurements_are_listed(server: Server, data: bytes) -> None:
+    one, other = (
+        server.http.post("/v1/measurements", params={"name": "listed"}, content=data[:-8] + end * 8).json()
+        for end in (b"\0", b"\1")
+    )
+    first = server.http.get("/v1/measurements", params={"name": "listed", "limit": 1})
+    assert first.json()["items"] == [other]
+    assert server.http.get(first.links["next"]["url"]).json()["items"] == [one]

@@ -11,7 +11,7 @@ import dsbrdf
 from dsbrdf.data.merl import parse_merl
 from service.http.pages import STATIC_FILES
 from tests.support.guarded import Guarded
-from tests.support.server import QUICK, SLOW, Server, assert_problem
+from tests.support.server import QUICK, Server, assert_problem
 
 MISSING = "0" * 32
 
@@ -76,16 +76,6 @@ def test_names_are_text_not_markup(server: Server, data: bytes) -> None:
         assert "<b>" not in text
 
 
-def test_fit_that_goes_on_says_how_far_it_is(server: Server, stored: str) -> None:
-    fit = server.submit(stored, "respond-async", **SLOW).json()["id"]
-    text = page_at(server, f"/fits/{fit}").text
-    assert '<progress id="bar" max="1"' in text
-    assert_problem(server.http.get(f"/fits/{fit}/view"), 409, "fit-not-finished")
-    server.http.delete(f"/v1/fits/{fit}")
-    assert "This fit was cancelled." in page_at(server, f"/fits/{fit}").text
-    server.http.delete(f"/v1/fits/{fit}")
-
-
 def assert_components_add_up(curves: dict[str, Any]) -> None:
     parts = [component["values"] for component in curves["components"]]
     assert len(parts) > 1
@@ -125,6 +115,7 @@ def test_plane_of_incidence_has_the_measurement_and_the_fit(
 
 def test_table_of_components_says_what_the_api_says(server: Server, fitted: str) -> None:
     text = page_at(server, f"/fits/{fitted}").text
+    assert "method = paper, n_lobes = 2, em_iterations = 20" in text
     rows = {
         name: [re.findall(r"<span>([^<]*)</span>", cell) for cell in cells.split("<td>")[1:]]
         for name, cells in re.findall(r'<tr><th scope="row">([^<]+)</th>\s*(<td>.*?)</tr>', text, re.DOTALL)
@@ -146,17 +137,6 @@ def test_table_of_components_says_what_the_api_says(server: Server, fitted: str)
             "albedo": pytest.approx(component["albedo"], abs=0.0005),
             "clarity": pytest.approx([component["clarity"]], abs=0.005),
         }
-
-
-def test_models_own_lobes_are_counted_and_folded(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    text = page_at(server, f"/fits/{fitted}").text
-    assert "method = paper, n_lobes = 2, em_iterations = 20" in text
-    before, folded = text.split('<details id="model-lobes">')
-    assert "lobe 0" not in before
-    counts = re.search(r"The model has (\d+) lobes?(?: \((\d+) rings?\))?, (\d+) numbers", folded)
-    assert counts is not None
-    assert (int(counts[1]), int(counts[2] or 0)) == (model.n_lobes, int(model.is_ring.sum()))
-    assert int(counts[3]) == model.n_numbers
 
 
 def test_measured_and_fitted_have_pictures(server: Server, fitted: str) -> None:

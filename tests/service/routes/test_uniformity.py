@@ -1,7 +1,8 @@
-"""What holds for all routes alike: HEAD, unknown parameters, caches, forwarded addresses, who sees the metrics."""
+"""What holds for all routes alike: HEAD, unknown parameters, headers, forwarded addresses, who sees the metrics."""
 
 from collections.abc import Callable
 
+import httpx
 import pytest
 
 from tests.support.guarded import Guarded, new_key
@@ -84,3 +85,32 @@ def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> 
     assert_problem(guarded.server.http.get("/metrics", headers=guarded.alice), 404, "not-found")
     header = new_key(guarded.server, "prometheus", metrics=True)[1]
     assert "dsbrdf_fits" in guarded.server.http.get("/metrics", headers=header).text
+
+
+def test_every_response_has_security_headers(guarded: Guarded) -> None:
+    http_client = guarded.server.http
+    with guarded.server.connection(b"noise\r\n\r\n") as connection:
+        status, *head = connection.recv(10_000).decode().partition("\r\n\r\n")[0].split("\r\n")
+    assert " 400 " in status
+    answers = {
+        "open": http_client.get("/health/live"),
+        "documentation": http_client.get("/docs"),
+        "script": http_client.get("/docs/swagger-ui-bundle.js"),
+        "without key": http_client.get("/v1/fits"),
+        "with key": http_client.get("/v1/fits", headers=guarded.alice),
+        "missing": http_client.get("/nothing", headers=guarded.alice),
+        "wrong method": http_client.put("/v1/fits", headers=guarded.alice),
+        "with a slash": http_client.get("/v1/fits/", headers=guarded.alice),
+        "no HTTP": httpx.Response(400, headers=dict(line.split(": ", 1) for line in head)),
+    }
+    for name, answer in answers.items():
+        assert answer.headers["x-content-type-options"] == "nosniff", name
+        assert answer.headers["x-frame-options"] == "DENY"
+        assert answer.headers["referrer-policy"] == "no-referrer"
+        assert answer.headers["cross-origin-resource-policy"] == "same-origin"
+        assert "Authorization" in answer.headers["vary"]
+        assert answer.headers["cache-control"] == "private, no-cache"
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; ")
+        assert "frame-ancestors 'none'" in policy
+        assert ("script-src" in policy) is (name == "documentation")
