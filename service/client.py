@@ -207,7 +207,7 @@ class Client:
         page = self._call("GET", "/v1/fits", name=name)
         yield from map(_fit, page.json()["items"])
         while "next" in page.links:
-            page = self._call("GET", page.links["next"]["url"])
+            page = self._call("GET", str(page.url.join(page.links["next"]["url"])))  # which has a proxy's prefix
             yield from map(_fit, page.json()["items"])
 
     def delete(self, fit_id: str, *, only: Removal | None = None) -> str:

@@ -173,13 +173,15 @@ async def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server
 
 def test_client_follows_the_pages_of_a_list(server: Server, fitted: str) -> None:
     def answer(request: httpx.Request) -> httpx.Response:
-        following = {} if "cursor" in request.url.params else {"Link": '</v1/fits?name=a%26b&cursor=7>; rel="next"'}
-        assert request.url.params["name"] == "a&b"
+        following = (
+            {} if "cursor" in request.url.params else {"Link": '</brdf/v1/fits?name=a%26b&cursor=7>; rel="next"'}
+        )
+        assert (request.url.path, request.url.params["name"]) == ("/brdf/v1/fits", "a&b")
         return httpx.Response(200, headers=following, json={"items": [item]})
 
     item = server.http.get(f"/v1/fits/{fitted}").json()
     client = Client()
-    client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
+    client._http = httpx.Client(base_url="http://service/brdf", transport=httpx.MockTransport(answer))
     assert [fit.id for fit in client.fits(name="a&b")] == [fitted] * 2
 
 
