@@ -114,9 +114,6 @@ def from_directions(
     omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
 ) -> Points:
     """Return the points of two sequences of unit vectors, equally long or of one, on either side of the horizon."""
-    for name, vectors in zip(DIRECTIONS, (omega_in, omega_out), strict=True):
-        if isinstance(vectors, list) and any(len(vector) != 3 for vector in vectors):
-            raise InvalidArgumentError(f"Every direction in {name} must have three components x, y, z.")
     given = [np.asarray(vectors, dtype=float).reshape(-1, 3) for vectors in (omega_in, omega_out)]
     pairs = _broadcast(DIRECTIONS, given)
     angles = np.empty((3, len(pairs[0])))
