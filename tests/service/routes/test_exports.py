@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,24 +38,23 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
 
 
 @pytest.mark.parametrize(
-    ("file_format", "component"),
-    [*((name, "diffuse") for name in ("glsl", "brdf", "bsdf", "merl")), ("csv", None), ("csv", "guide")],
+    ("file_format", "component", "named"),
+    [
+        *((name, "diffuse", {}) for name in ("brdf", "bsdf", "merl")),
+        ("csv", None, {}),
+        ("csv", "guide", {}),
+        ("glsl", "diffuse", {"name": "paint", "sampling": True}),
+    ],
 )
 def test_formats_of_other_programs_are_those_of_the_library(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str, component: str | None
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str, component: str | None, named: dict[str, Any]
 ) -> None:
-    query = {"format": file_format} | ({} if component is None else {"component": component})
+    query = {"format": file_format, **named} | ({} if component is None else {"component": component})
     answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
     kind = FORMATS[file_format]
-    expected = part_of(model, component)
-    assert answer.content == export_model(expected, file_format)
+    assert answer.content == export_model(part_of(model, component), file_format, **named)
     assert answer.headers["content-type"] == kind.media_type
     assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
-
-
-def test_a_shader_has_the_name_and_the_sampling_asked_for(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    url, query = f"/v1/fits/{fitted}/export", {"format": "glsl", "name": "paint", "sampling": "true"}
-    assert server.http.get(url, params=query).content == export_model(model, "glsl", name="paint", sampling=True)
 
 
 def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,6 +93,7 @@ def test_request_that_may_not_wait_long_gets_202_and_a_location(server: Server, 
     start = time.monotonic()
     assert server.http.get(url, params={"wait": 0.1}).json()["status"] == "running"
     assert time.monotonic() - start > 0.09
+    assert_problem(server.http.get(f"{url}/components"), 409, "fit-not-finished")
     assert server.http.delete(url).json()["status"] == "cancelled"
 
 
