@@ -42,7 +42,7 @@ def configure(settings: Settings) -> None:
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LineFormatter(text=text, colors=text and sys.stderr.isatty()))
-    handler.addFilter(_Repetitions())
+    handler.addFilter(Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
 
@@ -77,13 +77,14 @@ class LineFormatter(logging.Formatter):
         return _mask(written)
 
 
-class _Repetitions:
+class Repetitions:
     """Filter that limits the event loop's message about missing descriptors, of which it sends thousands a second."""
 
     def __init__(self) -> None:
         self._told = -math.inf
 
     def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether the record is written."""
         if record.name != "asyncio" or not record.msg.startswith(_OUT_OF_DESCRIPTORS):
             return True
         now = time.monotonic()
