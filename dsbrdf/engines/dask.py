@@ -12,7 +12,6 @@ Anyone who can connect to a Dask cluster can run any code on it, unless TLS is s
 import asyncio
 import importlib
 import logging
-import time
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
@@ -21,9 +20,9 @@ from typing import Any
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError, Slots
-from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome, rising
 from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_reduced, reduce_measurement
-from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
+from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 
@@ -74,7 +73,7 @@ class DaskEngine:
         if isinstance(found, Fault):
             return found
         reduced, seconds = found
-        outcome = await self._fit(reduced, task.options, _increasing(on_progress))
+        outcome = await self._fit(reduced, task.options, rising(on_progress))  # when run again it starts from 0
         if isinstance(outcome, Fault):
             return outcome
         completed: Outcome = await self._here(complete_report, outcome, task, reduced.sha256, seconds)
@@ -123,23 +122,17 @@ def fit_on_worker(reduced: _Reduced, options: FitOptions, limits: FitLimits) -> 
 
     worker = get_worker()
     key = worker.get_current_task()
-    last_sent = 0.0
-
-    def send_progress(share: float) -> None:
-        nonlocal last_sent
-        now = time.monotonic()
-        if now - last_sent < _PROGRESS_INTERVAL and share < 1.0:
-            return
-        last_sent = now
-        worker.log_event(TOPIC, {"key": key, "share": share})
 
     def still_wanted() -> bool:
         # Dask does not stop a running task when it is cancelled, its client has gone or the worker closes.
         state = worker.state.tasks.get(key)
         return state is not None and state.state == "executing" and worker.status not in (Status.closing, Status.closed)
 
-    process = WorkerProcess(fit_reduced, (reduced, options), _with_memory_share(limits, worker))
-    outcome: Outcome = process.run(send_progress, still_wanted)
+    on_progress = rising(
+        lambda share: worker.log_event(TOPIC, {"key": key, "share": share}), seconds=_PROGRESS_INTERVAL
+    )
+    limits = _with_memory_share(limits, worker)
+    outcome: Outcome = run_in_process(fit_reduced, (reduced, options), limits, on_progress, still_wanted)
     return outcome
 
 
@@ -150,16 +143,3 @@ def _with_memory_share(limits: FitLimits, worker: Any) -> FitLimits:
         return limits
     share = memory // worker.state.nthreads >> 20
     return replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
-
-
-def _increasing(on_progress: OnProgress) -> OnProgress:
-    """Pass on only shares that are larger than all before: a fit that runs again starts from 0."""
-    highest = 0.0
-
-    def filtered(share: float) -> None:
-        nonlocal highest
-        if share > highest:
-            highest = share
-            on_progress(share)
-
-    return filtered

@@ -8,6 +8,7 @@ does not affect the others, and no process outlives its engine.
 import errno
 import logging
 import math
+import time
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -70,6 +71,20 @@ class Fault:
 
 
 Outcome = FitResult | Fault
+
+
+def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> OnProgress:
+    """Pass on only shares above the last one by at least a step, and, but for the very last, so many seconds later."""
+    last, then = 0.0, -math.inf
+
+    def filtered(share: float) -> None:
+        nonlocal last, then
+        now = time.monotonic()
+        if share > last and share - last >= step and (now - then >= seconds or share >= 1.0):
+            last, then = float(share), now
+            on_progress(last)
+
+    return filtered
 
 
 MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")

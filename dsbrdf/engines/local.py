@@ -11,6 +11,7 @@ Both ways give the same result to the last bit, apart from the timings.
 
 import asyncio
 import contextvars
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.worker_process import WorkerProcess, start_fork_server
+from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.options import FitOptions
@@ -99,19 +100,21 @@ class WorkerProcesses:
         When cancelled, the process is ended before this returns.
         """
         loop = asyncio.get_running_loop()
-        process = WorkerProcess(step, arguments, self._limits)
+        stopped = threading.Event()
 
         def progress_in_loop(share: float) -> None:
             loop.call_soon_threadsafe(on_progress, share)
 
         context = contextvars.copy_context()  # carries the fields that the caller has bound for its log lines
-        supervision = self._threads.submit(context.run, process.run, progress_in_loop)
+        supervision = self._threads.submit(
+            context.run, run_in_process, step, arguments, self._limits, progress_in_loop, lambda: not stopped.is_set()
+        )
         ended = asyncio.wrap_future(supervision)
         try:
             return await asyncio.shield(ended)
         except asyncio.CancelledError:
             if not supervision.cancel():  # it runs already
-                process.stop()
+                stopped.set()
                 await asyncio.wait([ended])
             raise
 

@@ -19,7 +19,7 @@ from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.engines.engine import MEMORY_LIMIT, NOT_STARTED, Fault, FitLimits, OnProgress, run_step
+from dsbrdf.engines.engine import MEMORY_LIMIT, NOT_STARTED, Fault, FitLimits, OnProgress, rising, run_step
 from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory, reserve_blas_memory
 
 try:
@@ -61,90 +61,83 @@ def start_fork_server() -> None:
                 raise OSError("the fork server's socket has been removed; start this program again")
 
 
-class WorkerProcess:
-    """One process and the pipe on which it sends its progress and, last, its outcome.
+def run_in_process(
+    step: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    limits: FitLimits,
+    on_progress: OnProgress,
+    still_wanted: Callable[[], bool],
+) -> Any:
+    """Call ``step(*arguments, on_progress)`` in a process of its own; return what it returns, or a `Fault`.
 
-    It is forked from a server that has the library loaded, never from this process, whose memory and connections it
-    does not share; without fork servers it is a new interpreter, which takes longer. The step is an importable function
-    of picklable arguments, and of a callback that takes the finished share, 0 to 1.
+    The process is forked from a server that has the library loaded, never from this one, whose memory and connections
+    it does not share; without fork servers it is a new interpreter, which takes longer. The step is importable, its
+    arguments can be pickled. `still_wanted` is called ten times a second; when it returns False, the process is ended.
     """
-
-    def __init__(self, step: Callable[..., Any], arguments: tuple[Any, ...], limits: FitLimits) -> None:
-        context = _context()
-        self._seconds = limits.seconds
-        self._reader, self._writer = context.Pipe(duplex=False)
-        self._process = context.Process(  # type: ignore[attr-defined]  # every context has it
-            target=_run_in_worker,
-            args=(step, arguments, self._writer, limits),
-            name="dsbrdf-fit",
-            daemon=True,
-        )
-        self._stopped = False
-
-    def stop(self) -> None:
-        """End the process; may be called from any thread, also while the process is being started."""
-        self._stopped = True
-        if self._process.pid is not None:
-            self._process.kill()
-
-    def run(self, on_progress: OnProgress, still_wanted: Callable[[], bool] | None = None) -> Any:
-        """Run the process to its end; return what the step has returned, or a `Fault`.
-
-        `still_wanted` is called ten times a second; when it returns False, the process is ended.
-        """
-        with self._reader:
-            try:
-                with self._writer, _start_conditions():
-                    self._process.start()
-            except (OSError, EOFError) as error:
-                logger.exception("the process of a fit could not be started")
-                return Fault("system", NOT_STARTED, f"The fit's process could not be started: {error}.")
-            try:
-                if self._stopped:
-                    self._process.kill()
-                return self._receive(on_progress, still_wanted)
-            finally:
-                self._join(_EXIT_TIMEOUT)
-                self._process.kill()
-                self._join()
-
-    def _receive(self, on_progress: OnProgress, still_wanted: Callable[[], bool] | None) -> Any:
-        """Receive messages until the outcome comes, the process dies or its time is up."""
-        deadline = time.monotonic() + self._seconds
+    context = _context()
+    reader, writer = context.Pipe(duplex=False)
+    process: multiprocessing.process.BaseProcess = context.Process(  # type: ignore[attr-defined]  # every context has it
+        target=_run_in_worker, args=(step, arguments, writer, limits), name="dsbrdf-fit", daemon=True
+    )
+    with reader:
         try:
-            while (left := deadline - time.monotonic()) > 0:
-                if still_wanted is not None and not still_wanted():
-                    self._process.kill()
-                    return Fault("system", "NotWanted", "The fit was stopped because its result is not wanted.")
-                if self._reader.poll(_POLL_INTERVAL if still_wanted is not None else min(left, 3600.0)):
-                    message = self._reader.recv()
-                    if isinstance(message, logging.LogRecord):
-                        if logging.getLogger(message.name).isEnabledFor(message.levelno):
-                            logging.getLogger(message.name).handle(message)
-                    elif isinstance(message, float):
-                        on_progress(message)
-                    else:
-                        return message
-        except (EOFError, OSError):
-            self._join()
-            return self._fault_of_exit()
-        self._process.kill()
-        return Fault("compute", "TimeLimit", f"The fit took longer than the {self._seconds:g} s that a fit may take.")
+            with writer, _start_conditions():
+                process.start()
+        except (OSError, EOFError) as error:
+            logger.exception("the process of a fit could not be started")
+            return Fault("system", NOT_STARTED, f"The fit's process could not be started: {error}.")
+        try:
+            return _outcome(process, reader, limits.seconds, on_progress, still_wanted)
+        finally:
+            _join(process, _EXIT_TIMEOUT)
+            process.kill()
+            _join(process)
 
-    def _join(self, seconds: float | None = None) -> None:
-        """Wait for the end of the process."""
-        if connection.wait([self._process.sentinel], seconds):
-            with _start_lock:  # starting another process collects the exit codes of ended ones too
-                self._process.join()
 
-    def _fault_of_exit(self) -> Fault:
-        code = self._process.exitcode
-        if code == _OUT_OF_MEMORY:
-            return MEMORY_LIMIT
-        reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
-        if code in _ENDED_FROM_OUTSIDE or code == _UNKNOWN_EXIT:
-            return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
-        return Fault("compute", "ProcessCrashed", f"The fit's process crashed ({reason}).")
+def _outcome(
+    process: multiprocessing.process.BaseProcess,
+    reader: "connection.Connection[Any, Any]",
+    seconds: float,
+    on_progress: OnProgress,
+    still_wanted: Callable[[], bool],
+) -> Any:
+    """Receive messages until the outcome comes, the process dies or its time is up."""
+    deadline = time.monotonic() + seconds
+    try:
+        while (left := deadline - time.monotonic()) > 0:
+            if not still_wanted():
+                process.kill()
+                return Fault("system", "NotWanted", "The fit was stopped because its result is not wanted.")
+            if reader.poll(min(left, _POLL_INTERVAL)):
+                message = reader.recv()
+                if isinstance(message, logging.LogRecord):
+                    if logging.getLogger(message.name).isEnabledFor(message.levelno):
+                        logging.getLogger(message.name).handle(message)
+                elif isinstance(message, float):
+                    on_progress(message)
+                else:
+                    return message
+    except (EOFError, OSError):
+        _join(process)
+        return _fault_of_exit(process.exitcode)
+    process.kill()
+    return Fault("compute", "TimeLimit", f"The fit took longer than the {seconds:g} s that a fit may take.")
+
+
+def _join(process: multiprocessing.process.BaseProcess, seconds: float | None = None) -> None:
+    """Wait for the end of a process."""
+    if connection.wait([process.sentinel], seconds):
+        with _start_lock:  # starting another process collects the exit codes of ended ones too
+            process.join()
+
+
+def _fault_of_exit(code: int | None) -> Fault:
+    if code == _OUT_OF_MEMORY:
+        return MEMORY_LIMIT
+    reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+    if code in _ENDED_FROM_OUTSIDE or code == _UNKNOWN_EXIT:
+        return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
+    return Fault("compute", "ProcessCrashed", f"The fit's process crashed ({reason}).")
 
 
 def _context() -> multiprocessing.context.BaseContext:
@@ -165,7 +158,7 @@ def _run_in_worker(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
     try:
         _prepare(pipe, limits)
-        pipe.send(run_step(step, *arguments, _sender(pipe)))
+        pipe.send(run_step(step, *arguments, rising(pipe.send, step=_MIN_PROGRESS_STEP)))
     except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
         if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
@@ -183,19 +176,6 @@ def _prepare(pipe: "connection.Connection[Any, Any]", limits: FitLimits) -> None
         _limit_memory(limits.memory_mb)
     keep_freed_memory()
     logging.basicConfig(handlers=[_LogToParent(pipe)], level=logging.INFO, force=True)
-
-
-def _sender(pipe: "connection.Connection[Any, Any]") -> OnProgress:
-    """Return a function that sends the progress to the parent process, but no small steps."""
-    sent = 0.0
-
-    def on_progress(share: float) -> None:
-        nonlocal sent
-        if share - sent >= _MIN_PROGRESS_STEP:
-            sent = float(share)
-            pipe.send(sent)
-
-    return on_progress
 
 
 def _limit_memory(memory_mb: int | None) -> None:
@@ -229,52 +209,30 @@ class _LogToParent(logging.Handler):
 
 @contextmanager
 def _start_conditions() -> Iterator[None]:
-    """Hold the conditions under which worker processes and their fork server must be started."""
-    with _start_lock, _worker_environment(), _interrupts_blocked(), _main_module_hidden():
-        yield
+    """Hold the conditions under which worker processes and their fork server must be started, which inherit them.
 
-
-@contextmanager
-def _worker_environment() -> Iterator[None]:
-    """Set the environment variables that a worker process inherits."""
-    wanted = {**ONE_BLAS_THREAD, SERVER_FOLDER: util.get_temp_dir()}
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Block Ctrl-C: a process inherits this when it starts, so it is not interrupted even during its imports."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # starting it later, with the first process, would unblock interrupts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _main_module_hidden() -> Iterator[None]:
-    """Keep worker processes from importing the program's main module, which they do not need.
-
-    That would take time, and a script without ``if __name__ == "__main__"`` would start itself again and again.
+    Ctrl-C is blocked, so that they are not interrupted even during their imports. The program's main module is hidden:
+    they do not need it, and a script without ``if __name__ == "__main__"`` would start itself again and again.
     """
-    main = vars(sys.modules["__main__"])
-    before: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
-    main["__spec__"] = None
-    main.pop("__file__", None)
-    try:
-        yield
-    finally:
-        main.update(before)
+    main, blocks_signals = vars(sys.modules["__main__"]), hasattr(signal, "pthread_sigmask")
+    environment = {**ONE_BLAS_THREAD, SERVER_FOLDER: util.get_temp_dir()}
+    with _start_lock:
+        if blocks_signals:
+            resource_tracker.ensure_running()  # starting it later, with the first process, would unblock interrupts
+            signals = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        shown: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
+        before = {name: os.environ.get(name) for name in environment}
+        try:
+            os.environ.update(environment)
+            main["__spec__"] = None
+            main.pop("__file__", None)
+            yield
+        finally:
+            main.update(shown)
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+            if blocks_signals:
+                signal.pthread_sigmask(signal.SIG_SETMASK, signals)

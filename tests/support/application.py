@@ -137,23 +137,18 @@ class Application:
         return Exchange(asyncio.create_task(self.app(scope, receive, send)), gone, messages)
 
 
-class _InThread:
-    """What a `WorkerProcess` is to its owner, but for its end: a step that is not wanted any more runs on."""
-
-    def __init__(self, step: Callable[..., Any], arguments: tuple[Any, ...], _: FitLimits) -> None:
-        self._step, self._arguments = step, arguments
-
-    def stop(self) -> None: ...
-
-    def run(self, on_progress: OnProgress) -> Any:
-        return run_step(self._step, *self._arguments, on_progress)
+def _run_in_thread(
+    step: Callable[..., Any], arguments: tuple[Any, ...], limits: FitLimits, on_progress: OnProgress, _: object
+) -> Any:
+    """Call a step as `run_in_process` does, but in this thread; one that is not wanted any more runs on."""
+    return run_step(step, *arguments, on_progress)
 
 
 @asynccontextmanager
 async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> AsyncIterator[Application]:
     """Run the application during the block, without other processes: steps are called in threads."""
     monkeypatch.setattr(local, "start_fork_server", lambda: None)
-    monkeypatch.setattr(local, "WorkerProcess", _InThread)
+    monkeypatch.setattr(local, "run_in_process", _run_in_thread)
     store = Store(folder)
     app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
     async with app.router.lifespan_context(app):

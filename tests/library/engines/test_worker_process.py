@@ -2,21 +2,23 @@ import asyncio
 import os
 import platform
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import forkserver
 from threading import current_thread, main_thread
+from typing import Any
 
 import pytest
 
 from dsbrdf.engines.dask_cluster import Slots
-from dsbrdf.engines.engine import Fault, FitLimits
-from dsbrdf.engines.worker_process import WorkerProcess
+from dsbrdf.engines.engine import Fault, FitLimits, OnProgress
+from dsbrdf.engines.worker_process import run_in_process
 from tests.support.crashing_tasks import die, do_nothing, fill_and_free, nice_value
 from tests.support.engines import in_event_loop
 
 
-def ignore(_: float) -> None:
-    """Nobody looks at the progress."""
+def run_alone(step: Callable[[OnProgress], Any], niceness: int = 0) -> Any:
+    return run_in_process(step, (), FitLimits(niceness=niceness), lambda _: None, lambda: True)
 
 
 def test_exit_status_is_known_while_other_processes_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,20 +33,20 @@ def test_exit_status_is_known_while_other_processes_start(monkeypatch: pytest.Mo
     monkeypatch.setattr(forkserver, "read_signed", read_slowly)
     for _ in range(4):
         with ThreadPoolExecutor(1) as pool:
-            lost = pool.submit(WorkerProcess(die, (), FitLimits()).run, ignore)
+            lost = pool.submit(run_alone, die)
             while not lost.done():
-                assert WorkerProcess(do_nothing, (), FitLimits()).run(ignore) is None
+                assert run_alone(do_nothing) is None
         assert lost.result() == Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
 
 
 @pytest.mark.skipif(not hasattr(os, "nice"), reason="the system has no nice values")
 def test_a_process_gives_way_as_its_limits_say() -> None:
-    assert WorkerProcess(nice_value, (), FitLimits(niceness=3)).run(ignore) == os.nice(0) + 3
+    assert run_alone(nice_value, 3) == os.nice(0) + 3
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
 def test_freed_memory_is_reused() -> None:
-    pages = WorkerProcess(fill_and_free, (), FitLimits()).run(ignore)
+    pages = run_alone(fill_and_free)
     assert 0 < pages < 10_000  # given back each time, it would be 51,200
 
 
