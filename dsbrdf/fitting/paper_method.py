@@ -5,7 +5,6 @@ what is left where theta_half < 1 degree. The number of lobes, if it is not give
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,80 +34,55 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     `progress` is called with the share of the work done. Raises FitError if the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
-    data_slices = _slices(data, rows, options)
-    selection: tuple[SelectionStep, ...] = ()
-    if options.n_lobes == "auto":
-        n_lobes, selection = _choose(data_slices, options, lambda share: progress(_SEARCH_SHARE * share))
-        progress_last = lambda share: progress(_SEARCH_SHARE + (1.0 - _SEARCH_SHARE) * share)  # noqa: E731
-    else:
-        n_lobes, progress_last = options.n_lobes, progress
+    mask = 1.0 if options.mask is None else options.mask
+    kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
+    mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
+    weight, within = np.where(kept, weight, 0.0), np.where(kept, within, 0.0)
+    largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)
+
+    def fit(chosen: Mask, n_lobes: int, done: float, share: float) -> em.SliceFits:
+        """Run Algorithm 1 on chosen slices (3, D), a share of the work after what is done."""
+        return em.fit_slices(
+            _ANGLES,
+            mean[chosen],
+            weight[chosen],
+            n_lobes,
+            iterations=options.em_iterations,
+            robust=options.robust,
+            largest_kappa=largest_kappa[chosen],
+            on_iteration=lambda number: progress(done + share * (number / options.em_iterations)),
+        )
+
+    n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
+    if n_lobes == "auto":
+        # On the slices that have enough nodes for any number; else on all that have nodes.
+        compared = n_nodes >= 2 * LARGEST_AUTOMATIC
+        if not compared.any(axis=1).all():
+            compared = n_nodes >= 2
+        n_lobes, done, share = 1, _SEARCH_SHARE, _SEARCH_SHARE / LARGEST_AUTOMATIC
+        if compared.any():
+            n_lobes, selection = choose_n_lobes(
+                _ANGLES,
+                mean[compared],
+                weight[compared],
+                within[compared],
+                lambda number: fit(compared, number, (number - 1) * share, share),
+            )
     # A slice with fewer nodes than parameters has nothing to say about them.
-    fitted = data_slices.with_nodes(2 * n_lobes)
+    fitted = n_nodes >= 2 * n_lobes
     if not fitted.any(axis=1).all():
         raise FitError(
             "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
             "raise the horizon cutoff or lower the mask or the number of lobes"
         )
-    slices = data_slices.fit(fitted, n_lobes, options, progress_last)
+    slices = fit(fitted, n_lobes, done, 1.0 - done)
     nearest = _nearest_fitted(fitted)
     kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
     delta = _delta(data, rows, kappa, gamma)
     model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
-    bounds_hit = _bounds_hit(slices, data_slices.largest_kappa[fitted])
+    bounds_hit = _bounds_hit(slices, largest_kappa[fitted])
     found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
     return FoundModel(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection=selection)
-
-
-@dataclass(frozen=True, eq=False)
-class _Slices:
-    """What the lobes are fitted to: profiles (3, D, N) from 1 degree on, and the largest kappa (3, D)."""
-
-    mean: Array
-    weight: Array
-    within: Array
-    largest_kappa: Array
-
-    def with_nodes(self, count: int) -> Mask:
-        """Slices (3, D) that have at least so many nodes."""
-        return np.asarray(np.sum(self.weight > 0, axis=2) >= count)
-
-    def fit(self, chosen: Mask, n_lobes: int, options: FitOptions, progress: Callable[[float], None]) -> em.SliceFits:
-        """Run Algorithm 1 on the chosen slices."""
-        return em.fit_slices(
-            _ANGLES,
-            self.mean[chosen],
-            self.weight[chosen],
-            n_lobes,
-            iterations=options.em_iterations,
-            robust=options.robust,
-            largest_kappa=self.largest_kappa[chosen],
-            on_iteration=lambda number: progress(number / options.em_iterations),
-        )
-
-
-def _slices(data: Profiles, rows: Indices, options: FitOptions) -> _Slices:
-    mask = 1.0 if options.mask is None else options.mask
-    kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
-    mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
-    return _Slices(mean, np.where(kept, weight, 0.0), np.where(kept, within, 0.0), _largest_kappa(data, rows))
-
-
-def _choose(
-    slices: _Slices, options: FitOptions, progress: Callable[[float], None]
-) -> tuple[int, tuple[SelectionStep, ...]]:
-    """Choose the number of lobes on the slices that have enough nodes for any; else on all that have nodes."""
-    compared = slices.with_nodes(2 * LARGEST_AUTOMATIC)
-    if not compared.any(axis=1).all():
-        compared = slices.with_nodes(2)
-    if not compared.any():
-        return 1, ()
-    mean, weight, within = (part[compared] for part in (slices.mean, slices.weight, slices.within))
-
-    def fit_slices(n_lobes: int) -> em.SliceFits:
-        done = (n_lobes - 1) / LARGEST_AUTOMATIC
-        return slices.fit(compared, n_lobes, options, lambda share: progress(done + share / LARGEST_AUTOMATIC))
-
-    return choose_n_lobes(_ANGLES, mean, weight, within, fit_slices)
 
 
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
