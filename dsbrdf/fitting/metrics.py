@@ -20,7 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dsbrdf.arrays import Array, Indices, Mask
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
@@ -106,24 +106,15 @@ METRICS = tuple(field.name for field in fields(Metrics))
 """Names of the metrics."""
 
 
-@dataclass(frozen=True, eq=False)
-class SampleErrors:
-    """Sums over the samples, each of shape (3 channels, 90 theta_diff)."""
-
-    power: Array  # of f**2
-    error: Array  # of (f - fit)**2
-    scatter: Array  # of the squared deviation from the mean over phi_diff
-    asymmetry: Array  # of the squared deviation from the folded mean
-    log_error: Array  # of |log(1 + f cos_in) - log(1 + fit cos_in)|
-    count: Array  # of samples
-
-
-def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> SampleErrors:
+def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> Array:
     """Compare a model with every sample whose directions are within the cutoff of the normal [rad]; None: the horizon.
+
+    Returns sums of shape (6, 3 channels, 90 theta_diff): of f**2, of (f - fit)**2, of the squared deviations from the
+    mean over phi_diff and from the folded mean, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and how many there are.
 
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
-    sums = SampleErrors(*(np.zeros((3, THETA_DIFF.size)) for _ in range(6)))
+    sums = np.zeros((6, 3, THETA_DIFF.size))
     columns = np.flatnonzero(OUTSIDE_CENTER)
     grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:QUARTER])
     for i, values in zip(columns.tolist(), grid, strict=True):
@@ -133,13 +124,14 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
             continue
         cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
         samples = measurement.stored[:, i, rows] * measurement.scale[:, None, None]
-        _add_row(sums, samples, values[:, rows][:, :, _FOLD], used[:, rows], cosine, rows)
-    if not sums.power.any():
+        sums[:, :, rows] += _column_sums(samples, values[:, rows][:, :, _FOLD], used[:, rows], cosine)
+    if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
 
 
-def _add_row(sums: SampleErrors, samples: Array, fit: Array, used: Mask, cosine: Array, rows: Indices) -> None:
+def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
+    """The sums of one theta_half for samples (3, R, 180), shape (6, 3, R)."""
     count = used.sum(axis=2)
     samples = samples * used
     mean = np.sum(samples, axis=2) / np.maximum(count, 1)
@@ -147,24 +139,15 @@ def _add_row(sums: SampleErrors, samples: Array, fit: Array, used: Mask, cosine:
     partner = (PHI_DIFF.size - np.arange(PHI_DIFF.size)) % PHI_DIFF.size
     half_step = np.where(used & used[:, :, partner], 0.5 * (samples - samples[:, :, partner]), 0.0)
     fit = fit * used
-    for total, part in (
-        (sums.power, samples),
-        (sums.error, samples - fit),
-        (sums.scatter, (samples - mean[:, :, None]) * used),
-        (sums.asymmetry, half_step),
-    ):
-        total[:, rows] += np.einsum("crp,crp->cr", part, part)
-    sums.log_error[:, rows] += np.sum(np.abs(np.log((1.0 + samples * cosine) / (1.0 + fit * cosine))), axis=2)
-    sums.count[:, rows] += count
+    parts = samples, samples - fit, (samples - mean[:, :, None]) * used, half_step
+    squares = [np.einsum("crp,crp->cr", part, part) for part in parts]
+    log_error = np.sum(np.abs(np.log((1.0 + samples * cosine) / (1.0 + fit * cosine))), axis=2)
+    return np.stack([*squares, log_error, count])
 
 
-def relative_errors(
-    sums: SampleErrors, channels: slice = slice(None), rows: slice = slice(None)
-) -> RelativeErrors | None:
+def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:
     """Errors of some channels and rows of theta_diff; None where there is nothing but zeros."""
-    power, error, scatter, asymmetry, log_error, count = (
-        float(part[channels, rows].sum()) for part in vars(sums).values()
-    )
+    power, error, scatter, asymmetry, log_error, count = (float(part[channels, rows].sum()) for part in sums)
     if power == 0.0:
         return None
     relative_rms, floor = float(np.sqrt(error / power)), float(np.sqrt(scatter / power))
@@ -177,7 +160,7 @@ def relative_errors(
     )
 
 
-def error_tables(sums: SampleErrors) -> tuple[tuple[ChannelErrors, ...], tuple[BandErrors, ...]]:
+def error_tables(sums: Array) -> tuple[tuple[ChannelErrors, ...], tuple[BandErrors, ...]]:
     """Errors of each channel that is not black, and of each band of theta_diff that has data."""
     by_channel = []
     for index, channel in enumerate(CHANNELS):
@@ -193,7 +176,7 @@ def error_tables(sums: SampleErrors) -> tuple[tuple[ChannelErrors, ...], tuple[B
     return tuple(by_channel), tuple(by_theta_diff)
 
 
-def sample_metrics(model: DSBRDF, measurement: Measurement, sums: SampleErrors, albedo: Array) -> Metrics:
+def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo: Array) -> Metrics:
     """All metrics of a model, from `sample_errors` and its directional albedo (4, 3) at `ALBEDO_ANGLES`.
 
     Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
