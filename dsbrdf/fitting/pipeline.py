@@ -6,7 +6,6 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -124,7 +123,7 @@ def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Cloc
     clock.lap("albedo")
     in_slices = options.method == "paper"
     report = FitReport(
-        warnings=fit_warnings(model, data, knots, albedo, in_slices=in_slices, scattered=scattered),
+        warnings=tuple(fit_warnings(model, data, knots, albedo, in_slices=in_slices, scattered=scattered)),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -152,8 +151,8 @@ def _fit_samples(
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     samples = samples if options.cosine is None else samples.divided_by_cosine(options.cosine)
-    usual = usual_material(samples)
-    measured, (samples, far) = samples, with_usual_values(samples, usual.model)
+    usual, usual_cost = usual_material(samples)
+    measured, (samples, far) = samples, with_usual_values(samples, usual)
     clock.lap("usual material")
     order = np.random.default_rng(0).permutation(len(samples.values))
     left_out = order % _HELD_OUT == 0
@@ -164,34 +163,33 @@ def _fit_samples(
         fitted, held_out = (sample_profiles(part, options, model) for part in parts)
         clock.lap("profiles")
         found, mixture = fit_global(
-            data, options, partial(_report_round, progress, number), clock.lap, (fitted, held_out)
+            data,
+            options,
+            lambda share, done=number: progress(0.9 * (done + share) / _BINNED_ROUNDS),  # type: ignore[misc]
+            clock.lap,
+            (fitted, held_out),
         )
         model = found.model
     exact = samples.take(order < _MOST_EXACT)
     for _ in range(0 if options.robust else _EXACT_ROUNDS):
         found, mixture = refine_at_samples(sample_rows(exact, data, options, found.model), mixture, found.growth)
         clock.lap("refine")
-    is_usual = typical_error(usual.model, measured) < typical_error(found.model, measured)
+    is_usual = typical_error(usual, measured) < typical_error(found.model, measured)
     if is_usual:
-        knots = KnotReport.from_arrays(usual.model.theta_diff, True, True, 0, False)
-        found = replace(found, model=usual.model, knots=knots)
+        found = replace(found, model=usual, knots=KnotReport.from_arrays(usual.theta_diff, True, True, 0, False))
     result = _result(found, data, options, clock, scattered=True)
     metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
-    of_units = unit_warnings(measured, usual, np.array(result.report.albedo.albedo))
+    of_units = unit_warnings(measured, usual_cost, np.array(result.report.albedo.albedo))
     sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual))
     if not (is_usual or options.robust):
         rest = samples.take((order < _MOST_EXACT) & ~left_out)
         without, _ = refine_at_samples(sample_rows(rest, data, options, found.model), mixture, found.growth)
         judged = measured.take(left_out[: len(measured.values)])
-        sentences += error_warnings(metrics, scattered_metrics(without.model, judged, options.horizon_cutoff))
+        there = scattered_metrics(without.model, judged, options.horizon_cutoff)
+        sentences += tuple(error_warnings(metrics, there))
         clock.lap("left out")
     sentences += result.report.warnings
     return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
-
-
-def _report_round(progress: Callable[[float], None], number: int, share: float) -> None:
-    """Tell how much is done of the whole when a share of one round is."""
-    progress(0.9 * (number + share) / _BINNED_ROUNDS)
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
@@ -227,7 +225,7 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     clock.lap("metrics")
     complete = replace(
         report,
-        warnings=report.warnings + accuracy_warnings(metrics),
+        warnings=(*report.warnings, *accuracy_warnings(metrics)),
         metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,

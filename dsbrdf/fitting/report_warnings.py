@@ -4,6 +4,8 @@ The limits were chosen on 70 reference materials, 8 of the RGL database and 62 s
 the one that is fitted worst, goes beyond any: the comment of each limit says how far they go.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from dsbrdf.arrays import Array
@@ -13,7 +15,7 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
-from dsbrdf.fitting.usual_materials import FAR, UsualMaterial, usual_material
+from dsbrdf.fitting.usual_materials import FAR, usual_material
 from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
@@ -33,14 +35,43 @@ def fit_warnings(
     *,
     in_slices: bool = False,
     scattered: bool = False,
-) -> tuple[str, ...]:
+) -> Iterator[str]:
     """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
 
     Of a model of scattered samples that is far too bright `unit_warnings` speaks.
     """
-    convergence = () if np.all(knots.converged) else (convergence_sentence(knots, in_slices=in_slices),)
-    energy = _energy(albedo, _TOO_BRIGHT if scattered else np.inf)
-    return (*convergence, *_extrapolation(data), *energy, *_components(model))
+    if not np.all(knots.converged):
+        yield convergence_sentence(knots, in_slices=in_slices)
+    valid = np.any(data.folded.weight > 0.0, axis=(0, 3))
+    ends = {"theta_diff": THETA_DIFF[valid.any(axis=1)].max(), "theta_half": THETA_HALF[valid.any(axis=0)].max()}
+    for name, last in ends.items():
+        if last < _RIM:
+            yield (
+                f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
+                "extrapolated there."
+            )
+    values = np.array(albedo.albedo)
+    row, channel = np.unravel_index(values.argmax(), values.shape)
+    if _LARGEST_ALBEDO < values[row, channel] <= (_TOO_BRIGHT if scattered else np.inf):
+        yield (
+            f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
+            f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
+            "images can become too bright."
+        )
+    parts = decompose(model)
+    total = sum(component.albedo.sum() for component in parts) or 1.0
+    uncertain = [
+        (component.clarity, component.label.replace("_", " "), component.albedo.sum() / total)
+        for component in parts
+        if component.clarity < _UNCLEAR and component.albedo.sum() > _SHARE_THAT_MATTERS * total
+    ]
+    if uncertain:
+        clarity, name, share = min(uncertain)
+        yield (
+            f"The split into components is uncertain: where the {name} shines, which has {share:.0%} of the light, "
+            f"only {clarity:.0%} of all light is its own, so that another model of the same quality may split it "
+            "otherwise."
+        )
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
@@ -55,14 +86,13 @@ def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
     )
 
 
-def accuracy_warnings(metrics: Metrics) -> tuple[str, ...]:
+def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
     """Sentences about the errors of a fit; none where they are not known."""
     error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
     if error is None or floor is None or albedo_error is None:
-        return ()
-    sentences = []
+        return
     if floor > _LARGEST_ASYMMETRY:
-        sentences.append(
+        yield (
             f"The samples deviate by {floor:.1%} from their mean over phi_diff, -phi_diff and 180 degrees - phi_diff, "
             "where a reciprocal isotropic material has one value: the measurement is noisy, or the material sparkles "
             "or is anisotropic, and no model of this kind can be more accurate."
@@ -70,56 +100,15 @@ def accuracy_warnings(metrics: Metrics) -> tuple[str, ...]:
     # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _LARGEST_MISFIT:
-        sentences.append(
+        yield (
             f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}: "
             "the lobes do not follow the measurement, so compare images of both before you use the model."
         )
     if albedo_error > _LARGEST_ALBEDO_ERROR:
-        sentences.append(
+        yield (
             f"The directional albedo of the model differs from the measurement's by {albedo_error:.1%}, the mean over "
             "some angles and channels: rendered images will be too bright or too dark."
         )
-    return tuple(sentences)
-
-
-def _extrapolation(data: Profiles) -> list[str]:
-    valid = np.any(data.folded.weight > 0.0, axis=(0, 3))
-    ends = {"theta_diff": THETA_DIFF[valid.any(axis=1)].max(), "theta_half": THETA_HALF[valid.any(axis=0)].max()}
-    return [
-        f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
-        "extrapolated there."
-        for name, last in ends.items()
-        if last < _RIM
-    ]
-
-
-def _energy(albedo: DirectionalAlbedo, limit: float) -> list[str]:
-    values = np.array(albedo.albedo)
-    row, channel = np.unravel_index(values.argmax(), values.shape)
-    if not _LARGEST_ALBEDO < values[row, channel] <= limit:
-        return []
-    return [
-        f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
-        f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered images "
-        "can become too bright."
-    ]
-
-
-def _components(model: DSBRDF) -> list[str]:
-    parts = decompose(model)
-    total = sum(component.albedo.sum() for component in parts) or 1.0
-    uncertain = [
-        (component.clarity, component.label.replace("_", " "), component.albedo.sum() / total)
-        for component in parts
-        if component.clarity < _UNCLEAR and component.albedo.sum() > _SHARE_THAT_MATTERS * total
-    ]
-    if not uncertain:
-        return []
-    clarity, name, share = min(uncertain)
-    return [
-        f"The split into components is uncertain: where the {name} shines, which has {share:.0%} of the light, only "
-        f"{clarity:.0%} of all light is its own, so that another model of the same quality may split it otherwise."
-    ]
 
 
 _MUCH_FAR = 0.1  # of the directions
@@ -131,50 +120,46 @@ _EXPLAINS = 0.5  # of the cost, that values divided by a cosine have if they wer
 _BADLY_EXPLAINED = 0.2  # cost for each sample, of values that no known material has; those of materials have up to 1
 
 
-def coverage_warnings(far: float, *, is_usual: bool) -> tuple[str, ...]:
+def coverage_warnings(far: float, *, is_usual: bool) -> Iterator[str]:
     """Sentences about the share of directions without a sample nearby, and samples that no free fit can follow."""
-    sentences = []
     if is_usual:
-        sentences.append(
+        yield (
             "A fit of all parameters follows the samples worse than a material that is like others: the model is that "
             "material, with one specular and one diffuse lobe; more samples would tell more."
         )
     if far > _MUCH_FAR:
-        sentences.append(
+        yield (
             f"{far:.0%} of the directions have no sample within {np.degrees(FAR):.0f} degrees: there the model is what "
             "materials are usually like, and not measured."
         )
-    return tuple(sentences)
 
 
-def error_warnings(fitted: Metrics, left_out: Metrics) -> tuple[str, ...]:
+def error_warnings(fitted: Metrics, left_out: Metrics) -> Iterator[str]:
     """A sentence where samples that a fit left out tell of a larger error than the samples of the fit."""
     here, there = fitted.relative_rms, left_out.relative_rms
-    if here is None or there is None or there < max(_MUCH_LARGER * here, _WORTH_A_WORD):
-        return ()
-    return (
-        f"At samples left out of a fit relative_rms is {there:.3g}, at those of the fit {here:.3g}: highlights "
-        "have too few samples, and between them the error is more like the larger one.",
-    )
+    if here is not None and there is not None and there >= max(_MUCH_LARGER * here, _WORTH_A_WORD):
+        yield (
+            f"At samples left out of a fit relative_rms is {there:.3g}, at those of the fit {here:.3g}: highlights "
+            "have too few samples, and between them the error is more like the larger one."
+        )
 
 
-def unit_warnings(samples: ScatteredSamples, usual: UsualMaterial, albedo: Array) -> tuple[str, ...]:
+def unit_warnings(samples: ScatteredSamples, usual_cost: float, albedo: Array) -> Iterator[str]:
     """Sentences about values that are probably not those of a BRDF in 1/sr.
 
-    `usual` is the usual material of the samples, `albedo` the fit's at some angles and in all channels.
+    `usual_cost` is that of the usual material of the samples, `albedo` the fit's at some angles and in all channels.
     """
-    largest, sentences = float(albedo.max()), []
+    largest = float(albedo.max())
     if largest > _TOO_BRIGHT:
         remedy = next((words for factor, words in _UNITS if largest <= factor * _TOO_BRIGHT), _OTHERWISE)
-        sentences.append(
+        yield (
             f"The model reflects {largest:.3g} times the light that it receives: the values are not those of a BRDF in "
             f"1/sr; multiply them by {remedy}."
         )
     for side in ("in", "out"):
-        cost = usual_material(samples.divided_by_cosine(side)).cost if usual.cost > _BADLY_EXPLAINED else np.inf
-        if cost < _EXPLAINS * usual.cost:
-            sentences.append(
+        cost = usual_material(samples.divided_by_cosine(side))[1] if usual_cost > _BADLY_EXPLAINED else np.inf
+        if cost < _EXPLAINS * usual_cost:
+            yield (
                 f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a "
                 f'usual material, and as they are they are not; if so, set cosine to "{side}".'
             )
-    return tuple(sentences)

@@ -9,7 +9,6 @@ The fit of the samples then gets `N_PAIRS` values of this usual material more, e
 where there are samples they outweigh them, elsewhere nothing else says what the material is like.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -21,7 +20,7 @@ from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.guide import guide_structure
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, Solution, minimize
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
 
@@ -39,14 +38,6 @@ _N_STARTS, _TOLERANCE, _ITERATIONS = 3, 1e-4, 100
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class UsualMaterial:
-    """The usual material that samples are most like."""
-
-    model: DSBRDF
-    cost: float  # of the squared relative errors and of the prior, in units of what it usually is, for each sample
-
-
 @cache
 def guides() -> Array:
     """Unknowns of the readable lobes of measured materials, shape (71, 70)."""
@@ -54,21 +45,24 @@ def guides() -> Array:
         return np.asarray(stored["unknowns"], dtype=np.float64)
 
 
-def usual_material(samples: ScatteredSamples) -> UsualMaterial:
-    """Fit the readable lobes to samples, against what materials are usually like."""
+def usual_material(samples: ScatteredSamples) -> tuple[DSBRDF, float]:
+    """Fit the readable lobes to samples, against what materials are usually like.
+
+    Returns the model, and its cost for each sample, of squared relative errors and of the prior, in units of the usual.
+    """
     known, data = guides(), _relative_rows(samples)
     structure = guide_structure()
     prior = _prior(known, structure, data.signal)
     problem = MixtureProblem(data, structure, (0.0, 0.0, 0.0), prior)
     starts = np.array([_at_level_of(problem, unknowns) for unknowns in known])
     costs = [problem.evaluate(structure.limit(unknowns)).cost for unknowns in starts]
-    found: list[Solution] = [
+    found = (
         minimize(problem, starts[place], tolerance=_TOLERANCE, iterations=_ITERATIONS)
         for place in np.argsort(costs)[:_N_STARTS]
-    ]
+    )
     best = min(found, key=lambda solution: solution.cost)
-    cost = best.cost / (3.0 * _MISFIT**2 * len(samples.values))
-    return UsualMaterial(mixture_model(Mixture(structure, best.unknowns)), cost)
+    usual_cost = 3.0 * _MISFIT**2 * len(samples.values)
+    return mixture_model(Mixture(structure, best.unknowns)), best.cost / usual_cost
 
 
 def with_usual_values(samples: ScatteredSamples, model: DSBRDF) -> tuple[ScatteredSamples, float]:
