@@ -24,7 +24,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
 from dsbrdf.fitting.structure import Mixture, ShapeBounds, Structure
-from dsbrdf.fitting.weighting import PLAIN_SHARE, center_share, interval_ends, seen_weight, trust
+from dsbrdf.fitting.weighting import center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.lobes import half_width, lobe_values, reach_of_width
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.splines import smooth_control_values
@@ -116,9 +116,7 @@ def guide_data(model: ReflectanceModel) -> FitData:
     seen = seen_weight(lit, over_phi, typical)
     center = center_share(_COLUMNS) * np.gradient(np.sqrt(_COLUMNS))
     plain = np.broadcast_to(trusted * center[:, np.newaxis], mean.shape)
-    weight = np.zeros(mean.shape)
-    for share, part in ((1.0, seen), (PLAIN_SHARE, plain)):
-        weight += share / (np.sum(part * mean**2) or 1.0) * part
+    weight = np.add(*(1.0 / (np.sum(part * mean**2) or 1.0) * part for part in (seen, plain)))
     return FitData(mean, weight, np.cos(phi_diff) ** 2, _ROWS, _COLUMNS)
 
 

@@ -30,8 +30,6 @@ REACH_BOUNDS = (4e-6, 70.0)
 OFFSET_BOUNDS = (-1.0, LARGEST_CENTER)
 """From a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 2.0)
-RESOLVED = 1.0
-"""A half width is at least this many times the spacing of the data at the center of the lobe."""
 WIDEST_CUSP = 0.25
 """A center is at most so far below 0 [rad]."""
 _SATURATED = 2.5  # limits of a cusp beyond which an offset changes the center by less than a twelfth of the limit
@@ -109,7 +107,7 @@ class Structure:
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Unknowns within the bounds, no lobe narrower than `RESOLVED`, no offset below 0 that does nothing."""
+        """Unknowns within the bounds, no lobe narrower than the data's spacing, no offset below 0 that does nothing."""
         limited = np.clip(unknowns, *self.bounds)
         shape, k = self.split(limited)[1], self.n_lobes
         np.maximum(shape[:, 2 * k :], -_SATURATED * self._cusp_limit(shape)[0], out=shape[:, 2 * k :])
@@ -117,7 +115,7 @@ class Structure:
             center = np.zeros((len(shape), k))
             center[:, list(self.rings)] = np.maximum(shape[:, 2 * k :], 0.0)
             middle = 0.5 * (self.theta_half[1:] + self.theta_half[:-1])
-            narrowest = RESOLVED * np.interp(center, middle, np.diff(self.theta_half))
+            narrowest = np.interp(center, middle, np.diff(self.theta_half))
             least = np.log(reach_of_width(np.minimum(narrowest, 1.0), self.family))
             np.maximum(shape[:, k : 2 * k], least, out=shape[:, k : 2 * k])
         return limited
