@@ -12,17 +12,16 @@ Anyone who can connect to a Dask cluster can run any code on it, unless TLS is s
 import asyncio
 import importlib
 import logging
-from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from typing import Any
 
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError, Slots
+from dsbrdf.engines.dask_cluster import TOPIC, Cluster, LostError
 from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome, rising
 from dsbrdf.engines.local import WorkerProcesses, complete_report, fit_reduced, reduce_measurement
-from dsbrdf.engines.worker_process import run_in_process, start_fork_server
+from dsbrdf.engines.worker_process import run_in_process
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 
@@ -46,18 +45,12 @@ class DaskEngine:
         require("dask", "distributed", purpose="fits on a Dask cluster")
         self._limits = limits or FitLimits()
         self._processes = WorkerProcesses(helpers, self._limits)
-        self._slots = Slots()
-        self._cluster = Cluster(
-            scheduler,
-            lambda threads, elsewhere: self._slots.resize(
-                {"cluster": threads + helpers * elsewhere} if threads else {}
-            ),
-        )
+        self._cluster = Cluster(scheduler, helpers)
         self._connection_task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Begin to connect to the scheduler."""
-        await asyncio.to_thread(start_fork_server)
+        await self._processes.start()
         await asyncio.to_thread(importlib.import_module, "distributed")
         # It logs a lost connection with pages of traces; `Cluster` logs one line instead.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
@@ -65,22 +58,19 @@ class DaskEngine:
 
     def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until the cluster has a thread for one more fit, or until one more may be prepared in advance."""
-        return self._slots.slot()
+        return self._cluster.room.slot()
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
-        found: tuple[_Reduced, float] | Fault = await self._here(reduce_measurement, task)
+        found: tuple[_Reduced, float] | Fault = await self._processes.call(reduce_measurement, task)
         if isinstance(found, Fault):
             return found
         reduced, seconds = found
         outcome = await self._fit(reduced, task.options, rising(on_progress))  # when run again it starts from 0
         if isinstance(outcome, Fault):
             return outcome
-        completed: Outcome = await self._here(complete_report, outcome, task, reduced.sha256, seconds)
+        completed: Outcome = await self._processes.call(complete_report, outcome, task, reduced.sha256, seconds)
         return completed
-
-    async def _here(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        return await self._processes.run(step, *arguments, on_progress=lambda _: None)  # which takes little time
 
     async def check(self) -> None:
         """Raise RuntimeError if the scheduler has no worker that can run fits, or no measurement can be read."""

@@ -136,14 +136,14 @@ class _Worker:
 class Cluster:
     """A Dask cluster and its usable workers; all calls must be made in one event loop.
 
-    `on_size` is called when the usable workers change, with the number of their `threads`, which are slots by the
-    addresses of the workers, and whether some are on other machines.
+    The `threads` of the workers are slots by their addresses. There is `room` for as many fits, and for so many more
+    that are prepared in advance if some workers are on other machines.
     """
 
-    def __init__(self, address: str, on_size: Callable[[int, bool], None]) -> None:
-        self.threads = Slots()
+    def __init__(self, address: str, in_advance: int) -> None:
+        self.threads, self.room = Slots(), Slots()
         self._address = address
-        self._on_size = on_size
+        self._in_advance = in_advance
         self._client: Any = None
         self._host = ""
         self._reason = "it has not been reached yet"
@@ -247,7 +247,8 @@ class Cluster:
         if threads != self._usable:
             self._usable = threads
             self.threads.resize(threads)
-            self._on_size(sum(threads.values()), any(_host(worker) != self._host for worker in threads))
+            elsewhere = any(_host(worker) != self._host for worker in threads)
+            self.room.resize({"cluster": sum(threads.values()) + self._in_advance * elsewhere} if threads else {})
         for call in self._calls.values():
             worker = self._workers.get(call.worker)
             if (worker is None or worker.timed_out) and not call.lost.done():
@@ -311,10 +312,8 @@ _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=fa
 async def describe() -> dict[str, Any]:
     """Return a worker's versions and whether it can run fits; called on the worker."""
     daemon = multiprocessing.current_process().daemon
-    if not daemon:
-        await asyncio.to_thread(
-            start_fork_server
-        )  # takes longer than many fits; now the first one need not wait for it
+    if not daemon:  # takes longer than many fits; now the first one need not wait for it
+        await asyncio.to_thread(start_fork_server)
     return {
         "versions": asdict(versions()),
         "unusable_because": f"may not start child processes: {_REMEDY}" if daemon else None,

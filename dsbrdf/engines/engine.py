@@ -115,23 +115,18 @@ class Engine(Protocol):
 
     async def start(self) -> None:
         """Get ready to run fits; an engine that cannot reach its machines keeps trying by itself."""
-        ...
 
     def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait in line until the engine has room for one more fit; call `run` inside the block."""
-        ...
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task; `on_progress` gets the finished share, 0 to 1, which never decreases.
 
         Cancelling this call stops the computation and frees what it used.
         """
-        ...
 
     async def check(self) -> None:
         """Raise RuntimeError with one sentence if no fit can run now."""
-        ...
 
     async def close(self) -> None:
         """Release what `start` acquired; all calls of `run` must have ended or been cancelled."""
-        ...

@@ -94,7 +94,11 @@ class WorkerProcesses:
         self._limits = limits
         self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
 
-    async def run(self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress) -> Any:
+    async def start(self) -> None:
+        """Start the server from which worker processes are forked."""
+        await asyncio.to_thread(start_fork_server)
+
+    async def call(self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress = lambda _: None) -> Any:
         """Call ``step(*arguments, on_progress)`` in a new process; return what it returns, or a `Fault`.
 
         When cancelled, the process is ended before this returns.
@@ -118,28 +122,24 @@ class WorkerProcesses:
                 await asyncio.wait([ended])
             raise
 
-    async def check(self, what: str) -> None:
+    async def check(self, what: str = "no process") -> None:
         """Start the fork server again if it has ended; raise RuntimeError if what is needed cannot be started."""
         try:
-            await asyncio.to_thread(start_fork_server)
+            await self.start()
         except OSError as error:
             raise RuntimeError(f"{what} can be started: {error}") from error
 
     async def close(self) -> None:
-        """Release the threads."""
+        """Release the threads; all calls must have ended or been cancelled."""
         await asyncio.to_thread(self._threads.shutdown)
 
 
-class LocalEngine:
+class LocalEngine(WorkerProcesses):
     """Engine with at most so many fits at once on this machine, each in a worker process with the limits."""
 
     def __init__(self, workers: int, limits: FitLimits | None = None) -> None:
+        super().__init__(workers, limits or FitLimits())
         self._slots = asyncio.Semaphore(workers)
-        self._processes = WorkerProcesses(workers, limits or FitLimits())
-
-    async def start(self) -> None:
-        """Start the server from which worker processes are forked."""
-        await asyncio.to_thread(start_fork_server)
 
     def slot(self) -> AbstractAsyncContextManager[object]:
         """Wait until a worker process may be started."""
@@ -147,13 +147,5 @@ class LocalEngine:
 
     async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         """Compute a task in a new process; when cancelled, end the process before returning."""
-        outcome: Outcome = await self._processes.run(compute, task, on_progress=on_progress)
+        outcome: Outcome = await self.call(compute, task, on_progress=on_progress)
         return outcome
-
-    async def check(self) -> None:
-        """Start the fork server again if it has ended; raise RuntimeError if no process can be started."""
-        await self._processes.check("no process")
-
-    async def close(self) -> None:
-        """Release the threads; all calls of `run` must have ended or been cancelled."""
-        await self._processes.close()

@@ -111,7 +111,7 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-        work = partial(self._processes.run, step, *arguments, on_progress=lambda _: None)
+        work = partial(self._processes.call, step, *arguments)
         found = await self._wait(request, key, work, head, place)
         if not isinstance(found, Fault):
             return found

@@ -5,7 +5,6 @@ import random
 import shutil
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,22 +84,6 @@ async def test_engine_waits_for_the_cluster_and_follows_its_workers(
 
 
 @in_event_loop
-async def test_fit_of_a_lost_worker_runs_again(own_cluster: DaskCluster, plastic_file: Path) -> None:
-    own_cluster.start_scheduler()
-    own_cluster.add_worker()
-    own_cluster.add_worker()
-    shares: list[float] = []
-    async with started(DaskEngine(own_cluster.address, 2, LIMITS)) as engine:
-        await until(lambda: asyncio.sleep(0, own_cluster.log().count("Registered to")), lambda count: count == 2)
-        fits = [asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), shares.append))]
-        victim = await until_busy(own_cluster)
-        fits.append(asyncio.create_task(engine.run(FitTask("two", plastic_file, MIDDLE), lambda _: None)))
-        own_cluster.kill_worker(victim)
-        assert all(isinstance(outcome, FitResult) for outcome in await asyncio.gather(*fits))
-    assert shares == sorted(set(shares))
-
-
-@in_event_loop
 async def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(
     own_cluster: DaskCluster, plastic_file: Path
 ) -> None:
@@ -122,9 +105,9 @@ async def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(
 async def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
-    stage = Stage(own_cluster)
+    stage, shares = Stage(own_cluster), list[float]()
     async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), lambda _: None))
+        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, MIDDLE), shares.append))
         for _ in range(2):
             await until_fitting(stage)
             own_cluster.kill_scheduler()
@@ -133,6 +116,7 @@ async def test_fit_survives_the_loss_of_the_scheduler(own_cluster: DaskCluster, 
             own_cluster.start_scheduler()
             own_cluster.add_worker()  # Dask's workers end when their scheduler is lost
         assert isinstance(await fit, FitResult)
+    assert shares == sorted(set(shares))
 
 
 @in_event_loop
@@ -173,33 +157,23 @@ def test_unreachable_scheduler_is_reported_in_one_sentence(
     address: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_room, "_CONNECT_TIMEOUT", 1.0)
-    fault = fault_at(address, lambda fault: fault is not None and "has not been reached yet" not in fault)
-    start = f"The Dask scheduler at {address} cannot be reached: "
-    assert fault.startswith(start)
-    assert words in fault.removeprefix(start)
-    assert "\n" not in fault
-
-
-def fault_at(address: str, known: Callable[[str | None], bool]) -> str:
-    """Return the fault of an engine with a cluster, once it is known."""
 
     async def body() -> str:
         engine = DaskEngine(address, 1)
         await engine.start()
         try:
-            fault: str = await until(lambda: fault_of(engine), known)
+            fault: str = await until(
+                lambda: fault_of(engine), lambda fault: "not been reached yet" not in (fault or "")
+            )
         finally:
             await engine.close()
         return fault
 
-    return asyncio.run(body())
-
-
-def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = versions()
-    monkeypatch.setattr(cluster_room, "versions", lambda: replace(found, numpy="0.1"))
-    fault = fault_at(cluster.address, lambda fault: fault is not None and "numpy" in fault)
-    assert f"has numpy {found.numpy}, not 0.1" in fault
+    fault = asyncio.run(body())
+    start = f"The Dask scheduler at {address} cannot be reached: "
+    assert fault.startswith(start)
+    assert words in fault.removeprefix(start)
+    assert "\n" not in fault
 
 
 @in_event_loop
@@ -236,15 +210,17 @@ async def test_fit_of_a_hanging_worker_runs_on_another_and_a_hanging_scheduler_i
 
 
 @in_event_loop
-async def test_worker_that_did_not_describe_itself_is_asked_again(
-    cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_worker_that_is_not_used_is_asked_again(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = versions()
+    monkeypatch.setattr(cluster_room, "versions", lambda: replace(found, numpy="0.1"))
     monkeypatch.setattr(cluster_room, "_DESCRIBE_TIMEOUT", 0.0)
     monkeypatch.setattr(cluster_room, "_RETRY_DELAY", 0.1)
     engine = DaskEngine(cluster.address, 1)
     await engine.start()
     await until(lambda: fault_of(engine), lambda fault: "has not answered within 0 s" in (fault or ""))
     monkeypatch.setattr(cluster_room, "_DESCRIBE_TIMEOUT", PATIENCE)
+    await until(lambda: fault_of(engine), lambda fault: f"has numpy {found.numpy}, not 0.1" in (fault or ""))
+    monkeypatch.undo()
     await ready(engine)
     await engine.close()
 
@@ -268,8 +244,8 @@ async def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file
 @in_event_loop
 async def test_waiting_fit_is_cancelled_at_once() -> None:
     children = WorkerProcesses(1, FitLimits())
-    first = asyncio.create_task(children.run(_sleep, 60.0, on_progress=lambda _: None))
-    second = asyncio.create_task(children.run(_sleep, 60.0, on_progress=lambda _: None))
+    first = asyncio.create_task(children.call(_sleep, 60.0))
+    second = asyncio.create_task(children.call(_sleep, 60.0))
     await until(lambda: asyncio.sleep(0, forked(os.getpid())), bool)
     second.cancel()
     await asyncio.wait([second], timeout=PATIENCE)
