@@ -163,29 +163,14 @@ def test_killed_command_leaves_no_process_and_no_file(
     wait_until(lambda: not list(temporary.iterdir()), PATIENCE)
 
 
-def test_interrupted_command_resumes_where_it_stopped(
-    files: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_batch_that_was_ended_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ["fit", *map(str, files), "-o", str(out), "--jobs", "1", "--method", "paper", "--n-lobes", "4"]
-    words += ["--em-iterations", "60"]
-    command = [sys.executable, "-m", "dsbrdf.cli.main", *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
-    wait_until(lambda: (out / "one.json").exists(), PATIENCE)
-    workers = forked(process.pid)
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert errors.endswith(b"\ndsbrdf: interrupted\n")  # after what is said of the first file
-    assert b"Traceback" not in errors
-    assert not any(map(alive, workers))
+    with closing(fit_files(files, QUICK, out, jobs=1)) as items:
+        assert next(items).output == out / "one.json"
     before = (out / "one.json").read_bytes()
     assert not (out / "three.json").exists()
-    assert cli.main(words) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in lines[:3]] == ["one", "two", "three"]
-    assert lines[0].endswith("(kept)")
-    assert not lines[2].endswith("(kept)")
+    with closing(fit_files(files, QUICK, out, jobs=1)) as items:
+        assert [(item.file, item.resumed) for item in items][::2] == [(files[0], True), (files[2], False)]
     assert (out / "one.json").read_bytes() == before
 
 

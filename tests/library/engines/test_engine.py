@@ -3,7 +3,6 @@
 import asyncio
 import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import warnings
@@ -17,7 +16,7 @@ import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines import worker_process as child
-from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitLimits, FitTask
+from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from tests.support.dask_cluster import DaskCluster, forked
@@ -48,38 +47,38 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
 
 
+@pytest.fixture(scope="module")
+def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    samples, path = scattered_samples(mixture(1, 0), 400), tmp_path_factory.mktemp("samples") / "samples.csv"
+    head = ",".join(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
+    table = np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    np.savetxt(path, table, delimiter=",", header=f"{head},red,green,blue", comments="")
+    return path
+
+
 @pytest.mark.parametrize(
-    "options",
+    ("data", "options"),
     [
-        FitOptions(method="paper", n_lobes=2, em_iterations=5, weighting="log", robust=True, horizon_cutoff=1.2),
-        FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine"),
+        ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff=1.2)),
+        ("plastic", FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine")),
+        ("samples", FitOptions(n_lobes=1)),
     ],
-    ids=["paper, log and robust", "global"],
+    ids=["paper, log and robust", "global", "scattered samples"],
 )
-def test_result_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path, options: FitOptions) -> None:
-    expected, said = fitted_by_library(plastic_file, options)
-    outcome, shares = run(stage, FitTask("one", plastic_file, options))
+def test_result_equals_that_of_the_library_bit_for_bit(
+    stage: Stage, data: str, options: FitOptions, request: pytest.FixtureRequest
+) -> None:
+    path: Path = request.getfixturevalue(f"{data}_file")
+    expected, said = fitted_by_library(path, options)
+    outcome, shares = run(stage, FitTask("one", path, options))
     assert isinstance(outcome, FitResult)
     found, document = (to_json(result.model, result.report) for result in (outcome, expected))
     assert content(found) == content(document)
     assert list(outcome.report.timings) == list(expected.report.timings)
     assert all(seconds > 0 for seconds in outcome.report.timings.values())
-    assert said == [text for text in outcome.report.warnings if "before they converged" in text]
+    assert said == [text for text in outcome.report.warnings if " converged: " in text]
     assert shares == sorted(set(shares))
     assert shares[-1] == 1.0
-
-
-def test_scattered_samples_are_fitted_as_by_the_library(stage: Stage, tmp_path: Path) -> None:
-    samples, path = scattered_samples(mixture(1, 0), 400), tmp_path / "samples.csv"
-    head = ",".join(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
-    table = np.hstack([samples.omega_in, samples.omega_out, samples.values])
-    np.savetxt(path, table, delimiter=",", header=f"{head},red,green,blue", comments="")
-    outcome, _ = run(stage, FitTask("one", path, FitOptions(n_lobes=1)))
-    assert isinstance(outcome, FitResult)
-    expected = dsbrdf.fit(path, n_lobes=1)
-    found, document = (to_json(result.model, result.report) for result in (outcome, expected))
-    assert content(found) == content(document)
-    assert list(outcome.report.timings) == list(expected.report.timings)
 
 
 @cache
@@ -87,7 +86,7 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
     """What the library makes of a file, and its warnings; every engine is compared with it."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", dsbrdf.ConvergenceWarning)
-        result = dsbrdf.fit(dsbrdf.read_merl(file), options)
+        result = dsbrdf.fit(file, options)
     return result, [str(warning.message) for warning in said]
 
 
@@ -118,19 +117,6 @@ def test_failed_fit_is_a_fault_that_says_why(
     assert (outcome.origin, outcome.type) == fault[:2]
     assert fault[2] in outcome.message
     wait_until(lambda: not stage.fitting())
-
-
-@in_event_loop
-async def test_killed_process_fails_only_its_own_fit(stage: Stage, plastic_file: Path) -> None:
-    async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, ENDLESS), lambda _: None))
-        for pid in await until_fitting(stage):
-            os.kill(pid, signal.SIGKILL)
-        outcome = await fit
-        assert isinstance(outcome, Fault)
-        assert outcome.origin == "system"
-        assert outcome.type in ("ProcessLost", NOT_STARTED)  # the latter if it had not been told yet what to do
-        assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
 
 
 @in_event_loop

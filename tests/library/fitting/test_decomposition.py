@@ -136,15 +136,6 @@ def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
             found[label]
 
 
-def test_guide_is_a_model_of_70_or_105_numbers(paint_model: DSBRDF) -> None:
-    guide = decompose(paint_model).guide
-    assert (guide.n_lobes, guide.lobe, guide.n_numbers) == (2, "student", 70)
-    angles = np.radians([0.0, 2.0, 10.0, 40.0]), np.radians(30.0)
-    lobes = sum(component.lobe.evaluate(*angles) for component in decompose(paint_model))
-    np.testing.assert_allclose(guide.evaluate(*angles), lobes, rtol=1e-12)
-    np.testing.assert_allclose(guide.evaluate(*angles), paint_model.evaluate(*angles), rtol=0.2)
-
-
 def test_clarity_is_the_share_of_light_where_a_component_shines() -> None:
     parts = decompose(student_model((1.0, (80.0,) * 3), (60.0, (0.05,) * 3)))
     faint = decompose(student_model((1.0, (0.2,) * 3), (60.0, (0.3,) * 3)))

@@ -77,17 +77,6 @@ def test_gamma_keeps_above_its_bound_and_kappa_is_fitted_to_it() -> None:
     assert found.kappa[0, 0] == pytest.approx(fitted_alone(mean, (-8.0, 0.0)), rel=1e-6)
 
 
-def test_weights_of_zero_hide_their_samples() -> None:
-    mean = mixture(np.array([[4.0, 0.3]]), np.array([[500.0, 1.0]]))
-    weight = np.ones_like(mean)
-    weight[0, ::3] = 0.0
-    expected = em.fit_slices(ANGLES, mean, weight, 2, iterations=5)
-    other = np.where(weight > 0, mean, 1e6)
-    found = em.fit_slices(ANGLES, other, weight, 2, iterations=5)
-    assert found.kappa.tolist() == expected.kappa.tolist()
-    assert found.gamma.tolist() == expected.gamma.tolist()
-
-
 def test_batch_equals_one_by_one(plastic_profiles: Profiles) -> None:
     slices = [slice_of(plastic_profiles, channel, row) for channel in (0, 2) for row in (0, 30, 60, 75)]
     mean, weight = (np.array(part) for part in zip(*slices, strict=True))
@@ -101,17 +90,6 @@ def test_batch_equals_one_by_one(plastic_profiles: Profiles) -> None:
         assert (single.iterations[0], single.converged[0]) == (batch.iterations[i], batch.converged[i])
         np.testing.assert_allclose(single.kappa[0], batch.kappa[i], rtol=1e-9)
         np.testing.assert_allclose(single.gamma[0], batch.gamma[i], rtol=1e-9)
-
-
-@pytest.mark.parametrize("robust", [False, True])
-def test_single_lobe_is_recovered_exactly(robust: bool) -> None:
-    kappa = np.array([[0.01], [0.5], [3.0], [8.0]])
-    gamma = np.array([[0.5], [20.0], [1e3], [2e4]])
-    mean = mixture(kappa, gamma)
-    found = em.fit_slices(ANGLES, mean, np.ones_like(mean), 1, robust=robust)
-    np.testing.assert_allclose(found.kappa, kappa, rtol=1e-8)
-    np.testing.assert_allclose(found.gamma, gamma, rtol=1e-8)
-    assert found.converged.all()
 
 
 def test_robust_option_resists_a_spike() -> None:
@@ -134,23 +112,6 @@ def test_huber_weights_by_their_definition() -> None:
     np.testing.assert_allclose(found[0], [1, 1, 1, 1, scale / 100, scale / 7])
     # Without any scale what fits exactly keeps its weight, and nothing else has one.
     assert found[1].tolist() == [1, 1, 1, 1, 0, 0]
-
-
-@pytest.mark.parametrize("robust", [False, True])
-def test_zero_data_give_vanishing_lobes(robust: bool) -> None:
-    mean = np.stack([np.zeros(ANGLES.size), plain_lobe(ANGLES, 1.0, 10.0)])
-    found = em.fit_slices(ANGLES, mean, np.ones_like(mean), 3, robust=robust)
-    assert mixture(found.kappa, found.gamma)[0].max() < 1e-8
-    assert found.converged[0]
-    np.testing.assert_allclose(mixture(found.kappa, found.gamma)[1], mean[1], atol=0.05)
-
-
-@pytest.mark.parametrize(("level", "n_lobes"), [(1e-6, 1), (0.1, 5), (1e3, 2)])
-def test_constant_data_are_fitted_by_a_flat_curve(level: float, n_lobes: int) -> None:
-    mean = np.full((1, ANGLES.size), level)
-    found = em.fit_slices(ANGLES, mean, np.ones_like(mean), n_lobes)
-    # gamma stops at its lower bound, where the curve still falls a little before the horizon.
-    np.testing.assert_allclose(mixture(found.kappa, found.gamma)[0], level, rtol=0.01)
 
 
 def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:

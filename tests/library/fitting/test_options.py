@@ -77,10 +77,6 @@ def test_a_right_choice_is_kept(chosen: dict[str, Any]) -> None:
     assert dataclasses.replace(options) == options
 
 
-def test_every_option_has_a_refusal() -> None:
-    assert {name for chosen, _ in REFUSED for name in chosen} == {f.name for f in dataclasses.fields(FitOptions)}
-
-
 def test_the_default_is_the_automatic_global_fit() -> None:
     options = FitOptions()
     assert (options.method, options.n_lobes, options.ring_lobes) == ("global", "auto", "auto")
