@@ -93,13 +93,6 @@ class LostError(Exception):
         self.worker = worker
 
 
-@dataclass(frozen=True)
-class _Call:
-    worker: str
-    on_progress: OnProgress
-    lost: "asyncio.Future[None]"
-
-
 @dataclass
 class _Worker:
     """What is known about a worker that the scheduler lists."""
@@ -150,7 +143,7 @@ class Cluster:
         self._usable: dict[str, int] = {}
         self._workers: dict[str, _Worker] = {}
         self._changed = asyncio.Event()
-        self._calls: dict[str, _Call] = {}
+        self._calls: dict[str, tuple[str, OnProgress, asyncio.Future[None]]] = {}  # with the worker, and its loss
 
     def fault(self) -> str | None:
         """Return why nothing can be computed now, in one sentence, or None."""
@@ -200,8 +193,8 @@ class Cluster:
             self._disconnected("the connection was lost")
             raise LostError(worker=False)
         key = f"dsbrdf_fit-{uuid.uuid4().hex}"
-        lost = asyncio.get_running_loop().create_future()
-        self._calls[key] = _Call(worker, on_progress, lost)
+        lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._calls[key] = worker, on_progress, lost
         # The caller decides about retries and other workers.
         future = client.submit(
             function, *arguments, key=key, workers=[worker], allow_other_workers=False, retries=0, pure=False
@@ -249,10 +242,10 @@ class Cluster:
             self.threads.resize(threads)
             elsewhere = any(_host(worker) != self._host for worker in threads)
             self.room.resize({"cluster": sum(threads.values()) + self._in_advance * elsewhere} if threads else {})
-        for call in self._calls.values():
-            worker = self._workers.get(call.worker)
-            if (worker is None or worker.timed_out) and not call.lost.done():
-                call.lost.set_result(None)
+        for address, _, lost in self._calls.values():
+            worker = self._workers.get(address)
+            if (worker is None or worker.timed_out) and not lost.done():
+                lost.set_result(None)
 
     async def _check(self, client: Any, worker: _Worker) -> None:
         """Find out whether a worker can run fits; repeat until it can."""
@@ -265,9 +258,9 @@ class Cluster:
             await asyncio.sleep(_RETRY_DELAY)
 
     def _receive_progress(self, event: tuple[float, dict[str, Any]]) -> None:
-        call = self._calls.get(event[1]["key"])
-        if call is not None:
-            call.on_progress(float(event[1]["share"]))
+        if event[1]["key"] in self._calls:
+            _, on_progress, _ = self._calls[event[1]["key"]]
+            on_progress(float(event[1]["share"]))
 
     def _disconnected(self, reason: str) -> None:
         self._client = None

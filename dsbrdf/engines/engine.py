@@ -22,8 +22,6 @@ from dsbrdf.fitting.report import FitResult
 
 logger = logging.getLogger(__name__)
 
-Origin = Literal["input", "compute", "system"]
-
 OnProgress = Callable[[float], None]
 """Called with the finished share of a fit, 0 to 1."""
 
@@ -65,7 +63,7 @@ class Fault:
     time or memory limit. ``system``: the process was lost for a reason outside of the fit.
     """
 
-    origin: Origin
+    origin: Literal["input", "compute", "system"]
     type: str  # stays the same between releases, for scripts
     message: str  # one sentence
 

@@ -167,29 +167,25 @@ def _run_in_worker(
 
 
 def _prepare(pipe: "connection.Connection[Any, Any]", limits: FitLimits) -> None:
+    """Set the limits, that of memory unless a narrower one was set from outside; MemoryError if hardly any is left.
+
+    What goes wrong without memory need not be an exception, as the stack cannot grow either.
+    """
     end_with_parent()
     if limits.niceness and hasattr(os, "nice"):
         os.nice(limits.niceness)
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         reserve_blas_memory()
-        _limit_memory(limits.memory_mb)
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        if limits.memory_mb is not None and (most == resource.RLIM_INFINITY or limits.memory_mb << 20 < most):
+            resource.setrlimit(resource.RLIMIT_AS, (limits.memory_mb << 20, limits.memory_mb << 20))
+        try:
+            mmap.mmap(-1, _LEAST_MEMORY).close()
+        except OSError:
+            raise MemoryError from None
     keep_freed_memory()
     logging.basicConfig(handlers=[_LogToParent(pipe)], level=logging.INFO, force=True)
-
-
-def _limit_memory(memory_mb: int | None) -> None:
-    """Limit the address space, unless a narrower limit was set from outside; MemoryError if hardly any is left.
-
-    What goes wrong without it need not be an exception, as the stack cannot grow either.
-    """
-    _, most = resource.getrlimit(resource.RLIMIT_AS)
-    if memory_mb is not None and (most == resource.RLIM_INFINITY or memory_mb << 20 < most):
-        resource.setrlimit(resource.RLIMIT_AS, (memory_mb << 20, memory_mb << 20))
-    try:
-        mmap.mmap(-1, _LEAST_MEMORY).close()
-    except OSError:
-        raise MemoryError from None
 
 
 class _LogToParent(logging.Handler):
