@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.geometry import directions
+from dsbrdf.data.geometry import directions, half_difference
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
@@ -14,7 +14,7 @@ from dsbrdf.fitting.global_method import fit_global
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report_warnings import error_warnings, unit_warnings
-from dsbrdf.fitting.sample_bins import sample_profiles, scattered_metrics
+from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
 from dsbrdf.fitting.usual_materials import N_PAIRS, usual_material, with_usual_values
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
@@ -61,6 +61,21 @@ def test_sample_counts_in_the_bin_of_the_nearest_node_of_phi_diff() -> None:
         one = ScatteredSamples.from_arrays(omega_in, omega_out, np.ones((200, 3)))
         weight = sample_profiles(one, FitOptions()).folded.weight[0]
         assert np.flatnonzero(weight.sum(axis=(0, 1))).tolist() == [expected]
+
+
+def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
+    samples, options = scattered_samples(TRUTH, 3000), FitOptions()
+    data = sample_rows(samples, sample_profiles(samples, options, TRUTH), options, TRUTH)
+    used = data.weight[0, ..., 0] > 0.0
+    assert np.count_nonzero(used) == 3000
+    row, _ = np.nonzero(used)
+    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
+    np.testing.assert_allclose(np.sort(data.theta_half[used]), np.sort(theta_half))
+    np.testing.assert_allclose(np.sort(data.cos2_phi[used][:, 0]), np.sort(np.cos(phi_diff) ** 2))
+    assert np.abs(np.sort(data.theta_diff[row]) - np.sort(theta_diff)).max() < np.radians(1.0)
+    phi = np.arccos(np.sqrt(data.cos2_phi[used][:, 0]))
+    there = TRUTH.evaluate_unmasked(data.theta_half[used], data.theta_diff[row], phi)
+    np.testing.assert_allclose(data.mean[:, used, 0].T, there, rtol=1e-9)
 
 
 def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) -> ScatteredSamples:
