@@ -139,25 +139,20 @@ def test_killed_fit_process_loses_only_its_file(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["three.json", "two.json"]
 
 
-def test_interrupt_while_processes_start_ends_the_command_and_them(
-    command: "subprocess.Popen[str]", tmp_path: Path
-) -> None:
-    workers = forked(command.pid)
-    os.killpg(command.pid, signal.SIGINT)  # as Ctrl-C does: all processes of the terminal get it
-    out, err = command.communicate(timeout=PATIENCE)
-    assert (command.returncode, out, err) == (130, "", "dsbrdf: interrupted\n")
-    assert not any(map(alive, workers))
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_killed_command_leaves_no_process_and_no_file(
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_ended_command_leaves_no_process_and_no_file(
     command: "subprocess.Popen[str]", tmp_path: Path, temporary: Path, number: signal.Signals
 ) -> None:
     workers = forked(command.pid)
-    wait_until(lambda: all(map(works, workers)), PATIENCE)
-    command.send_signal(number)
-    command.wait(PATIENCE)
+    if number == signal.SIGINT:
+        os.killpg(command.pid, number)  # as Ctrl-C does: all processes of the terminal get it, here while they start
+        assert command.communicate(timeout=PATIENCE) == ("", "dsbrdf: interrupted\n")
+        assert command.returncode == 130
+        assert not any(map(alive, workers))
+    else:
+        wait_until(lambda: all(map(works, workers)), PATIENCE)
+        command.send_signal(number)
+        command.wait(PATIENCE)
     wait_until(lambda: not any(map(alive, workers)), PATIENCE)
     assert list((tmp_path / "out").iterdir()) == []
     wait_until(lambda: not list(temporary.iterdir()), PATIENCE)
