@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from itertools import compress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,19 +23,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.extras import require
-from dsbrdf.fitting.decomposition import LobeParameters, decompose
-from dsbrdf.output.figure_layout import (
-    COMPONENT_COLOURS,
-    LOBE_COLOURS,
-    PAIR_WIDTH,
-    ROW_HEIGHT,
-    component_parts,
-    draw_legend,
-    finish_row,
-    lobe_parts,
-    panel_pairs,
-    set_ticks,
-)
+from dsbrdf.fitting.decomposition import LABELS, LobeParameters, decompose
 from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import SphereComparison, cut_out
 
@@ -49,26 +37,34 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
 
+    _Part = tuple[ReflectanceModel, str, str, str]  # colour, style and label of a curve; without one it is thin
+
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """The slices that are drawn by default [rad]."""
 IMAGE_FORMATS = ("png", "svg", "pdf")
 """Formats of `encode_figure`."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
+LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
+COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
 _ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
 _STYLES = ("-", "--", "-.", ":")
-_TITLE, _SPHERES = 0.4, 2.5  # heights in inches
+_PAIR_WIDTH, _TITLE, _ROW, _SPHERES = 5.5, 0.4, 3.4, 2.5  # of two panels, and heights of what is drawn, in inches
+_ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
 _LARGEST_PERCENT = 100.0  # larger residuals have the colour of this one
 _RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
 _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
+_MOST = 6  # ticks of a logarithmic axis
+_TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
+_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Row (a) of `overview_figure` alone."""
     rows = _nearest_rows(DEFAULT_THETA_DIFF)
-    figure, (row,) = _figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT])
+    figure, (row,) = _figure_of_rows(profiles.name, len(rows), [_ROW])
     _profiles_row(row, profiles, model, rows)
     return figure
 
@@ -76,7 +72,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
     """Row (b) of `overview_figure` alone, in red."""
     rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
-    figure, (row,) = _figure_of_rows(title, len(rows), [ROW_HEIGHT])
+    figure, (row,) = _figure_of_rows(title, len(rows), [_ROW])
     _parts_row(row, profiles, model, rows, 0, model_lobes)
     return figure
 
@@ -117,7 +113,7 @@ def overview_figure(
     if channel not in CHANNELS:
         raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
     rows = _nearest_rows(theta_diff)
-    heights = [ROW_HEIGHT, ROW_HEIGHT] if spheres is None else [ROW_HEIGHT, ROW_HEIGHT, _SPHERES]
+    heights = [_ROW, _ROW] if spheres is None else [_ROW, _ROW, _SPHERES]
     figure, (above, below, *rest) = _figure_of_rows(profiles.name, len(rows), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
@@ -135,7 +131,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
     Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
     """
-    figure = _empty_figure(profiles.name, 2, height=ROW_HEIGHT)
+    figure = _empty_figure(profiles.name, 2, height=_ROW)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
@@ -166,7 +162,7 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
     With `model_lobes`, those of the model instead, with kappa as the tail, and the green channel's shape where each
     channel has its own. The title is such as the name of the material.
     """
-    figure = _empty_figure(title, 2, height=1.7 * ROW_HEIGHT)
+    figure = _empty_figure(title, 2, height=1.7 * _ROW)
     heights, widths, tails, elongations = figure.subplots(2, 2).flat
     degrees = np.degrees(_ANGLES)
     for number, (label, colour, at) in enumerate(_model_lobes(model) if model_lobes else _own_lobes(model)):
@@ -184,8 +180,8 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
     for ax in (heights, widths, tails, elongations):
         ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
         ax.title.set_fontsize(9)
-        set_ticks(ax)
-    draw_legend(figure, [widths], columns=4)
+        _set_ticks(ax)
+    _draw_legend(figure, [widths], 4, "outside lower center")
     return figure
 
 
@@ -235,7 +231,7 @@ def _empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False)
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
-    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
+    figure = Figure(figsize=(_PAIR_WIDTH * pairs, height), layout=layout)
     figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
     figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
     return figure
@@ -252,7 +248,7 @@ def _figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[F
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
     """Draw all channels, in two panels for each slice, with a legend."""
-    pairs = panel_pairs(figure, len(rows))
+    pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
         data = [_measured(profiles, row, channel) for channel in range(3)]
@@ -261,7 +257,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 _draw_curve(ax, curve, colour, label=f"{channel}, fit")
-    finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
+    _finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
 
 
 def _parts_name(model_lobes: bool) -> str:
@@ -272,20 +268,101 @@ def _parts_row(
     figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int, model_lobes: bool
 ) -> None:
     """Draw parts of a model in one channel, in two panels for each slice, with a legend of those that are seen."""
-    parts = lobe_parts(model, channel) if model_lobes else component_parts(model)
-    pairs = panel_pairs(figure, len(rows))
+    parts = _lobe_parts(model, channel) if model_lobes else _component_parts(model)
+    pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         points = _measured(profiles, row, channel)
         fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
         _set_limits(pair, row, fitted, points[1])
-        curves = [slice_means(part.source, row, profiles.horizon_cutoff)[:, channel] for part in parts]
+        curves = [slice_means(source, row, profiles.horizon_cutoff)[:, channel] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
             _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # seen also where a component covers it
             _draw_points(ax, *points, "black", "o", "measured")
-            for part, curve in compress(zip(parts, curves, strict=True), seen):
-                _draw_curve(ax, curve, part.colour, style=part.style, label=part.label)
-    finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
+            for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
+                _draw_curve(ax, curve, colour, style=style, label=label)
+    _finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
+
+
+def _component_parts(model: DSBRDF) -> list[_Part]:
+    """Components of a model, and below each, dashed, its own lobe."""
+    parts: list[_Part] = []
+    for component in decompose(model):
+        colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
+        label = f"{name}, half width {np.degrees(component.half_width):.2g}°"
+        parts += [(component.lobe, colour, "--", ""), (component, colour, "-", label)]
+    return parts
+
+
+def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
+    """The lobes of a model, rings and cusps dashed, with their width at theta_diff = 0, and the delta term."""
+    at = lobes_in_channel(model, 0.0, channel)
+    widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
+    parts: list[_Part] = []
+    for lobe, is_ring in enumerate(model.is_ring):
+        name = f"lobe {lobe}"
+        if is_ring:
+            name = f"cusp {lobe}" if centers[lobe] < 0.0 else f"ring lobe {lobe} at {centers[lobe]:.2g}°"
+        label = f"{name}, half width {widths[lobe]:.2g}°"
+        colour = LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
+        parts.append((model.select((lobe,), with_delta=False), colour, "--" if is_ring else "-", label))
+    if model.delta.any():
+        parts.append((model.select((), with_delta=True), LOBE_COLOURS[-1], ":", "delta term"))
+    return parts
+
+
+def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
+    """Return two panels for each slice, side by side."""
+    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
+    return list(zip(axes[::2], axes[1::2], strict=True))
+
+
+def _finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
+    """Draw the legend of some panels at the bottom of their row, and set the margins, the same in all rows."""
+    _draw_legend(figure, named, columns, "lower center")
+    below = _BELOW + _LEGEND_LINE * -(-len(figure.legends[0].get_texts()) // columns)
+    width = _PAIR_WIDTH * slices
+    figure.subplots_adjust(
+        left=_LEFT / width, right=1.0 - _RIGHT / width, bottom=below / _ROW, top=1.0 - _ABOVE / _ROW, wspace=0.36
+    )
+
+
+def _draw_legend(
+    figure: FigureBase, axes: Sequence[Axes], columns: int, place: Literal["outside lower center", "lower center"]
+) -> None:
+    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
+    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
+    figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
+
+
+def _set_ticks(ax: Axes) -> None:
+    """Set a few round ticks for limits that are final; angles up to 90 degrees have them every 15 or 30 degrees."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = ax.get_xlim()
+    if high == 90.0:
+        ax.set_xticks(np.arange(low, high + 1.0, 30.0 if low < 0.0 else 15.0))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10], symmetric=True))
+    if ax.get_yscale() == "log":
+        ax.set_yticks(log_ticks(*ax.get_ylim()))
+        ax.set_yticks([], minor=True)
+    else:
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
+    ax.tick_params(labelsize=8)
+
+
+def log_ticks(low: float, high: float) -> Array:
+    """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for mantissas in _MANTISSAS:
+        ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        if ticks.size <= _MOST:
+            return ticks
+    return ticks[:: -(-ticks.size // _MOST)]
 
 
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
@@ -334,7 +411,7 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
     peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
-        set_ticks(ax)
+        _set_ticks(ax)
     if extent == 90.0:
         peak.set_xticks(range(-90, 91, 45))  # it is narrow
 

@@ -1,9 +1,9 @@
-"""Figures: what is drawn is the data and the model, and nothing global is touched."""
+"""Figures and lit spheres: what is drawn is the data and the model, and nothing global is touched."""
 
+import io
 import itertools
 import sys
 from dataclasses import replace
-from io import BytesIO
 
 import numpy as np
 import pytest
@@ -12,18 +12,34 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
+from PIL import Image
 
-from dsbrdf import extras
+from dsbrdf import DSBRDF, extras
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF
+from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.model.render import sphere_normals
-from dsbrdf.output import figures
-from dsbrdf.output.figure_layout import log_ticks
-from dsbrdf.output.figures import encode_figure, lobes_figure, overview_figure, parameters_figure, profiles_figure
-from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, cut_out
+from dsbrdf.model.image_metrics import displayed
+from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.output.figures import (
+    encode_figure,
+    lobes_figure,
+    log_ticks,
+    overview_figure,
+    parameters_figure,
+    profiles_figure,
+)
+from dsbrdf.output.report_text import lobes_in_channel
+from dsbrdf.output.sphere_panels import (
+    DIFFERENCE_GAIN,
+    SphereComparison,
+    compare_spheres,
+    cut_out,
+    encode_png,
+    side_by_side,
+)
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
@@ -148,19 +164,18 @@ def test_what_cannot_be_seen_is_not_in_the_legend(plastic_profiles: Profiles) ->
     assert [label[:6] for label in shown] == ["fit", "measur", "lobe 1", "lobe 2", "delta "]
 
 
-def test_black_and_flat_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
-    black, flat = MODEL.select((), with_delta=False), single_lobe(0.2, 0.0, 1.0)
+def test_black_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
+    black = MODEL.select((), with_delta=False)
     assert not np.any(plastic_profiles.weight[:, 89])
     for figure in (overview_figure(plastic_profiles, black, theta_diff=[0.0, np.pi / 2]), parameters_figure(black)):
         assert encode_figure(figure, dpi=20).startswith(b"\x89PNG")
-    assert profiles_figure(plastic_profiles, flat).axes[1].get_xlim() == (-90.0, 90.0)
 
 
 def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import of it fails
     monkeypatch.delattr("matplotlib.pyplot", raising=False)
     width, height = lobes.get_size_inches()
-    image = imread(BytesIO(encode_figure(lobes, dpi=50)), format="png")
+    image = imread(io.BytesIO(encode_figure(lobes, dpi=50)), format="png")
     assert image.shape == (round(height * 50), round(width * 50), 4)
     assert image[..., :3].std() > 0.05
     assert b"<svg" in encode_figure(lobes, "svg")
@@ -201,23 +216,16 @@ def test_legend_is_below_the_labels_of_the_axes(lobes: Figure) -> None:
     assert row.legends[0].get_window_extent().y1 <= lowest + 1.0
 
 
-def peak_half_width(values: NDArray[np.float64]) -> float | None:
-    found = figures._peak_half_width(values)
-    return None if found is None else float(np.degrees(found))
+def test_the_peak_is_drawn_to_four_half_widths_and_what_rises_towards_the_horizon_is_none(
+    plastic_profiles: Profiles,
+) -> None:
+    def extent(model: DSBRDF) -> float:
+        return float(profiles_figure(plastic_profiles, model).axes[1].get_xlim()[1])
 
-
-@pytest.mark.parametrize("half_width", [0.2, 1.0, 5.0, 20.0])
-def test_width_of_a_peak_is_found(half_width: float) -> None:
-    values = np.cos(figures.CURVE_ANGLES) ** (np.log(0.5) / np.log(np.cos(np.radians(half_width))))
-    assert peak_half_width(values + 0.1) == pytest.approx(half_width, rel=0.05)  # on a diffuse part
-
-
-def test_what_rises_towards_the_horizon_is_no_peak() -> None:
-    rim = 0.1 + 0.2 * (figures.CURVE_ANGLES > np.radians(75.0))
-    assert peak_half_width(rim) is None
-    assert peak_half_width(np.where(figures.CURVE_ANGLES > np.radians(85.0), 0.0, rim)) is None
-    narrow = rim + 0.4 * (figures.CURVE_ANGLES < np.radians(3.0))
-    assert peak_half_width(narrow) == pytest.approx(3.0, abs=0.5)
+    narrow, rim = single_lobe(2.0, 900.0, 0.5, family="student"), single_lobe(3.0, 4.0, 0.3, center=1.4)
+    half_width = np.degrees(lobes_in_channel(narrow, 0.0, 0)["half_width"][0])
+    assert extent(narrow) == pytest.approx(4.0 * half_width, rel=0.05)
+    assert extent(rim) == extent(single_lobe(0.2, 0.0, 1.0)) == 90.0
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.02, 0.3), (0.9, 1.4), (1e-6, 3e4), (0.17, 70.0), (3e-4, 2e3)])
@@ -242,3 +250,41 @@ def test_component_that_nobody_can_see_has_no_sphere() -> None:
     brightest = (1.0, 1.0, 0.02, 1.0, 0.05)
     panels = {title: np.full((8, 8, 3), value) for title, value in zip(titles, brightest, strict=True)}
     assert list(SphereComparison(panels, 1.0, 40.0, 1.0).seen) == list(titles[:4])
+
+
+def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> None:
+    found = compare_spheres(plastic, PAINT, size=24)
+    measured, fitted = (render_sphere(source, size=24) for source in (plastic, PAINT))
+    seen, compared = displayed(measured, found.exposure), displayed(fitted, found.exposure)
+    np.testing.assert_array_equal(found.panels["measured"], seen)
+    np.testing.assert_array_equal(found.panels["fit"], compared)
+    difference = np.minimum(DIFFERENCE_GAIN * np.abs(seen - compared), 1.0)
+    np.testing.assert_allclose(found.panels["difference x 4"], difference)
+    assert (found.psnr, found.ssim) == sphere_likeness(measured, fitted)
+    assert list(found.panels)[3:] == [component.label.replace("_", " ") for component in decompose(PAINT)]
+    picture = side_by_side(found.panels)
+    assert picture.shape == (24, len(found.panels) * 24, 3)
+    np.testing.assert_array_equal(picture[:, 24:48], compared)
+
+
+def test_panels_of_components_add_up_to_the_fit_and_a_model_equals_itself() -> None:
+    found = compare_spheres(PAINT, PAINT, size=24, factor=0.002)
+    assert (found.psnr, found.exposure) == (float("inf"), 0.002)
+    radiance = [
+        np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in found.panels.values()
+    ]
+    _, whole, difference, *parts = radiance
+    assert not difference.any()
+    assert len(parts) >= 2
+    assert whole.max() < 1.0  # nothing is clipped
+    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("channels", "mode"), [(3, "RGB"), (4, "RGBA")])
+def test_pillow_reads_the_pixels_of_a_png(channels: int, mode: str) -> None:
+    levels = np.random.default_rng(0).integers(0, 256, (5, 7, channels), dtype=np.uint8)
+    values = levels / 255.0
+    values[0, :3, 0], levels[0, :3, 0] = (-1.0, 0.5, 7.0), (0, 128, 255)  # values are clipped
+    with Image.open(io.BytesIO(encode_png(values))) as image:
+        assert image.mode == mode
+        assert np.array_equal(np.asarray(image), levels)
