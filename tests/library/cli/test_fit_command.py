@@ -1,19 +1,74 @@
+"""``dsbrdf fit``: its options, what it prints and stores of one file and of several, and fits on a server."""
+
+import csv
 import errno
+import inspect
 import json
 import os
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from cyclopts import App
 
 import dsbrdf
 from dsbrdf.cli import fit_command
+from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.engines import batch, local
+from dsbrdf.engines.batch import FileFit
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import load
-from tests.support.command_line import QUICK, document, run, sentence
+from tests.support.command_line import QUICK, document, printed, run, sentence
+from tests.support.guarded import Guarded
+from tests.support.server import Server
+
+
+def options_of(*words: str) -> dsbrdf.FitOptions:
+    def command(*, flags: Flags = DEFAULT) -> dsbrdf.FitOptions:
+        return flags.options()
+
+    options: dsbrdf.FitOptions = App(default_command=command, result_action="return_value")(words)
+    return options
+
+
+def descriptions() -> dict[str, str]:
+    """What the docstring of the options says of each field."""
+    text = inspect.getdoc(dsbrdf.FitOptions) or ""
+    entries = re.findall(r"^(\w+) : .*\n((?:    .+(?:\n|$))+)", text, flags=re.MULTILINE)
+    assert {name for name, _ in entries} == {field.name for field in fields(dsbrdf.FitOptions)}
+    return {name: " ".join(text.split()) for name, text in entries}
+
+
+def test_every_option_has_a_flag_with_help() -> None:
+    text = " ".join(printed("fit", "--help").split())
+    for name, description in descriptions().items():
+        assert f" --{name.replace('_', '-')} " in text
+        assert " ".join(description.split()[:4]) in text
+    assert "[rad]" not in text
+    assert "[default: 80]" in text
+
+
+def test_every_angle_option_is_converted_from_degrees() -> None:
+    given = {"horizon_cutoff": "10", "knots": "10,20"}
+    assert {name for name, text in descriptions().items() if "[rad]" in text} == given.keys()
+    words = [f"--{name.replace('_', '-')}={degrees}" for name, degrees in given.items()]
+    assert options_of(*words) == dsbrdf.FitOptions(
+        horizon_cutoff=float(np.radians(10.0)), knots=(float(np.radians(10.0)), float(np.radians(20.0)))
+    )
+    assert options_of("--knots", "none", "--horizon-cutoff", "none") == dsbrdf.FitOptions(horizon_cutoff=None)
+
+
+def test_flags_reach_the_options() -> None:
+    words = ["--n-lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
+    asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff=float(np.radians(75)))
+    assert options_of(*words) == asked
+    assert options_of("--lobe", "student", "--weighting", "none") == dsbrdf.FitOptions(lobe="student")
+    assert options_of("--no-robust") == options_of() == dsbrdf.FitOptions()
 
 
 @pytest.fixture
@@ -32,13 +87,18 @@ def stored_fit(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder / "plastic.json"
 
 
-def test_every_warning_is_shown_once(plastic_file: Path, tmp_path: Path) -> None:
+def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Path, tmp_path: Path) -> None:
     command = ["fit", str(plastic_file), "--method", "paper", "--n-lobes", "1", "--em-iterations", "1"]
     captured = run(*command, "--json")
     answer = json.loads(captured.stdout)
     sentences = answer["warnings"]
     assert "stopped at the bound of 1 iterations" in sentences[0]
     assert (sentences, captured.stderr) == (answer["report"]["warnings"], "")
+    (tmp_path / "printed.json").write_text(captured.stdout)
+    assert [part["label"] for part in answer["components"]] == [
+        *dsbrdf.decompose(load(tmp_path / "printed.json")).labels
+    ]
+    assert (answer["status"], answer["metrics"]) == ("succeeded", answer["report"]["metrics"])
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"
     fit = [*command, "-o", str(tmp_path)]
@@ -48,16 +108,6 @@ def test_every_warning_is_shown_once(plastic_file: Path, tmp_path: Path) -> None
         assert captured.stdout.endswith(last)
         assert captured.stdout.splitlines()[1 : len(shown) + 1] == shown
         assert captured.stdout.count("warning: ") == len(shown)
-
-
-def test_fit_json_is_a_stored_model(plastic_file: Path, tmp_path: Path) -> None:
-    answer = document("fit", plastic_file, "--json", *QUICK)
-    stored = tmp_path / "stored.json"
-    stored.write_text(json.dumps(answer))
-    assert load(stored).n_lobes == 1
-    assert answer["status"] == "succeeded"
-    assert answer["metrics"] == answer["report"]["metrics"]
-    assert [part["label"] for part in answer["components"]] == list(dsbrdf.decompose(load(stored)).labels)
 
 
 def test_one_bad_file_does_not_stop_the_others(plastic_file: Path, tmp_path: Path) -> None:
@@ -93,45 +143,41 @@ def test_folder_argument_means_its_binary_files(plastic_file: Path, tmp_path: Pa
     assert [item["file"] for item in document("fit", folder, "--json", *QUICK)["items"]] == [str(folder / "a.binary")]
 
 
-def test_second_run_keeps_existing_results(
+class ComputedError(Exception):
+    """Raised instead of a fit."""
+
+
+def test_second_run_keeps_the_stored_fits_of_these_files_and_options(
     two_files: list[str], stored_fit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local.LocalEngine, "start", None)  # nothing is to be computed
-    (tmp_path / "out").mkdir()
-    for name in ("one.json", "two.json"):
-        shutil.copyfile(stored_fit, tmp_path / "out" / name)
-    for item in document("fit", *two_files, "-o", tmp_path / "out", "--json", *QUICK)["items"]:
+    def compute(_: object) -> None:
+        raise ComputedError
+
+    monkeypatch.setattr(local.LocalEngine, "start", compute)
+    one, two = (tmp_path / "out" / name for name in ("one.json", "two.json"))
+    command = ["fit", *two_files, "-o", str(one.parent), "--json", *QUICK]
+    one.parent.mkdir()
+    shutil.copyfile(stored_fit, two)
+    damaged = stored_fit.read_bytes()[:-100]
+    dsbrdf.save(load(stored_fit), without_report := tmp_path / "plain.json")
+    for stored in (damaged, without_report.read_bytes(), stored_fit.read_bytes()):
+        with pytest.raises(ComputedError):
+            run(*command)
+        one.write_bytes(stored)
+    for item in document(*command)["items"]:
         assert item["resumed"] is True
         assert item["model"] == json.loads(stored_fit.read_text())["model"]
-
-
-@pytest.mark.parametrize("reason", ["options", "force", "measurement", "damaged", "algorithm", "no report"])
-def test_stored_fit_with_other_options_is_replaced(
-    two_files: list[str],
-    stored_fit: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    reason: str,
-) -> None:
-    output = tmp_path / "out" / "one.json"
-    output.parent.mkdir()
-    shutil.copyfile(stored_fit, output)
-    command = ["fit", two_files[0], "-o", str(output.parent), "--json", *QUICK]
-    if reason == "options":
-        command += ["--weighting", "cosine"]
-    elif reason == "force":
-        command += ["--force"]
-    elif reason == "measurement":
-        after = output.stat().st_mtime + 10
-        os.utime(two_files[0], (after, after))
-    elif reason == "damaged":
-        output.write_bytes(output.read_bytes()[:-100])
-    elif reason == "algorithm":
-        monkeypatch.setattr(batch, "ALGORITHM_VERSION", "another")
-    else:
-        dsbrdf.save(load(output), output)
-    assert document(*command)["resumed"] is False
-    assert dsbrdf.load_result(output).report.versions.algorithm == dsbrdf.ALGORITHM_VERSION
+    for words in (["--weighting", "cosine"], ["--force"]):
+        with pytest.raises(ComputedError):
+            run(*command, *words)
+    before, after = (one.stat().st_mtime + shift for shift in (-10, 10))
+    os.utime(two_files[0], (after, after))
+    with pytest.raises(ComputedError):
+        run(*command)
+    os.utime(two_files[0], (before, before))
+    monkeypatch.setattr(batch, "ALGORITHM_VERSION", "another")
+    with pytest.raises(ComputedError):
+        run(*command)
 
 
 def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path) -> None:
@@ -148,3 +194,68 @@ def test_full_disk_exits_with_1(plastic_file: Path, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(batch, "save", full)
     assert "No space left on device" in sentence("fit", plastic_file, "-o", tmp_path, *QUICK, code=1)
+
+
+@pytest.fixture
+def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the fits of three files be known: a good one, a failed one, a bad one."""
+
+    def known(files: list[Path], *_: Any, **__: Any) -> Iterator[FileFit]:
+        report = two_lobe_fit.report
+        worse = replace(report, metrics=replace(report.metrics, relative_rms=0.9), warnings=("Look at it.",))
+        yield FileFit(files[0], result=two_lobe_fit)
+        yield FileFit(files[1], error="no measurement")
+        yield FileFit(files[2], result=FitResult(two_lobe_fit.model, worse))
+
+    monkeypatch.setattr(fit_command, "fit_files", known)
+
+
+@pytest.mark.usefixtures("three_files")
+def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp_path: Path) -> None:
+    table = tmp_path / "fits.csv"
+    command = ["fit", "good.binary", "none.binary", "bad.binary"]
+    captured = run(*command, "--csv", table, code=2)
+    assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
+    first, second, _, head, *rows, failed = captured.stdout.splitlines()
+    assert first.startswith("good: close (")
+    assert second.startswith("bad: close (")
+    assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
+    assert [row.split()[-1] for row in rows] == ["bad", "good"]
+    assert rows[0].split()[0] == "0.9"
+    assert failed == "1 file could not be fitted"
+
+    written = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
+    assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
+    assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
+    assert (written[0]["n_lobes"], written[0]["ring_lobes"]) == ("2", "0")
+    assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
+    items = document(*command, "--json", code=2)["items"]
+    assert [(item["file"], item["status"]) for item in items] == [(row["file"], row["status"]) for row in written]
+    assert items[1]["error"] == "no measurement"
+
+
+def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "plastic.json").write_text("{}")  # damaged, and replaced
+    out = printed("fit", plastic_file, "-o", tmp_path, "--plot", *QUICK)
+    assert "component     half width" in out
+    assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
+    assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
+    assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1
+
+
+def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp_path: Path) -> None:
+    address = ["--url", str(server.http.base_url)]
+    there = document("fit", plastic_file, "--json", "-o", tmp_path, *address, *QUICK)
+    assert there["model"] == document("fit", plastic_file, "--json", *QUICK)["model"]
+    assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
+    no_measurement = tmp_path / "cut.binary"
+    no_measurement.write_bytes(plastic_file.read_bytes()[:1000])
+    assert "1000" in sentence("fit", no_measurement, *address)
+
+
+def test_server_that_does_not_answer_or_wants_a_key_is_named(guarded: Guarded, plastic_file: Path) -> None:
+    said = sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1)
+    nobody = "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"
+    assert said.startswith(nobody)
+    assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, "--url", guarded.server.http.base_url)

@@ -1,3 +1,5 @@
+"""The command ``dsbrdf``: how it starts, its help, and the sentence that each mistake gets."""
+
 import json
 import os
 import re
@@ -5,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dsbrdf
@@ -12,8 +15,11 @@ from dsbrdf import extras
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
+from dsbrdf.data.sample_columns import VECTORS
+from dsbrdf.output.serialize import save
 from tests.support.command_line import QUICK, Capture, printed, run, sentence
 from tests.support.commands import start_in_vain
+from tests.support.mixtures import mixture, scattered_samples
 
 
 @pytest.mark.parametrize(
@@ -61,15 +67,14 @@ for words in ["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]:
 
 
 @pytest.mark.parametrize("command", command_names())
-@pytest.mark.parametrize(("columns", "widest"), [("80", 80), ("200", 100)])
-def test_help_is_plain_text_in_a_file(command: str, columns: str, widest: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    out = printed(command, "--help")
-    assert out.startswith(f"Usage: dsbrdf {command}")
-    assert max(map(len, out.splitlines())) <= widest
-    assert "\x1b" not in out
-    assert out.isascii()
-    assert "[default: False]" not in out
+def test_help_is_plain_text_in_a_file(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for columns, widest in ((80, 80), (200, 100)):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        out = printed(command, "--help")
+        assert out.startswith(f"Usage: dsbrdf {command}")
+        assert max(map(len, out.splitlines())) <= widest
+        assert out.isascii()
+        assert not re.search(r"\x1b|\[default: False\]", out)
 
 
 def test_help_lists_all_commands_in_groups() -> None:
@@ -114,3 +119,135 @@ def test_completion_knows_commands_options_and_files(shell: str, tmp_path: Path)
         ask = f"source '{script}'; COMP_WORDS=(dsbrdf comp); COMP_CWORD=1; _dsbrdf; echo ${{COMPREPLY[@]}}"
         answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
         assert answer.stdout.split() == ["completion", "compare"]
+
+
+FILES = {
+    "photo.png": b"\x89PNG\r\n\x1a\n" + bytes(100),
+    "studio.exr": b"v/1\x01" + bytes(100),
+    "paint.json": b'{"format": "another", "version": 1}',
+    "nickel.binary": b"\x5a\0\0\0\x5a\0\0\0\xb4\0\0\0" + bytes(100),
+    "photo.json": b"\x89PNG\r\n\x1a\n" + bytes(100),
+    "empty.json": b"",
+    "empty.npz": b"",
+    "deep.json": b"[" * 5000,
+    "cut.bsdf": b"tensor_file\0\x01\x00",
+    "red.csv": b"red\n",
+    "bad.exr": b"nothing",
+}
+
+BAD_TABLE = "red.csv: The table lacks columns for the directions: theta_in, theta_out. It has red."
+BAD_TENSORS = "cut.bsdf: The tensor file is damaged or cut off"
+ABSENT = "dsbrdf: model.json: this model has no component specular_spike: it has "
+POINT = "eval model.json --theta-half 1 --theta-diff 1"
+
+MISTAKES = {
+    "fti nickel.binary": "dsbrdf: there is no command 'fti'; did you mean fit?",
+    "": "dsbrdf: name a command (see dsbrdf --help)",
+    "--jobs 2 fit nickel.binary": "dsbrdf: there is no option '--jobs' before the command",
+    "--helpp": "dsbrdf: there is no option '--helpp' before the command; did you mean --help?",
+    "completion tcsh": "dsbrdf completion: SHELL: must be bash or zsh or fish, not 'tcsh'",
+    # fit
+    "fit": "dsbrdf fit: FILES is missing (see dsbrdf fit --help)",
+    "fit nickel.binary --lobes 2": "dsbrdf fit: there is no option --lobes; did you mean --lobe or --n-lobes?",
+    "fit nickel.binary --n-lobes two": "--n-lobes: must be a whole number or auto, not 'two'",
+    "fit nickel.binary --n-lobes 2.5": "--n-lobes: must be a whole number or auto, not '2.5'",
+    "fit nickel.binary --n-lobes 9": "n_lobes must be an integer from 1 to 8",
+    "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
+    "fit nickel.binary --weighting heavy": "--weighting: must be balanced or plain or cosine or log, not 'heavy'",
+    "fit nickel.binary --method paper --lobe student": 'the method "paper" has the lobe "hemi_epd" only',
+    "fit nickel.binary --horizon-cutoff far": "--horizon-cutoff: must be a number, not 'far'",
+    "fit nickel.binary --knots 0,x": "--knots: must be a number, not 'x'",
+    "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
+    "fit nickel.binary --jobs 0": "the number of fits that run at once, must be at least 1, not 0",
+    "fit nickel.binary --scheduler host": "--scheduler: must be an address such as tcp://host:8786, not 'host'",
+    "fit nickel.binary --scheduler tcp://host": "--scheduler: must be an address such as",
+    "fit nickel.binary --url localhost:8000": "must be an address such as http://127.0.0.1:8000, not 'localhost:8000'",
+    "fit nickle.binary": "dsbrdf: nickle.binary: No such file or directory",
+    "fit nickel.binary": "dsbrdf: nickel.binary: The data has only 112 bytes",
+    "fit photo.png": "dsbrdf: photo.png: The data is a PNG image; a MERL measurement is a .binary file",
+    "fit studio.exr": "dsbrdf: studio.exr: The data is an OpenEXR image; a MERL measurement is a .binary file",
+    "fit paint.json": "dsbrdf: paint.json: The data is JSON, or another text; a MERL measurement is a .binary file",
+    "fit cut.bsdf": BAD_TENSORS,
+    "fit red.csv": BAD_TABLE,
+    "fit none": "dsbrdf: none: ",
+    "fit plastic.binary -o plastic.json": "must be a folder, in which NAME.json is saved, not a file such as",
+    # models
+    "show nickel.binary": "nickel.binary: this command reads models, not measurements; fit it first with dsbrdf fit",
+    "show photo.json": "dsbrdf: photo.json: the file is a PNG image; a stored model is a .json or .npz file",
+    "show paint.json": "dsbrdf: paint.json: The data is not a stored model: its format is not 'dsbrdf'",
+    "show paint.json photo.json": "dsbrdf show: there is no place for photo.json",
+    "decompose empty.json": "dsbrdf: empty.json: ",
+    "decompose deep.json": "dsbrdf: deep.json: ",
+    "decompose none.json": "dsbrdf: none.json: No such file or directory\n",
+    "decompose model.json -o guide.txt": "must end in .json or .npz",
+    "export paint.json --format gltf -o a.glb": "dsbrdf export: --format: must be json or npz or merl",
+    "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .npz, .binary, .glsl,",
+    "export model.json --format npz -o none/model.npz": "dsbrdf: none/model.npz: No such file or directory\n",
+    "export model.json --component diffuse -o diffuse.json": "dsbrdf: json cannot hold a component",
+    "export model.json --component specular_spike -o a.binary": ABSENT,
+    "eval paint.json --theta-half ten": "dsbrdf eval: --theta-half: must be a number, not 'ten'",
+    "eval paint.json --theta-half=": "dsbrdf eval: --theta-half: must be a number, not ''",
+    "eval paint.json --thetahalf 10": "there is no option --thetahalf; did you mean --theta-half",
+    "eval model.json": "--theta-half is missing",
+    "eval model.json --theta-half 1": "--theta-diff is missing",
+    "eval model.json --omega-in 0,0,1": "--omega-out is missing",
+    "eval model.json --theta-half 1 2 --theta-diff 1 2 3": "cannot be combined",
+    "eval model.json --theta-half 1 --omega-in 0,0,1": "either --theta-half and --theta-diff, --theta-in and",
+    "eval model.json --omega-in 0,1 --omega-out 0,0,1": "a direction must be three numbers x,y,z, not '0,1'",
+    f"{POINT} --component shiny": "--component: must be specular_spike or specular_lobe or diffuse or guide",
+    f"{POINT} --component specular_spike": ABSENT,
+    # pictures
+    "plot paint.json -o paint.jpg": "dsbrdf: paint.jpg: the figure's file must end in .png, .svg or .pdf",
+    "compare paint.json": "dsbrdf compare: SECOND is missing",
+    "compare photo.json photo.json -o a.jpg": "dsbrdf: a.jpg: the picture's file must end in .png",
+    "render paint.json": "dsbrdf render: --output is missing",
+    "render paint.json -o": "dsbrdf render: -o needs a value",
+    "render plastic.binary -o a.jpg": "must end in .png",
+    "render plastic.binary -o a.png --exposure 0": "exposure must be a positive number",
+    "render plastic.binary -o a.png --component diffuse": "a measurement has no components",
+    "render plastic.binary plastic.binary -o a.png": "the second source must be a model",
+    "render plastic.binary model.json -o a.png --component diffuse": "leave --component out",
+    "render plastic.binary model.json model.json -o a.png": "one or two sources can be drawn, not 3",
+    "render model.json -o a.png --lighting moon": "moon",
+    "render model.json -o a.png --lighting no.hdr": "no.hdr: No such file",
+    "render model.json -o a.png --lighting bad.exr": "bad.exr: The file is neither a Radiance nor an OpenEXR picture",
+    "render cut.bsdf -o a.png": BAD_TENSORS,
+    "render felt.csv -o a.png": "felt.csv: scattered samples are no measurement on a grid",
+    # convert
+    "convert plastic.binary out.png": "the output must end in .binary or .bsdf",
+    "convert nickel.binary out.bsdf": "dsbrdf: nickel.binary: The data has only 112 bytes",
+    "convert cut.bsdf out.binary": BAD_TENSORS,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory, coarse_sampling: None) -> Path:
+    """Good files, and such that are not what their names or the commands say; tests must not change them."""
+    path = tmp_path_factory.mktemp("mistakes")
+    for name, content in FILES.items():
+        (path / name).write_bytes(content)
+    os.link(plastic_file, path / "plastic.binary")
+    save(mixture(2, 0), path / "model.json")
+    samples = scattered_samples(mixture(1, 0), 300)
+    columns, head = [samples.omega_in, samples.omega_out, samples.values], ",".join((*VECTORS, "red", "green", "blue"))
+    np.savetxt(path / "felt.csv", np.hstack(columns), delimiter=",", header=head, comments="")
+    return path
+
+
+@pytest.mark.parametrize(("command", "said"), MISTAKES.items(), ids=[words or "nothing" for words in MISTAKES])
+def test_mistake_gets_one_sentence(command: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert said in sentence(*command.split())
+    assert {path.name for path in folder.iterdir()} == {*FILES, "plastic.binary", "model.json", "felt.csv"}
+
+
+def test_arguments_have_no_order(folder: Path) -> None:
+    model_file = folder / "model.json"
+    orders = (
+        f"eval {model_file} --theta-half 0 10 --theta-diff 30",
+        f"eval --theta-half 0 10 --theta-diff 30 {model_file}",
+        f"eval --theta-half 0 10 {model_file} --theta-diff 30",
+        f"eval --theta-half 0 --theta-diff 30 {model_file} --theta-half=10",
+    )
+    (text,) = {printed(*words.split()) for words in orders}
+    assert text.count("\n") == 3
