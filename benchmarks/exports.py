@@ -171,7 +171,7 @@ def spheres(measurement: Measurement, model: DSBRDF, files: Files) -> list[float
     measured, mitsuba = reference(measurement), variant("llvm_ad_rgb")
     factor = exposure(measured, inside)
     pictures = [reference(model), *(picture(mitsuba, path) for path in (files.model, files.fit, files.data))]
-    pictures.append(reference(fit_openpbr(model.evaluate).surface.evaluate))
+    pictures.append(reference(fit_openpbr(model.evaluate)[0].evaluate))
     return [psnr(displayed(measured, factor), displayed(one, factor), inside) for one in pictures]
 
 

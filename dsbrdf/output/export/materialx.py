@@ -6,7 +6,7 @@ difference is left: it is stated in the file, as PSNR.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -52,23 +52,15 @@ _AWAY_FROM_THE_HIGHLIGHT = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [9
 _POLISHED = 2  # starts, the best ones, that least squares improves
 
 
-@dataclass(frozen=True)
-class FittedSurface:
-    """An OpenPBR surface, and the PSNR [dB] of its lit spheres against those of the material, by lighting."""
-
-    surface: OpenPBR
-    psnr: dict[str, float]
-
-
 def materialx_document(model: DSBRDF) -> str:
     """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it."""
-    fitted = fit_openpbr(model.evaluate)
-    error = ", ".join(f"{value:.1f} dB ({name})" for name, value in fitted.psnr.items())
+    surface, psnr = fit_openpbr(model.evaluate)
+    error = ", ".join(f"{value:.1f} dB ({name})" for name, value in psnr.items())
     doc = (
         f"The OpenPBR surface nearest to a Directional Statistics BRDF model, written by dsbrdf {__version__}. "
         f"PSNR of a lit sphere against the model: {error}."
     )
-    inputs = [_input(field.name, getattr(fitted.surface, field.name)) for field in fields(OpenPBR)]
+    inputs = [_input(field.name, getattr(surface, field.name)) for field in fields(OpenPBR)]
     return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs))
 
 
@@ -78,8 +70,8 @@ def _input(name: str, value: float | Color) -> str:
     return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
-def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
-    """Find the OpenPBR surface that looks most like a material.
+def fit_openpbr(evaluate: Evaluate) -> tuple[OpenPBR, dict[str, float]]:
+    """Find the OpenPBR surface that looks most like a material, and the PSNR [dB] of its lit spheres by lighting.
 
     Raises InvalidArgumentError if the values are too large for a picture.
     """
@@ -96,7 +88,7 @@ def fit_openpbr(evaluate: Evaluate) -> FittedSurface:
         least_squares(difference, start, bounds=_BOUNDS, diff_step=_STEPS, max_nfev=30) for start in starts[:_POLISHED]
     ]
     surface = _surface(min(ends, key=lambda end: end.cost).x)
-    return FittedSurface(surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS})
+    return surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS}
 
 
 def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:

@@ -98,9 +98,6 @@ def _bsdf_class(mitsuba: Any) -> Any:
         def pdf(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
             return dr.select(active & self._reflects(context, surface, wo), self.material.pdf(wo, surface.wi), 0.0)
 
-        def eval_pdf(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval(context, surface, wo, active), self.pdf(context, surface, wo, active)
-
         def sample(self, context: Any, surface: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
             result = mitsuba.BSDFSample3f()
             result.wo = self.material.sample(surface.wi, sample1, sample2)

@@ -41,7 +41,7 @@ _ALBEDO = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1 but for the indices of refraction (ior)."""
+    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1, apart from indices (ior)."""
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
@@ -77,12 +77,10 @@ class OpenPBR:
 
     @property
     def _base_index(self) -> float:
-        """Relative index of refraction of the base, whose F0 is scaled by ``specular_weight``."""
-        inside = self.specular_ior / self.coat_ior
-        inside = max(inside, 1.0 / inside)
+        """Relative index of refraction of the base, less than a coat's, with F0 scaled by ``specular_weight``."""
+        inside = self.coat_ior / self.specular_ior
         index = self.coat_weight * inside + (1.0 - self.coat_weight) * self.specular_ior
-        root = np.sqrt(np.clip(self.specular_weight * _normal_reflectance(index), 0.0, 0.99999))
-        root = np.sign(index - 1.0) * root
+        root = np.sqrt(self.specular_weight * _normal_reflectance(index))
         return float((1.0 + root) / (1.0 - root))
 
     @property
