@@ -45,7 +45,7 @@ test: $(READY)  ## run all tests, on up to four cores
 # Browsers, renderers, Dask, processes that are killed, folders that are damaged, slow clients, figures, many samples,
 # fits of whole measurements.
 SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py model/test_sampling.py \
-  cli/test_convert_command.py cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
+  cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
   fitting/test_paper_method.py fitting/test_report_warnings.py \
   fitting/test_scattered_fit.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \

@@ -1,4 +1,7 @@
+"""Commands of stored models: values, reports, components, exports, pictures."""
+
 import re
+import struct
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -7,11 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image
 
 import dsbrdf
+from dsbrdf.data.merl import read_merl
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json, from_npz, load
 from tests.support.command_line import FEW_LOBES, document, printed, run
 from tests.support.random_models import random_model
@@ -61,7 +70,7 @@ def test_text_holds_at_60_columns(words: list[str], model_file: Path, monkeypatc
 
 def test_components_are_those_of_the_library(model_file: Path) -> None:
     command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
-    for component in dsbrdf.decompose(load(model_file)):
+    for component in decompose(load(model_file)):
         found = document(*command, "--component", component.label)["values"]
         expected = component.evaluate(*np.radians([[0.5, 12.0, 60.0], [0.0, 45.0, 20.0]]))
         np.testing.assert_array_equal(found, expected)
@@ -70,7 +79,7 @@ def test_components_are_those_of_the_library(model_file: Path) -> None:
 def test_decompose_prints_the_components(model_file: Path) -> None:
     items = document("decompose", model_file, "--json")["items"]
     lines = printed("decompose", model_file).splitlines()
-    for item, component in zip(items, dsbrdf.decompose(load(model_file)), strict=True):
+    for item, component in zip(items, decompose(load(model_file)), strict=True):
         assert (item["label"], item["clarity"]) == (component.label, component.clarity)
         assert (item["albedo"], item["color"]) == (component.albedo.tolist(), component.color.tolist())
         assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
@@ -89,7 +98,7 @@ def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path) -> None:
     saved, exported = tmp_path / "guide.json", tmp_path / "guide.npz"
     run("decompose", model_file, "-o", saved)
     run("export", model_file, "--component", "guide", "-o", exported)
-    assert load(saved) == load(exported) == dsbrdf.decompose(load(model_file)).guide
+    assert load(saved) == load(exported) == decompose(load(model_file)).guide
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
@@ -123,14 +132,14 @@ def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_f
     assert shown[1:] == before[1:]
     for name in ("relative_rms", "excess", "albedo_error", "psnr"):
         assert f"{name} {result.report.metrics[name]:.4g}" in "\n".join(shown)
-    for component in dsbrdf.decompose(result):
+    for component in decompose(result):
         line = next(line for line in shown if line.startswith(component.label))
         assert [f"{value:.4f}" for value in component.albedo] == line.split()[-3:]
         assert f"{np.degrees(component.half_width):.2f}°" in line
     answer = document("show", model_file, "--json")
     assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["model"]["amplitude"] == result.model.amplitude.tolist()
-    assert [component["label"] for component in answer["components"]] == list(dsbrdf.decompose(result).labels)
+    assert [component["label"] for component in answer["components"]] == list(decompose(result).labels)
     dsbrdf.save(result.model, tmp_path / "plain.npz")
     shown = printed("show", tmp_path / "plain.npz").splitlines()
     assert shown[0] == "plain: 2 lobes"
@@ -186,8 +195,8 @@ def test_export_as_a_table(model_file: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.binary"
     command = ["export", str(model_file), "--format", "merl", "-o", str(table), "--component", "diffuse", "--json"]
     assert document(*command) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
-    measurement = dsbrdf.read_merl(table)
-    part = dsbrdf.decompose(load(model_file))["diffuse"]
+    measurement = read_merl(table)
+    part = decompose(load(model_file))["diffuse"]
     # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees
     expected = part.evaluate(np.radians(10.0), np.radians(20.0))
     np.testing.assert_allclose(measurement.values[:, 30, 20, 90], expected, rtol=1e-12)
@@ -201,3 +210,96 @@ def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
     answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert answer.stdout.split()[0] == "theta_half"
     assert answer.stderr == ""
+
+
+def pixels_of(path: Path) -> NDArray[np.float64]:
+    with Image.open(path) as image:
+        return np.asarray(image) / 255.0
+
+
+def drawn(folder: Path, *words: object, size: int = 32) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    """The pixels that ``dsbrdf render`` writes, and what it prints of them."""
+    about = document("render", *words, "-o", folder / "sphere.png", "--size", size, "--json")
+    return pixels_of(folder / "sphere.png"), about
+
+
+@pytest.mark.parametrize("lighting", ["three_lights", "environment"])
+def test_picture_is_that_of_the_library(
+    model_file: Path, two_lobe_fit: FitResult, lighting: str, tmp_path: Path
+) -> None:
+    pixels, about = drawn(tmp_path, model_file, "--lighting", lighting, size=48)
+    expected = displayed(render_sphere(two_lobe_fit.model, lighting=lighting, size=48), about["exposure"])
+    assert np.abs(pixels - expected).max() < 0.003
+    assert expected.max() > 0.999
+
+
+def test_a_component_has_the_exposure_of_the_whole(model_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:
+    found, whole = decompose(two_lobe_fit), drawn(tmp_path, model_file)[1]["exposure"]
+    for name, part in (("diffuse", found["diffuse"]), ("guide", found.guide)):
+        pixels, about = drawn(tmp_path, model_file, "--component", name)
+        assert about["exposure"] == whole
+        assert np.abs(pixels - displayed(render_sphere(part, size=32), whole)).max() < 0.003
+
+
+def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path) -> None:
+    pixels, about = drawn(tmp_path, plastic_file, "--exposure", "0.5")
+    assert about["exposure"] == 0.5
+    assert np.abs(pixels - displayed(render_sphere(read_merl(plastic_file), size=32), 0.5)).max() < 0.003
+
+
+def test_measurement_and_fit_are_compared_under_a_panorama(
+    plastic_file: Path, model_file: Path, two_lobe_fit: FitResult, tmp_path: Path
+) -> None:
+    panorama, output = tmp_path / "even.hdr", tmp_path / "both.png"
+    panorama.write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n" + bytes([128, 128, 128, 129]) * 32)
+    command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
+    words = printed(*command, "--size", "24")
+    labels = decompose(two_lobe_fit).labels
+    assert f"measured, fit, difference x 4, {', '.join(labels).replace('_', ' ')}\n" in words
+    about = document(*command, "--size", "24", "--json")
+    assert f"PSNR {about['psnr']:.1f} dB" in words
+    assert pixels_of(output).shape == (24, (3 + len(labels)) * 24, 3)
+
+
+def test_plot_writes_a_figure(model_file: Path, tmp_path: Path) -> None:
+    output = tmp_path / "figure.pdf"
+    about = document("plot", model_file, "-o", output, "--json")
+    content = output.read_bytes()
+    assert content.startswith(b"%PDF")
+    assert about == {"output": str(output), "format": "pdf", "bytes": len(content)}
+
+
+def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_file: Path, tmp_path: Path) -> None:
+    """More than the parameters, and its lobes instead of its components if asked for."""
+    pictures = []
+    for arguments in ([], [str(plastic_file)], [str(plastic_file), "--lobes"]):
+        output = tmp_path / "figure.png"
+        run("plot", model_file, *arguments, "-o", output)
+        pictures.append(output.read_bytes())
+    sizes = [struct.unpack(">II", picture[16:24]) for picture in pictures]
+    assert sizes[1] > sizes[0]
+    assert sizes[2] == sizes[1]
+    assert pictures[2] != pictures[1]
+
+
+def test_compare_a_measurement_with_its_fit(
+    model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path
+) -> None:
+    picture = tmp_path / "both.png"
+    lines = printed("compare", plastic_file, model_file, "-o", picture).splitlines()
+    assert lines[0].split() == ["plastic", "plastic"]
+    assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
+    (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
+    assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
+    pixels = pixels_of(picture)
+    assert pixels.shape == (256, 3 * 256, 3)
+    sphere = render_sphere(read_merl(plastic_file), size=256)
+    expected = displayed(sphere, exposure(sphere, sphere_normals(256)[1]))
+    assert np.abs(pixels[:, :256] - expected).max() < 0.003
+
+
+def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:
+    answer = document("compare", model_file, model_file, "--json")
+    assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
+    assert answer["likeness"] == {"psnr": None, "ssim": pytest.approx(1.0)}
+    assert answer["output"] is None
