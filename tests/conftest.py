@@ -5,6 +5,8 @@ import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -85,25 +87,17 @@ def reference_files() -> dict[str, Path]:
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[DaskCluster]:
     """A Dask cluster with one worker, to be shared; what breaks it takes one of its own."""
-    with short_folder() as folder:
-        running = DaskCluster(Path(folder))
-        try:
-            running.start_scheduler()
-            running.add_worker()
-            yield running
-        finally:
-            running.close()
+    with short_folder() as folder, closing(DaskCluster(Path(folder))) as running:
+        running.start_scheduler()
+        running.add_worker()
+        yield running
 
 
 @pytest.fixture
 def own_cluster() -> Iterator[DaskCluster]:
     """A cluster to be broken; nothing of it runs yet."""
-    with short_folder() as folder:
-        running = DaskCluster(Path(folder))
-        try:
-            yield running
-        finally:
-            running.close()
+    with short_folder() as folder, closing(DaskCluster(Path(folder))) as running:
+        yield running
 
 
 @pytest.fixture(scope="session")
@@ -116,19 +110,15 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 @pytest.fixture
 def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
     """Start services that one test has for itself, with settings of its own."""
-    started: list[Server] = []
+    with ExitStack() as started:
+        number = count()
 
-    def start(*, own_interpreter: bool = False, fits: bool = True, **environment: str) -> Server:
-        folder = tmp_path / f"data{len(started)}"
-        started.append(Server(folder, **environment))
-        started[-1].own_interpreter, started[-1].fits = own_interpreter, fits
-        return started[-1].start()
+        def start(*, own_interpreter: bool = False, fits: bool = True, **environment: str) -> Server:
+            running = started.enter_context(closing(Server(tmp_path / f"data{next(number)}", **environment)))
+            running.own_interpreter, running.fits = own_interpreter, fits
+            return running.start()
 
-    try:
         yield start
-    finally:
-        for running in started:
-            running.close()
 
 
 @pytest.fixture(scope="session")
