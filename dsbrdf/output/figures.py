@@ -3,12 +3,9 @@
 Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
 be made in any thread. Matplotlib is the extra ``plot``.
 
-Measured profiles are means over phi_diff. The model's curves are means over the same directions: those within the
-horizon cutoff of the normal; where there are none, values at phi_diff = 90 degrees.
-
-Profiles are mirrored to -90..90 degrees of theta_half, as in the paper. They span orders of magnitude, so every
-slice has two panels: all angles on a logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as
-in the paper.
+Profiles are means over phi_diff, of the measurement and of the model, mirrored to -90..90 degrees of theta_half as in
+the paper. They span orders of magnitude, so every slice has two panels: all angles on a logarithmic axis, which shows
+the diffuse part, and the peak on a linear axis, as in the paper.
 """
 
 from __future__ import annotations
@@ -380,7 +377,8 @@ def slice_means(
 ) -> Array:
     """Return a model's means (n, 3) [1/sr] over the phi_diff that count in profiles, at angles theta_half (n,) [rad].
 
-    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad]. Both
+    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad]; where no
+    phi_diff is within it of the normal, the values are those at 90 degrees. Both
     cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some phi_diff and
     90 degrees, and their mirror images.
     """

@@ -53,11 +53,6 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
 """
 
 
-def _brdf_explorer_file(source: DSBRDF | Component) -> str:
-    """Return an analytic ``.brdf`` file, in which ``BRDF(L, V, N, X, Y)`` gives the values in 1/sr, times ``scale``."""
-    return _BRDF_EXPLORER.format(function=glsl_function(source))
-
-
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
@@ -71,7 +66,12 @@ FORMATS = {
         lambda source, _: encode_merl(source.tabulate()),
     ),
     "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, lambda source, _: glsl_function(source)),
-    "brdf": ExportFormat("for Disney's BRDF Explorer", "brdf", _TEXT, lambda source, _: _brdf_explorer_file(source)),
+    "brdf": ExportFormat(
+        "for Disney's BRDF Explorer",
+        "brdf",
+        _TEXT,
+        lambda source, _: _BRDF_EXPLORER.format(function=glsl_function(source)),
+    ),
     "csv": ExportFormat(
         "a table of the parameters",
         "csv",
