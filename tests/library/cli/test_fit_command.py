@@ -32,7 +32,6 @@ from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture, scattered_samples
-from tests.support.server import Server
 
 FELT = mixture(1, 0)
 
@@ -253,8 +252,12 @@ def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None
     assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1
 
 
-def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp_path: Path) -> None:
-    address = ["--url", str(server.http.base_url)]
+def test_fit_on_a_server_is_the_fit_here(
+    guarded: Guarded, plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = ["--url", str(guarded.server.http.base_url)]
+    assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, *address)
+    monkeypatch.setenv("DSBRDF_KEY", guarded.alice["Authorization"].removeprefix("Bearer "))
     there = document("fit", plastic_file, "--json", "-o", tmp_path, *address, *QUICK)
     assert there["model"] == document("fit", plastic_file, "--json", *QUICK)["model"]
     assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
@@ -263,11 +266,10 @@ def test_fit_on_a_server_is_the_fit_here(server: Server, plastic_file: Path, tmp
     assert "1000" in sentence("fit", no_measurement, *address)
 
 
-def test_server_that_does_not_answer_or_wants_a_key_is_named(guarded: Guarded, plastic_file: Path) -> None:
+def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
     said = sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1)
     nobody = "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"
     assert said.startswith(nobody)
-    assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, "--url", guarded.server.http.base_url)
 
 
 def test_a_measurement_becomes_a_bsdf_file_and_a_file_of_its_own_kind_a_copy(
