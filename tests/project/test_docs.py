@@ -21,7 +21,6 @@ from matplotlib.image import imread
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.cli.main import main
 from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.output.export import materialx
@@ -226,14 +225,11 @@ def test_glossary_names_all_metrics_and_parameters() -> None:
     assert [name for name in (*METRICS, *parameters) if f"`{name}`" not in PAGES["glossary.md"]] == []
 
 
-EXAMPLE = Path(__file__).parents[2] / "docs/_static"
-
-
 def test_the_table_becomes_a_sphere_with_a_purple_highlight(tmp_path: Path) -> None:
     mitsuba = mitsuba_variant("llvm_ad_rgb")
     for name in ("satin-purple.csv", "sphere.xml"):
-        shutil.copy(EXAMPLE / name, tmp_path)
-    assert main(["convert", str(tmp_path / "satin-purple.csv"), str(tmp_path / "satin-purple.bsdf")]) == 0
+        shutil.copy(DOCS / "_static" / name, tmp_path)
+    assert cli.main(["convert", str(tmp_path / "satin-purple.csv"), str(tmp_path / "satin-purple.bsdf")]) == 0
     picture = np.array(mitsuba.render(mitsuba.load_file(str(tmp_path / "sphere.xml")), spp=16))
     pixels = picture[..., :3].reshape(-1, 3)
     red, green, blue = pixels[np.argmax(pixels[:, 0])]
