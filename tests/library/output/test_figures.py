@@ -4,6 +4,8 @@ import io
 import itertools
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
-from dsbrdf import DSBRDF, extras
+from dsbrdf import extras
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF
 from dsbrdf.data.measurement import Measurement
@@ -219,13 +221,20 @@ def test_legend_is_below_the_labels_of_the_axes(lobes: Figure) -> None:
 def test_the_peak_is_drawn_to_four_half_widths_and_what_rises_towards_the_horizon_is_none(
     plastic_profiles: Profiles,
 ) -> None:
-    def extent(model: DSBRDF) -> float:
-        return float(profiles_figure(plastic_profiles, model).axes[1].get_xlim()[1])
+    def drawn(model: Any) -> tuple[float, str]:
+        ax = profiles_figure(plastic_profiles, model).axes[1]
+        return ax.get_xlim()[1], ax.get_title()
+
+    def falls_behind_its_rim(theta_half: NDArray[np.float64], *_: object) -> NDArray[np.float64]:
+        return np.select([theta_half > 1.48, theta_half > 1.3], [0.0, 0.3], 0.1)[..., None] * np.ones((1, 24, 3))
 
     narrow, rim = single_lobe(2.0, 900.0, 0.5, family="student"), single_lobe(3.0, 4.0, 0.3, center=1.4)
     half_width = np.degrees(lobes_in_channel(narrow, 0.0, 0)["half_width"][0])
-    assert extent(narrow) == pytest.approx(4.0 * half_width, rel=0.05)
-    assert extent(rim) == extent(single_lobe(0.2, 0.0, 1.0)) == 90.0
+    extent, title = drawn(narrow)
+    assert extent == pytest.approx(4.0 * half_width, rel=0.05)
+    assert title == "the peak, linear axis"
+    for model in (rim, single_lobe(0.2, 0.0, 1.0), SimpleNamespace(evaluate=falls_behind_its_rim)):
+        assert drawn(model) == (90.0, "the same, linear axis")
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.02, 0.3), (0.9, 1.4), (1e-6, 3e4), (0.17, 70.0), (3e-4, 2e3)])
