@@ -174,7 +174,7 @@ async def test_output_of_fit_processes_is_in_the_log() -> None:
     handler.setFormatter(LineFormatter(text=False))
     of_processes.addHandler(handler)
     bind("fit", "one")
-    fault = await processes.run(divmod, 1, on_progress=print)  # which a number cannot be divided by
+    fault = await processes.call(divmod, 1, on_progress=print)  # which a number cannot be divided by
     of_processes.removeHandler(handler)
     await processes.close()
     assert isinstance(fault, Fault)
