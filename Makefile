@@ -46,11 +46,11 @@ test: $(READY)  ## run all tests, on up to four cores
 # fits of whole measurements.
 SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py model/test_sampling.py \
   cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
-  fitting/test_paper_method.py fitting/test_report_warnings.py \
-  fitting/test_scattered_fit.py)
+  fitting/test_paper_method.py fitting/test_report_warnings.py fitting/test_scattered_fit.py)
 SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \
-  http/test_openapi_conformance.py operations/test_readiness.py operations/test_log_and_metrics.py routes/test_figures.py \
-  routes/test_other_uploads.py storage/test_damage.py storage/test_folder.py test_client.py)
+  http/test_openapi_conformance.py operations/test_readiness.py operations/test_log_and_metrics.py \
+  routes/test_exports.py routes/test_figures.py routes/test_other_uploads.py storage/test_damage.py \
+  storage/test_folder.py test_client.py test_operations_page.py)
 
 quick: $(READY)  ## run the tests of library and service that take little time
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \
