@@ -62,7 +62,7 @@ class Measurement:
 
     @classmethod
     def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> Measurement:
-        """Return the measurement with the given values, up to rounding, as if written to a file and read back.
+        """Return the measurement with the given values, as if they had been written to a file and read back.
 
         Parameters
         ----------
@@ -72,6 +72,11 @@ class Measurement:
             Nodes that have a value; the values of the others are replaced by -1.
         name : str
             The material's name.
+
+        Returns
+        -------
+        Measurement
+            Its ``sha256`` is that of the encoded bytes; its ``values`` equal the given ones up to rounding.
 
         Raises
         ------

@@ -11,11 +11,20 @@ from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, pars
 
 
 def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSamples:
-    """Read a measured material; the suffix tells the kind of file.
+    """Read a measured material.
 
-    ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and ``.txt`` are
-    tables of scattered samples; any other file is a MERL ``.binary`` file. A MeasurementFormatError says in one
-    sentence what is wrong and what would be right.
+    Parameters
+    ----------
+    path : path-like
+        ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and
+        ``.txt`` are tables of scattered samples; any other file is a MERL ``.binary`` file.
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
+    OSError
+        If the file does not exist or cannot be read.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".bsdf":

@@ -23,9 +23,19 @@ from dsbrdf.errors import MeasurementFormatError
 
 
 def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") -> Measurement:
-    """Return the measurement in the bytes of a whole MERL file; immutable bytes are used without a copy.
+    """Return the measurement in the bytes of a MERL file.
 
-    A MeasurementFormatError says in one sentence what is wrong and what would be right.
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file. Immutable bytes are used without a copy.
+    name : str
+        The material's name.
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
     """
     view = memoryview(data).cast("B")
     if not view.readonly:
@@ -35,10 +45,20 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") 
 
 
 def read_merl(path: str | os.PathLike[str]) -> Measurement:
-    """Read a MERL ``.binary`` file, whose stem becomes the measurement's name.
+    """Read a MERL ``.binary`` file.
 
-    A MeasurementFormatError says in one sentence what is wrong and what would be right; header and length are checked
-    before the values are read.
+    Parameters
+    ----------
+    path : path-like
+        The file; its stem becomes the measurement's name.
+
+    Raises
+    ------
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right. The header and the length are
+        checked before the values are read.
+    OSError
+        If the file does not exist or cannot be read.
     """
     source = Path(path)
     status = source.stat()
@@ -77,9 +97,20 @@ def encode_merl(measurement: Measurement | ArrayLike) -> bytes:
 def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLike) -> None:
     """Write a MERL ``.binary`` file, completely or not at all.
 
-    An existing file is replaced. A measurement is written bit for bit as it was read; an array of the shape
-    (3, 90, 90, 180) is the BRDF in 1/sr, where negative means no value. Raises MeasurementFormatError if the shape is
-    another or a value is NaN or infinite.
+    Parameters
+    ----------
+    path : path-like
+        The file to write; an existing one is replaced.
+    measurement : Measurement or array_like, shape (3, 90, 90, 180)
+        A measurement is written bit for bit as it was read; an array is the BRDF in 1/sr, where negative
+        means no value.
+
+    Raises
+    ------
+    MeasurementFormatError
+        If the shape is wrong or a value is NaN or infinite.
+    OSError
+        If the file cannot be written.
     """
     write_atomically(path, _pieces(measurement))
 

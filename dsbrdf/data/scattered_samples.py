@@ -75,7 +75,7 @@ class ScatteredSamples:
         name: str = "samples",
         notes: tuple[str, ...] = (),
     ) -> ScatteredSamples:
-        """Return checked samples; a MeasurementFormatError says in one sentence what is wrong and what would be right.
+        """Return checked samples.
 
         Parameters
         ----------
@@ -85,8 +85,15 @@ class ScatteredSamples:
             RGB [1/sr], finite and not negative.
         weight : array_like, shape (n,), optional
             Positive; 1 by default.
-        name, notes : optional
-            See the attributes.
+        name : str, optional
+            The material's name.
+        notes : tuple of str, optional
+            See the attribute.
+
+        Raises
+        ------
+        MeasurementFormatError
+            With one sentence that says what is wrong and what would be right.
         """
         count = len(values) if isinstance(values, Sized) else 0
         if count < FEWEST_SAMPLES:

@@ -125,6 +125,11 @@ class FitResult:
     """A model and the report of its fit.
 
     It is drawn, decomposed, saved and evaluated as its model is: `dsbrdf.render_sphere(result)`.
+
+    Attributes
+    ----------
+    model : DSBRDF
+    report : FitReport
     """
 
     model: DSBRDF
@@ -146,9 +151,13 @@ class FitResult:
         export(self, path, file_format)
 
     def plot(self, measurement: Measurement | None = None) -> Figure:
-        """Draw the fit: with the measurement that was fitted, its profiles, the fit and the lobes.
+        """Draw the fit; needs matplotlib.
 
-        Without it the figure has the parameters over theta_diff. Needs matplotlib.
+        Parameters
+        ----------
+        measurement : Measurement, optional
+            What was fitted. With it, the figure has its profiles, the fit and the lobes; without, the parameters over
+            theta_diff.
         """
         from dsbrdf.output.notebook import plot_result
 

@@ -219,10 +219,18 @@ class DSBRDF(ReflectanceModel):
             yield values + delta if angle < CENTER_CUTOFF else values
 
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
-        """Interpolated parameters by their names, at angles theta_diff (...) [rad].
+        """Interpolated parameters.
 
-        They are ``amplitude`` (..., 3, K), ``kappa``, ``gamma`` and ``center`` (..., C, K), ``elongation`` (..., K) and
-        ``delta`` (..., 3).
+        Parameters
+        ----------
+        theta_diff : array_like, shape (...)
+            Angles [rad].
+
+        Returns
+        -------
+        dict
+            ``amplitude`` (..., 3, K), ``kappa``, ``gamma`` and ``center`` (..., C, K), ``elongation`` (..., K),
+            ``delta`` (..., 3).
         """
         theta_diff = check_angle("theta_diff", theta_diff)
         flat = theta_diff.ravel()
@@ -248,10 +256,17 @@ class DSBRDF(ReflectanceModel):
         return DSBRDF(**(self._state() | chosen | {"delta": delta}))
 
     def albedo(self, theta_out: ArrayLike) -> Array:
-        """Directional albedo (..., 3): share of the light from each direction that is reflected, by quadrature.
+        """Directional albedo: share of the light from each direction that is reflected, by quadrature.
 
-        It is ``integral f cos(theta_in) d omega_in``, at most 1 where the model conserves energy; theta_out (...) is
-        the angle of the direction to the normal, 0 to pi/2 [rad].
+        Parameters
+        ----------
+        theta_out : array_like, shape (...)
+            Angle of the direction to the normal, 0 to pi/2 [rad].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
         """
         kinks = self.theta_diff if self.interpolation == "linear" else np.zeros(0)
         return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out), kinks)
@@ -269,6 +284,11 @@ class DSBRDF(ReflectanceModel):
         -------
         Samples
             Directions, their density and their weights; see `dsbrdf.model.sampling`.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector above the horizon.
         """
         towards = check_directions("omega_out", omega_out)
         flat = towards.reshape(-1, 3)
@@ -279,9 +299,23 @@ class DSBRDF(ReflectanceModel):
         return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
 
     def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """Density (...) per solid angle with which `sample` draws omega_in for omega_out, unit vectors (..., 3) [1/sr].
+        """Density with which `sample` draws omega_in for omega_out.
 
-        It is 0 where one of them is below the horizon; its integral is the share of the samples above the horizon.
+        Parameters
+        ----------
+        omega_in, omega_out : array_like, shape (..., 3)
+            Unit vectors, the normal being (0, 0, 1); they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the share of
+            the samples that are above the horizon.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))

@@ -86,7 +86,12 @@ def _logistic(x: Array) -> Array:
 class EnvironmentMap:
     """Light from all around, as a picture shows it; made by `from_pixels` or `read_environment`.
 
-    ``lights`` are the brightest spots, ``pixels`` (height, width, 3) the linear RGB radiance of the rest.
+    Attributes
+    ----------
+    pixels : ndarray, shape (height, width, 3)
+        Linear RGB radiance, without what the lights hold; see `from_pixels` for the directions.
+    lights : tuple of Light
+        The brightest spots.
     """
 
     pixels: Array
@@ -99,12 +104,19 @@ class EnvironmentMap:
 
     @classmethod
     def from_pixels(cls, pixels: ArrayLike) -> EnvironmentMap:
-        """Return the environment that a panorama shows, linear RGB radiance (height, 2 height, 3).
+        """Return the environment that a panorama shows.
 
-        It is in latitude and longitude: the first row is straight up, and the middle column is what the view looks at
-        behind the sphere, so that the sphere mirrors the columns near the left and right edges. Small spots brighter
-        than 16 times the mean, such as the sun, are taken out of it as distant lights. Raises ImageFormatError if the
-        shape is another, a value is negative or not finite, or the picture is black.
+        Parameters
+        ----------
+        pixels : array_like, shape (height, 2 height, 3)
+            Linear RGB radiance in latitude and longitude: the first row is straight up, and the middle column is what
+            the view looks at behind the sphere, so that the sphere mirrors the columns near the left and right edges.
+            Small spots brighter than 16 times the mean, such as the sun, are taken out of it as distant lights.
+
+        Raises
+        ------
+        ImageFormatError
+            If the shape is another, a value is negative or not finite, or the picture is black.
         """
         image = np.asarray(pixels, dtype=np.float64)
         if image.ndim != 3 or image.shape[2] != 3 or not 0 < 2 * image.shape[0] == image.shape[1]:
@@ -136,10 +148,21 @@ class EnvironmentMap:
 
 
 def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
-    """Read a panorama of an environment for `render_sphere`, a Radiance ``.hdr`` or an OpenEXR ``.exr`` file.
+    """Read a panorama of an environment for `render_sphere`.
 
-    Raises ImageFormatError if the file is no such picture, or not one of 360 by 180 degrees, and MissingExtraError for
-    an OpenEXR file if the extra ``exr`` is not installed.
+    Parameters
+    ----------
+    path : path-like
+        A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
+
+    Raises
+    ------
+    ImageFormatError
+        If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
+    MissingExtraError
+        For an OpenEXR file if the extra ``exr`` is not installed.
+    OSError
+        If the file cannot be read.
     """
     return EnvironmentMap.from_pixels(read_hdr_image(path))
 

@@ -24,9 +24,14 @@ _PAIRS = 4096
 class FurnaceReport:
     """Energy and reciprocity of a model.
 
-    ``albedo`` (n, 3) is the brightness in the furnace at angles ``theta_out`` (n,) to the normal [rad], as a share of
-    the walls' in each channel; ``reciprocity_error`` the largest difference between values of swapped directions, as a
-    share of the larger.
+    Attributes
+    ----------
+    theta_out : ndarray, shape (n,)
+        Angles to the normal [rad].
+    albedo : ndarray, shape (n, 3)
+        Brightness in the furnace, as a share of the walls', in each channel.
+    reciprocity_error : float
+        Largest difference between values of swapped directions, as a share of the larger.
     """
 
     theta_out: Array

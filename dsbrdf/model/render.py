@@ -33,10 +33,7 @@ Source = Measurement | Reflectance | Evaluate
 
 
 def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lights", size: int = 128) -> Array:
-    """Picture of a lit sphere, linear RGB radiance (size, size, 3).
-
-    The first row is at the top; beside the sphere it is 0. `dsbrdf.model.image_metrics.exposure` and `displayed` turn
-    it into what a screen shows.
+    """Picture of a lit sphere.
 
     Parameters
     ----------
@@ -48,6 +45,12 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
         Three distant lights, a sky with sun, ground and window, or what `read_environment` has read.
     size : int
         Pixels along a side, 8 to 1024; the sphere touches the border.
+
+    Returns
+    -------
+    ndarray, shape (size, size, 3)
+        Linear RGB radiance, the first row at the top; 0 beside the sphere. `dsbrdf.model.image_metrics.exposure` and
+        `displayed` turn it into what a screen shows.
 
     Raises
     ------

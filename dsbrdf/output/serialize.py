@@ -84,7 +84,17 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
 def load_result(path: str | os.PathLike[str]) -> FitResult:
     """Read the model in a ``.json`` or ``.npz`` file with the report of its fit.
 
-    Parameters and errors are those of `load`; a model without a report is a ModelFormatError too.
+    Parameters
+    ----------
+    path : path-like
+        The file; its suffix determines the format.
+
+    Raises
+    ------
+    ModelFormatError
+        As `load`, and if the file has a model without a report.
+    InvalidArgumentError, OSError
+        As `load`.
     """
     return _result(*read_model_file(path))
 
