@@ -143,7 +143,7 @@ class Client:
         headers = {"Content-Type": _NPY, "Accept": _NPY}
         self._expect(self._http.post(f"{url}/brdf", content=file.getvalue(), headers=headers), 200, 404)
         self._expect(self._http.get(f"{url}/components"), 200, 404)
-        self._expect(self._http.get(f"{url}/export", params={"format": self._random.choice(("json", "npz"))}), 200, 404)
+        self._expect(self._http.get(f"{url}/export", params={"format": "json"}), 200, 404)
         if self._random.random() < 0.05:
             self._expect(self._http.get(f"{url}/export", params={"format": "merl"}), 200, 404)
 

@@ -30,7 +30,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 
-_FILES = (".json", ".npz", ".png", ".svg", ".pdf", ".csv", ".binary")
+_FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
 _SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
 _URL = r"https?://[^/\s]+(/\S*)?"
 

@@ -129,7 +129,7 @@ def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Jso
     Parameters
     ----------
     output
-        Save the guide, which is the components' own lobes together, as a model: .json or .npz.
+        Save the guide, which is the components' own lobes together, as a model: .json.
     """
     stored, _ = read_model(model)
     if output is not None:
@@ -278,7 +278,7 @@ def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, jso
     Parameters
     ----------
     sources
-        A .json or .npz model, or a .binary or .bsdf measurement; a second one, a model, is compared with the first:
+        A .json model, or a .binary or .bsdf measurement; a second one, a model, is compared with the first:
         the picture then shows both, their difference and the components of the model.
     output
         The file to write, a .png.

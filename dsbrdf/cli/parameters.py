@@ -24,8 +24,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
 
-ModelFile = Annotated[Path, Parameter(help="A .json or .npz file from dsbrdf fit.")]
-SourceFile = Annotated[Path, Parameter(help="A .json or .npz model, or a .binary or .bsdf measurement.")]
+ModelFile = Annotated[Path, Parameter(help="A .json file from dsbrdf fit.")]
+SourceFile = Annotated[Path, Parameter(help="A .json model, or a .binary or .bsdf measurement.")]
 RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
 ComponentName = Annotated[
@@ -182,7 +182,7 @@ def read_grid(path: Path) -> Measurement:
 
 
 def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
-    """Read a model (``.json`` or ``.npz``) and its report, if any; an error names the file and what it is instead."""
+    """Read a model (``.json``) and its report, if any; an error names the file and what it is instead."""
     with named_in_errors(path):
         if path.suffix.lower() in MEASUREMENTS:
             raise InvalidArgumentError(
@@ -190,8 +190,8 @@ def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
             )
         with path.open("rb") as file:
             kind = known_kind(file.read(16))
-        if kind is not None and not kind.startswith(("JSON", "a ZIP")):
-            raise ModelFormatError(f"the file is {kind}; a stored model is a .json or .npz file")
+        if kind is not None and not kind.startswith("JSON"):
+            raise ModelFormatError(f"the file is {kind}; a stored model is a .json file")
         return read_model_file(path)
 
 
@@ -202,5 +202,5 @@ def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | Componen
 
 
 def read_source(path: Path) -> Measurement | DSBRDF:
-    """Read a measurement on the grid, or a model (``.json`` or ``.npz``); an error names the file."""
+    """Read a measurement on the grid, or a model (``.json``); an error names the file."""
     return read_grid(path) if path.suffix.lower() in MEASUREMENTS else read_model(path)[0]

@@ -36,7 +36,7 @@ _KINDS = {
     b"\xff\xd8\xff": "a JPEG image",
     b"v/1\x01": "an OpenEXR image",
     b"#?": "a Radiance image",
-    b"PK\x03\x04": "a ZIP archive or an .npz file",
+    b"PK\x03\x04": "a ZIP archive or a NumPy .npz file",
     b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
     b"\x28\xb5\x2f\xfd": "zstd, without the header Content-Encoding: zstd if it was sent over HTTP",
     b"\x93NUMPY": "a .npy array",

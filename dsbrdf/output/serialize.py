@@ -1,17 +1,15 @@
-"""Models and reports <-> versioned JSON and .npz, without loss.
+"""Models and reports <-> versioned JSON, without loss.
 
-Both formats contain the same: the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report
-of its fit. JSON writes every number with enough digits to restore the same bits. Everything that is read is checked:
+A file contains the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of its fit.
+Every number has enough digits to restore the same bits. Everything that is read is checked:
 damaged content raises a `ModelFormatError`.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import sys
-import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -20,7 +18,6 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.files import write_atomically
@@ -38,7 +35,7 @@ _MAX_FILE_SIZE = 64 << 20  # [bytes]; a model with its report takes well under 1
 
 
 def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
-    """Write a model, or a fit's model with its report, to a ``.json`` or ``.npz`` file.
+    """Write a model, or a fit's model with its report, to a ``.json`` file.
 
     The file is written completely or not at all.
 
@@ -47,34 +44,34 @@ def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     model : DSBRDF or FitResult
         What to write.
     path : path-like
-        The file to write; its suffix determines the format.
+        The file to write.
 
     Raises
     ------
     InvalidArgumentError
-        If the suffix is neither ``.json`` nor ``.npz``, or the report has a value that JSON cannot store.
+        If the suffix is not ``.json``, or the report has a value that JSON cannot store.
     OSError
         If the file cannot be written.
     """
     plain, report = (model.model, model.report) if isinstance(model, FitResult) else (model, None)
-    as_json = _suffix(path) == ".json"
-    write_atomically(path, [to_json(plain, report).encode() if as_json else to_npz(plain, report)])
+    _check_suffix(path)
+    write_atomically(path, [to_json(plain, report).encode()])
 
 
 def load(path: str | os.PathLike[str]) -> DSBRDF:
-    """Read the model in a ``.json`` or ``.npz`` file.
+    """Read the model in a ``.json`` file.
 
     Parameters
     ----------
     path : path-like
-        The file; its suffix determines the format.
+        The file.
 
     Raises
     ------
     ModelFormatError
         If the file is damaged, of another kind, or of another version.
     InvalidArgumentError
-        If the suffix is neither ``.json`` nor ``.npz``.
+        If the suffix is not ``.json``.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -82,12 +79,12 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
 
 
 def load_result(path: str | os.PathLike[str]) -> FitResult:
-    """Read the model in a ``.json`` or ``.npz`` file with the report of its fit.
+    """Read the model in a ``.json`` file with the report of its fit.
 
     Parameters
     ----------
     path : path-like
-        The file; its suffix determines the format.
+        The file.
 
     Raises
     ------
@@ -100,14 +97,12 @@ def load_result(path: str | os.PathLike[str]) -> FitResult:
 
 
 def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
-    """Read the model and the report, if any, in a ``.json`` or ``.npz`` file; errors are those of `load`."""
-    suffix = _suffix(path)
+    """Read the model and the report, if any, in a ``.json`` file; errors are those of `load`."""
+    _check_suffix(path)
     with Path(path).open("rb") as file:
         content = file.read(_MAX_FILE_SIZE + 1)
     if len(content) > _MAX_FILE_SIZE:
         raise ModelFormatError(f"The file is longer than the {_MAX_FILE_SIZE} bytes that a model may have.")
-    if suffix == ".npz":
-        return from_npz(content)
     try:
         text = content.decode()
     except UnicodeDecodeError:
@@ -169,47 +164,11 @@ def result_from_json(text: str) -> FitResult:
     return _result(*from_json(text))
 
 
-def to_npz(model: DSBRDF, report: FitReport | None = None) -> bytes:
-    """Return a model and its report as the bytes of a NumPy ``.npz`` file; errors are those of `to_json`.
-
-    The arrays have the names of the model's attributes; the report is a JSON text. Nothing is pickled.
-    """
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        allow_pickle=False,
-        format=np.array(FORMAT),
-        version=np.array(VERSION),
-        **{name: np.array(getattr(model, name)) for name in TEXTS},
-        report=np.array(_dump(None if report is None else report.to_dict())),
-        **{name: getattr(model, name) for name in ARRAYS},
-    )
-    return buffer.getvalue()
-
-
-def from_npz(data: bytes) -> tuple[DSBRDF, FitReport | None]:
-    """Return the model and the report, if any, of the bytes of an ``.npz`` file; errors are those of `from_json`."""
-    stored = _unpack(data)
-    _check_version(_scalar(stored.get("format")), _scalar(stored.get("version")))
-    if "report" not in stored:
-        raise ModelFormatError("The stored model lacks the key 'report'.")
-    content = {name: value for name, value in stored.items() if name not in ("format", "version", "report")}
-    content |= {name: _scalar(content[name]) for name in TEXTS if name in content}
-    model = model_from_dict(content)
-    text = _scalar(stored["report"])
-    if not isinstance(text, str):
-        raise ModelFormatError("The report in the stored model is not a text.")
-    report = _parse(text)
-    return model, None if report is None else report_from_dict(report)
-
-
-def _suffix(path: str | os.PathLike[str]) -> str:
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".json", ".npz"):
+def _check_suffix(path: str | os.PathLike[str]) -> None:
+    if Path(path).suffix.lower() != ".json":
         raise InvalidArgumentError(
-            f"A model's file must end in .json or .npz, unlike {Path(path).name!r}; dsbrdf.export writes other kinds."
+            f"A model's file must end in .json, unlike {Path(path).name!r}; dsbrdf.export writes other kinds."
         )
-    return suffix
 
 
 def _dump(content: object) -> str:
@@ -230,25 +189,6 @@ def _parse(text: str) -> Any:
 
 def _refuse_constant(constant: str) -> None:
     raise ModelFormatError(f"The stored model contains {constant}; every number must be finite.")
-
-
-def _unpack(data: bytes) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file, refusing pickles and large archives."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size <= _MAX_FILE_SIZE:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                return {str(name): np.asarray(archive[name]) for name in archive.files}
-    except Exception:  # NumPy parses headers as Python code, which can raise anything
-        raise ModelFormatError(
-            "The data is not a readable .npz archive of plain arrays: it is damaged, cut off or of another kind."
-        ) from None
-    raise ModelFormatError(f"The .npz archive unpacks to {size} bytes, more than a model may have.")
-
-
-def _scalar(value: NDArray[Any] | None) -> Any:
-    return value.item() if value is not None and value.shape == () else None
 
 
 def _result(model: DSBRDF, report: FitReport | None) -> FitResult:

@@ -40,7 +40,7 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
 
 _MAX_JSON = 1 << 16
-_LOSSLESS = ("json", "npz")  # what the Python client asks for
+_LOSSLESS = ("json",)  # what the Python client asks for
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
 )

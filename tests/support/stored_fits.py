@@ -1,6 +1,6 @@
 """Writes what this release stores, once a release: ``python -m tests.support.stored_fits tests/project/stored/1.0``.
 
-A fit as JSON and ``.npz``, values of its model, and a service's database with the same fit, without the measurement.
+A fit as JSON, values of its model, and a service's database with the same fit, without the measurement.
 """
 
 import json
@@ -24,8 +24,7 @@ def write(folder: Path) -> None:
     folder.mkdir(parents=True)
     measurement = glossy_plastic()
     result = dsbrdf.fit(measurement, n_lobes=2)
-    for suffix in ("json", "npz"):
-        dsbrdf.save(result, folder / f"plastic.{suffix}")
+    dsbrdf.save(result, folder / "plastic.json")
     values = result.model.evaluate(THETA_HALF, THETA_DIFF)
     (folder / "values.json").write_text(json.dumps(values.tolist(), indent=1))
     with tempfile.TemporaryDirectory() as scratch:

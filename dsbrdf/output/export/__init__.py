@@ -16,7 +16,7 @@ from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import parameters_csv
-from dsbrdf.output.serialize import to_json, to_npz
+from dsbrdf.output.serialize import to_json
 
 GUIDE = "guide"
 """Name of all components' own lobes together."""
@@ -58,7 +58,6 @@ FORMATS = {
     "json": ExportFormat(
         "the model and its report, without loss", "json", "application/json", to_json, holds_lobes=True
     ),
-    "npz": ExportFormat("the model and its report for NumPy, without loss", "npz", _BINARY, to_npz, holds_lobes=True),
     "merl": ExportFormat(
         "a table of values in the MERL format, 35 MB",
         "binary",
@@ -119,7 +118,7 @@ def export_model(
 ) -> bytes:
     """Return the content of a file with a model or a component, `file_format` being one of `FORMATS`.
 
-    Only ``json`` and ``npz`` store the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`.
+    Only ``json`` stores the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`.
     Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
     are too large for it, or the name is none, and MeasurementFormatError if a value cannot be stored in a table.
     """
@@ -165,7 +164,7 @@ def export(
     ----------
     source : DSBRDF, Component or FitResult
     path : path-like
-        Its suffix determines the format: ``.json``, ``.npz``, ``.binary`` (MERL), ``.glsl``, ``.brdf``, ``.csv``,
+        Its suffix determines the format: ``.json``, ``.binary`` (MERL), ``.glsl``, ``.brdf``, ``.csv``,
         ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
     file_format : str, optional
         One of `dsbrdf.output.export.FORMATS`; ``bsdf-spectral`` has no suffix of its own and must be named.

@@ -52,7 +52,7 @@ _LEAST = 1e-9  # of a parameter whose logarithm is taken
 def register() -> None:
     """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
 
-    Its only property is ``filename``, of a model in JSON or ``.npz``. Raises MissingExtraError if Mitsuba is not
+    Its only property is ``filename``, of a model in JSON. Raises MissingExtraError if Mitsuba is not
     installed, and InvalidArgumentError if no variant is set, or one with polarisation.
     """
     require("mitsuba", "mitsuba", purpose="the BSDF of a model")
@@ -66,7 +66,7 @@ def register() -> None:
 
 def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
     """Return the name of the file that the properties give, and the model in it; an error names the file."""
-    name, wanted = properties.get("filename", None), "the .json or .npz file of a model"
+    name, wanted = properties.get("filename", None), "the .json file of a model"
     if not isinstance(name, str):
         raise InvalidArgumentError(f'the BSDF "dsbrdf" needs the property "filename", a text: {wanted}')
     path = Path(str(mitsuba.file_resolver().resolve(name)))

@@ -269,7 +269,7 @@ WRONG = [
     (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),
     (
         b"PK\x03\x04" + bytes(30),
-        "is a ZIP archive or an .npz file; scattered samples are a table in a text: save a",
+        "is a ZIP archive or a NumPy .npz file; scattered samples are a table in a text: save a",
     ),
     (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
     (changed(4, '"1'), "A quotation mark in the table is not closed on its line."),

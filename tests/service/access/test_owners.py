@@ -29,7 +29,7 @@ def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str
     for label in ("diffuse", "no_label"):
         paths += [f"/components/{label}/brdf?theta_half_deg=1&theta_diff_deg=2"]
         paths += [f"/export?format=json&component={label}"]
-    paths += [f"/export?format={name}" for name in ("json", "npz", "merl", "glsl", "none")]
+    paths += [f"/export?format={name}" for name in ("json", "merl", "glsl", "none")]
     for path in paths:
         for method in ("GET", "HEAD", "DELETE", "PUT"):
             if (method, path) not in (("DELETE", ""), ("DELETE", "?wait=0.1"), ("DELETE", "?wait=x")):

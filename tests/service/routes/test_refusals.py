@@ -19,7 +19,7 @@ TARGETS += [(f"{{fit}}?{query}", "wait") for query in OF_WAITS]
 # What only Python takes for a number is none.
 TARGETS += [(f"{name}={number}", name.partition("?")[2]) for name in WITH_NUMBERS for number in ("1_0", "%D9%A1%D9%A0")]
 TARGETS += [(f"{{fit}}/components/{label}/brdf", "specular_spike, specular_lobe, diffuse") for label in LABELS]
-TARGETS += [(f"{{fit}}/export?component=diffuse&format={name}", "merl & guide") for name in ("json", "npz", "csv")]
+TARGETS += [(f"{{fit}}/export?component=diffuse&format={name}", "merl & guide") for name in ("json", "csv")]
 TARGETS += [
     ("{fit}/export?component=diffuse&format=materialx", "merl & guide"),
     ("{fit}/export?component=ring&format=json", "'diffuse'"),

@@ -93,7 +93,7 @@ def test_a_model_too_bright_for_a_picture_is_refused_and_nothing_is_reflected_be
     assert np.all(COATED.evaluate(*np.radians([[60.0], [60.0], [0.0]])) == 0.0)
 
 
-@pytest.mark.parametrize("suffix", ["json", "npz", "binary", "glsl", "brdf", "csv", "bsdf"])
+@pytest.mark.parametrize("suffix", ["json", "binary", "glsl", "brdf", "csv", "bsdf"])
 def test_the_suffix_tells_the_format(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"paint.{suffix.upper()}"
     dsbrdf.export(MODEL, path)
@@ -125,14 +125,14 @@ def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: Fit
 
 
 def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgumentError, match=r"paint\.obj: the file must end in one of \.json, \.npz, \.binary"):
+    with pytest.raises(InvalidArgumentError, match=r"paint\.obj: the file must end in one of \.json, \.binary"):
         dsbrdf.export(MODEL, tmp_path / "paint.obj")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_format_of_lobes_refuses_a_component() -> None:
     part = decompose(MODEL)["diffuse"]
-    for name in ("json", "npz", "csv", "materialx"):
+    for name in ("json", "csv", "materialx"):
         said = rf"^{name} cannot hold a component.* merl, glsl, brdf, bsdf or bsdf-spectral, or export the guide"
         with pytest.raises(InvalidArgumentError, match=said):
             export_model(part, name)
