@@ -37,24 +37,13 @@ serve: $(READY)  ## run the service on http://127.0.0.1:8000
 	@$(BIN)/dsbrdf serve
 
 docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
-	@$(BIN)/python docs/build.py
+	@$(BIN)/python docs/_ext/build.py
 
 test: $(READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-# Browsers, renderers, Dask, processes that are killed, folders that are damaged, slow clients, figures, many samples,
-# fits of whole measurements.
-SLOW := $(addprefix tests/library/,engines output/export output/test_figures.py model/test_sampling.py \
-  cli/test_fit_command.py fitting/test_decomposition.py fitting/test_global_method.py \
-  fitting/test_paper_method.py fitting/test_report_warnings.py fitting/test_scattered_fit.py)
-SLOW += $(addprefix tests/service/,page commands access/test_owners.py http/test_limits.py \
-  http/test_openapi_conformance.py operations/test_readiness.py operations/test_log_and_metrics.py \
-  routes/test_exports.py routes/test_figures.py routes/test_other_uploads.py storage/test_damage.py \
-  storage/test_folder.py test_client.py test_operations_page.py)
-
-quick: $(READY)  ## run the tests of library and service that take little time
-	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile $(SLOW:%=--ignore=%) \
-	  tests/library tests/service
+quick: $(READY)  ## run the tests of library and service that are not marked as slow
+	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile -m 'not slow' tests/library tests/service
 
 check: $(READY)  ## check format, lint, types and security
 	$(BIN)/ruff format --check .
@@ -81,9 +70,10 @@ prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 
 lock: $(READY)  ## pin the newest dependencies
 	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra heavy --universal --python-version 3.11 --upgrade \
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --upgrade \
 	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o requirements.lock
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra docs --universal --python-version 3.11 --upgrade \
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra service --extra client --extra plot --extra cli \
+	  --group docs --universal --python-version 3.11 --upgrade \
 	  --constraint requirements.lock \
 	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o docs/requirements.lock
 

@@ -76,7 +76,7 @@ def here(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float
 
 def through(url: str, stack: ExitStack) -> Runner:
     """Return the function that fits through the service at a URL."""
-    from service.client import Client
+    from dsbrdf_service.client import Client
 
     client = stack.enter_context(Client(url))
 

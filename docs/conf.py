@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
-import dsbrdf  # noqa: E402 (the folders of this file and of the benchmarks come first)
+import dsbrdf  # noqa: E402 (the folders of the extensions and of the benchmarks come first)
 
 project = "dsbrdf"
 author = "the dsbrdf authors"

@@ -55,7 +55,7 @@ def main(folder: Path) -> None:
 
 @contextmanager
 def running_service(folder: Path) -> Iterator[str]:
-    """Run ``python -m service`` on a free port while the block runs, its data and log in a folder; yield its URL."""
+    """Run the service on a free port while the block runs, its data and log in a folder; yield its URL."""
     log = folder / "service.log"
     command = [sys.executable, "-m", "dsbrdf_service", "--port", "0", "--data-dir", str(folder / "data")]
     with log.open("wb") as output:

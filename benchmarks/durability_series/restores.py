@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 
 from benchmarks.durability_series.harness import Harness
-from service.storage.database import FILE_NAME
+from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server

@@ -25,8 +25,8 @@ from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf_service.settings import Settings
 from examples.demo import address_when_ready, stop
-from service.settings import Settings
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
 
@@ -121,18 +121,18 @@ def test_readme_shows_blocks_of_the_pages_only() -> None:
 
 
 def test_readme_shows_a_small_picture_of_its_fit(python_quick_start: dict[str, Any]) -> None:
-    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    pictures = runpy.run_path(str(DOCS / "_ext/pictures.py"))
     file = pictures["README_PICTURE"]
     assert f"({file.relative_to(ROOT)})" in README
     drawn = pictures["readme_picture"](python_quick_start["measurement"], python_quick_start["fitted"])
     shown, expected = (imread(BytesIO(content)) for content in (file.read_bytes(), drawn))
     assert shown.shape == expected.shape
-    assert np.abs(shown - expected).mean() < 1e-3, "run: python docs/pictures.py"
+    assert np.abs(shown - expected).mean() < 1e-3, "run: python docs/_ext/pictures.py"
     assert file.stat().st_size < 100_000
 
 
 def test_commands_of_the_pages_have_their_options() -> None:
-    reference = runpy.run_path(str(DOCS / "reference.py"))["command_line"]()
+    reference = runpy.run_path(str(DOCS / "_ext/reference.py"))["command_line"]()
     helps = dict(re.findall(r"^## dsbrdf ([\w ]+)\n\n```text\n((?s:.*?))```", reference, re.MULTILINE))
     lines = [
         line for text in (README, *PAGES.values()) for line in re.findall(r"^(?: {4})?dsbrdf .*", text, re.MULTILINE)

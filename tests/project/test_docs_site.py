@@ -24,11 +24,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("Sphinx is not installed: make docs installs it")
     folder = tmp_path_factory.mktemp("docs")
     shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("_build", "generated", "__pycache__"))
-    pictures = folder / "docs" / "pictures.py"
+    pictures = folder / "docs/_ext/pictures.py"
     small = pictures.read_text().replace("FitOptions())", "FitOptions(n_lobes=1, ring_lobes=0))")  # for speed
     pictures.write_text(re.sub(r"^SIZE = \d+", "SIZE = 32", small, flags=re.MULTILINE))
     environment = {name: value for name, value in os.environ.items() if name != "DSBRDF_REFERENCE_DATA"}
-    command = [sys.executable, str(folder / "docs" / "build.py"), str(folder / "built")]
+    command = [sys.executable, str(folder / "docs/_ext/build.py"), str(folder / "built")]
     built = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=folder)
     assert built.returncode == 0, built.stdout + built.stderr
     return folder / "built" / "html"
@@ -77,7 +77,7 @@ BAD_STYLES = (
 
 
 def test_faults_of_links_are_found(tmp_path: Path) -> None:
-    links = runpy.run_path(str(DOCS / "links.py"))
+    links = runpy.run_path(str(DOCS / "_ext/links.py"))
     (tmp_path / "other.html").write_text('<h1 id="here">Other</h1>')
     style = tmp_path / "style.css"
     style.write_text("body { background: url(picture.png) }")
@@ -99,7 +99,7 @@ def test_faults_of_links_are_found(tmp_path: Path) -> None:
 def test_reference_material_is_fitted_once_and_called_what_it_is(
     plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pictures = runpy.run_path(str(DOCS / "pictures.py"), run_name="pictures")
+    pictures = runpy.run_path(str(DOCS / "_ext/pictures.py"), run_name="pictures")
     calls = pictures["reference_exhibits"].__globals__
     monkeypatch.setitem(calls, "core_count", lambda: 1)  # no further process for the one material
     (tmp_path / "merl_plastic.binary").hardlink_to(plastic_file)

@@ -20,8 +20,10 @@ from dsbrdf import errors
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 
 ROOT = Path(__file__).parents[2]
+FOLDERS = {"dsbrdf": ROOT, "dsbrdf_service": ROOT / "service"}
+"""The folders that the packages are in."""
 LIBRARY = sorted((ROOT / "dsbrdf").rglob("*.py"))
-SOURCES = sorted(path for package in ("dsbrdf", "service", "benchmarks") for path in (ROOT / package).rglob("*.py"))
+SOURCES = sorted(path for folder in ("dsbrdf", "service", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 COMMAND_LINE = ROOT / "dsbrdf/cli"
 LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extra cli
 
@@ -39,8 +41,8 @@ def imported_roots(nodes: list[ast.AST]) -> set[str]:
 def test_library_modules_import_only_allowed_packages() -> None:
     for path in LIBRARY:
         tree = ast.parse(path.read_text())
-        assert not {"service", "dsbrdf_service"} & imported_roots(list(ast.walk(tree))), path
-        assert not re.search(r"""import_module\(f?["']service""", path.read_text()), path
+        assert not {"dsbrdf_service"} & imported_roots(list(ast.walk(tree))), path
+        assert not re.search(r"""import_module\(f?["']dsbrdf_service""", path.read_text()), path
         allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy", "threadpoolctl"}
         if path.parent == COMMAND_LINE and module_name(path) not in LIGHT_COMMANDS:
             allowed |= {"cyclopts", "rich"}
@@ -92,25 +94,26 @@ def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
             yield name, value
 
 
-package = pytest.mark.parametrize("package", ["dsbrdf", "service"])
+package = pytest.mark.parametrize("package", FOLDERS)
 # What `_repr_html_`, `plot` and `export` of the wings to their left call.
 OF_METHODS = {"dsbrdf.output.notebook", "dsbrdf.output.export"}
 
 
 def module_name(path: Path) -> str:
     """Dotted name of a source file, such as ``dsbrdf.data.grid``; that of its package for an ``__init__.py``."""
-    parts = path.relative_to(ROOT).with_suffix("").parts
+    folder = FOLDERS["dsbrdf_service"] if FOLDERS["dsbrdf_service"] in path.parents else ROOT
+    parts = path.relative_to(folder).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def modules_of(package: str) -> dict[str, Path]:
-    return {module_name(path): path for path in sorted((ROOT / package).rglob("*.py"))}
+    return {module_name(path): path for path in sorted((FOLDERS[package] / package).rglob("*.py"))}
 
 
 def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
     """Modules of the project that a file imports, at the top or inside a function.
 
-    The package that has two names has relative imports only, the other none.
+    The service has relative imports of its modules only, the library none.
     """
     found, package = set(), module if path.stem == "__init__" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text())):
@@ -118,7 +121,7 @@ def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             parent = resolve_name("." * node.level + (node.module or ""), package)
-            assert parent.startswith("service") is (node.level > 0), f"{path} imports {parent} by another name"
+            assert parent.startswith("dsbrdf_service") is (node.level > 0), f"{path} imports {parent} by another name"
             names = {f"{parent}.{alias.name}" for alias in node.names}
             found |= names & set(modules)
             if names - set(modules):
@@ -160,6 +163,13 @@ def test_wing_imports_only_wings_to_its_left_and_no_two_modules_each_other(packa
     TopologicalSorter(graph).prepare()  # raises an error that names the cycle
 
 
+def test_the_tree_has_no_links() -> None:
+    """In a clone on Windows and in an archive, a link is a text file."""
+    folders = ("dsbrdf", "service", "tests", "benchmarks", "docs", "docker", "examples")
+    paths = [*ROOT.iterdir(), *(path for folder in folders for path in (ROOT / folder).rglob("*"))]
+    assert [name_of(path) for path in paths if path.is_symlink()] == []
+
+
 def test_no_module_is_named_like_a_public_name() -> None:
     assert {f"dsbrdf.{name}" for name in dsbrdf.__all__} & set(modules_of("dsbrdf")) == set()
 
@@ -174,10 +184,12 @@ def test_the_lock_pins_with_hashes_and_names_no_registry(lock: str, of_docs: boo
     assert [line for line in requirements if not re.match(r"^[A-Za-z0-9._-]+==\S+( ;.*)? \\$", line)] == []
     assert [line for line in lines if "://" in line or "--index" in line or "--extra-index" in line] == []
     pinned = {re.split(r"==", line)[0].lower() for line in requirements}
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    needs = [name for extra, names in extras.items() for name in names if (extra == "docs") is of_docs]
-    wanted = {re.split(r"[><=\[]", name)[0].lower() for name in needs} - {"dsbrdf"}
-    assert wanted - pinned == set()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    needs = [*(name for names in extras.values() for name in names), *project["dependency-groups"]["dev"]]
+    if of_docs:
+        needs = project["dependency-groups"]["docs"]
+    assert {re.split(r"[><=\[]", name)[0].lower() for name in needs} - pinned == set()
 
 
 def test_both_locks_pin_the_same_versions() -> None:

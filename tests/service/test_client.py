@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from service.client import AccessError, AsyncClient, Client, ClientEngine, LimitError, ServiceError, Source
-from service.wire.fit_options import canonical, to_wire
+from dsbrdf_service.client import AccessError, AsyncClient, Client, ClientEngine, LimitError, ServiceError, Source
+from dsbrdf_service.wire.fit_options import canonical, to_wire
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import ENDLESS, Server
 
-pytestmark = [pytest.mark.anyio, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
+pytestmark = [pytest.mark.slow, pytest.mark.anyio, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
 
 

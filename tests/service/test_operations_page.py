@@ -8,18 +8,22 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from service.commands import doctor
-from service.settings import PREFIX, Settings
+import pytest
+
+from dsbrdf_service.commands import doctor
+from dsbrdf_service.settings import PREFIX, Settings
 from tests.support.commands import run_main
 from tests.support.server import QUICK, Server
+
+pytestmark = pytest.mark.slow
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "operations.md").read_text()
 
 
 def test_table_of_settings_is_up_to_date() -> None:
-    with_table = runpy.run_path(str(DOCS / "settings_table.py"))["with_table"]
-    assert with_table(PAGE) == PAGE, "run: python docs/settings_table.py"
+    with_table = runpy.run_path(str(DOCS / "_ext/settings_table.py"))["with_table"]
+    assert with_table(PAGE) == PAGE, "run: python docs/_ext/settings_table.py"
 
 
 def test_settings_that_are_mentioned_exist() -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.__main__ import main
-from service.settings import Settings, unknown_settings
+from dsbrdf_service.__main__ import main
+from dsbrdf_service.settings import Settings, unknown_settings
 from tests.support.commands import start_in_vain
 from tests.support.server import Server
 

@@ -18,12 +18,12 @@ import dsbrdf
 from dsbrdf.engines import local
 from dsbrdf.engines.engine import FitLimits, OnProgress, run_step
 from dsbrdf.output.serialize import to_json
-from service.access.keys import add_key
-from service.app import create_app
-from service.settings import Settings
-from service.storage.schema import checksum
-from service.storage.store import Store
-from service.wire.fit_options import to_wire
+from dsbrdf_service.access.keys import add_key
+from dsbrdf_service.app import create_app
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.schema import checksum
+from dsbrdf_service.storage.store import Store
+from dsbrdf_service.wire.fit_options import to_wire
 from tests.support.random_models import random_model
 
 FIT = "a" * 32

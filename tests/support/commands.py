@@ -22,7 +22,7 @@ def run_main(main: Callable[[Sequence[str]], int], *words: str, **environment: s
 def start_in_vain(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:
     """Start a service that refuses to run; return its exit code and all that it printed."""
     log = folder / "refused.log"
-    process = launcher("service").launch(arguments, {**os.environ, **environment}, log)
+    process = launcher("dsbrdf_service").launch(arguments, {**os.environ, **environment}, log)
     try:
         code = process.wait(60)
     finally:

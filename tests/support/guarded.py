@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from subprocess import CompletedProcess
 from typing import Any
 
-from service.access.keys import add_key
-from service.commands import keys
-from service.storage.database import Database
+from dsbrdf_service.access.keys import add_key
+from dsbrdf_service.commands import keys
+from dsbrdf_service.storage.database import Database
 from tests.support.commands import run_main
 from tests.support.processes import wait_until
 from tests.support.server import Server

@@ -31,7 +31,7 @@ from typing import Any, Literal, NoReturn
 
 ROOT = Path(__file__).parents[2]
 
-Program = Literal["service", "dask"]
+Program = Literal["dsbrdf_service", "dask"]
 
 
 class ForkedProcess:

@@ -30,8 +30,8 @@ class Server:
     """One service process; `stop` and `start` keep its data folder.
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
-    ``python -m service`` starts. So is the process from which fits are forked; where nothing is fitted, the service is
-    spared it.
+    ``python -m dsbrdf_service`` starts. So is the process from which fits are forked; where nothing is fitted, the
+    service is spared it.
     """
 
     own_interpreter = False
@@ -80,10 +80,10 @@ class Server:
         with self.log.open("ab") as log:
             begin = log.tell()
             if self.own_interpreter:
-                command = [sys.executable, "-m", "service", *arguments]
+                command = [sys.executable, "-m", "dsbrdf_service", *arguments]
                 self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self.process = launcher("service").launch(arguments, environment, self.log, fits=self.fits)
+                self.process = launcher("dsbrdf_service").launch(arguments, environment, self.log, fits=self.fits)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

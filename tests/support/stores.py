@@ -1,8 +1,8 @@
 """Measurements put into a store without a service."""
 
-from service.storage.blobs import Incoming
-from service.storage.schema import Caller
-from service.storage.store import Store
+from dsbrdf_service.storage.blobs import Incoming
+from dsbrdf_service.storage.schema import Caller
+from dsbrdf_service.storage.store import Store
 
 LOCAL = Caller()
 

@@ -14,8 +14,8 @@ import httpx
 import pytest
 
 import dsbrdf
-from service.http.limits import connection_class
-from service.settings import Settings
+from dsbrdf_service.http.limits import connection_class
+from dsbrdf_service.settings import Settings
 from tests.support import malformed_requests as hostile
 from tests.support.decompression_bombs import BOMBS, JSON, MEASUREMENT, NPY
 from tests.support.malformed_measurements import MALFORMED

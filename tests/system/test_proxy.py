@@ -16,9 +16,9 @@ import httpx
 import numpy as np
 import pytest
 
-from service.http.problems import KINDS, TYPE_PREFIX
-from service.settings import Settings
-from service.wire.points import NPY
+from dsbrdf_service.http.problems import KINDS, TYPE_PREFIX
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.wire.points import NPY
 from tests.support.points import npy
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server

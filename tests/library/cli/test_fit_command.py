@@ -33,6 +33,8 @@ from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture, scattered_samples
 
+pytestmark = pytest.mark.slow
+
 FELT = mixture(1, 0)
 
 

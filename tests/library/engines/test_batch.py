@@ -24,7 +24,10 @@ from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.processes import alive, short_folder, wait_until
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
+]
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
 PATIENCE = 60.0

@@ -38,7 +38,10 @@ from tests.support.engines import (
 from tests.support.processes import alive, wait_until
 from tests.support.soak import repeats
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
+]
 
 
 @in_event_loop

@@ -38,7 +38,10 @@ from tests.support.mixtures import mixture, scattered_samples
 from tests.support.processes import alive, wait_until
 from tests.support.soak import SOAK
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
+]
 NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff=0.03)
 
 

@@ -16,6 +16,8 @@ from dsbrdf.engines.worker_process import run_in_process
 from tests.support.crashing_tasks import die, do_nothing, fill_and_free, nice_value
 from tests.support.engines import in_event_loop
 
+pytestmark = pytest.mark.slow
+
 
 def run_alone(step: Callable[[OnProgress], Any], niceness: int = 0) -> Any:
     return run_in_process(step, (), FitLimits(niceness=niceness), lambda _: None, lambda: True)

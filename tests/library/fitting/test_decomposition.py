@@ -16,6 +16,8 @@ from dsbrdf.model.lobe_families import FAMILIES
 from tests.support.known_models import single_lobe
 from tests.support.random_models import random_model
 
+pytestmark = pytest.mark.slow
+
 ROUGHNESS, RED, COAT = 0.06, (0.40, 0.16, 0.10), (0.04, 0.04, 0.04)
 
 

@@ -27,6 +27,8 @@ from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, num
 from tests.support.models import curve_error
 from tests.support.soak import repeats
 
+pytestmark = pytest.mark.slow
+
 ONE = FitOptions(n_lobes=1, ring_lobes=0)
 TWO = FitOptions(n_lobes=2, ring_lobes=0)
 

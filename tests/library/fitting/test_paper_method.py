@@ -16,6 +16,8 @@ from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 UNCONVERGED = pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")

@@ -20,6 +20,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import render_sphere
 from tests.support.soak import repeats
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))

@@ -18,7 +18,7 @@ from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_m
 from dsbrdf.fitting.usual_materials import N_PAIRS, usual_material, with_usual_values
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
-pytestmark = pytest.mark.usefixtures("coarse_sampling")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 TRUTH = mixture(2, 1)
 
 

@@ -10,6 +10,8 @@ from dsbrdf.model.sampling import LEAST_COSINE_SHARE, direction_sampler
 from tests.support.known_models import MODELS, single_lobe
 from tests.support.random_models import random_model
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 N_SAMPLES = 30_000

@@ -46,6 +46,8 @@ from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
 
+pytestmark = pytest.mark.slow
+
 MODEL, PAINT = papers_model(), mixture(2, 0)  # the first has a delta term, and a shape for each channel
 ELONGATED = replace(MODEL, elongation=np.array([[1.5, 0.5, -0.5]]), delta=np.zeros_like(MODEL.delta))
 

@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.routes import page
+from dsbrdf_service.routes import page
 from tests.support.application import application
 from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.processes import wait_until

@@ -10,11 +10,11 @@ import httpx
 import pytest
 from starlette.types import Message
 
-from service.access import keys as keys_module
-from service.access.authentication import AuthenticationMiddleware
-from service.access.keys import Keys, RateLimit, add_key, all_keys, revoke_key
-from service.settings import Settings
-from service.storage.database import Database
+from dsbrdf_service.access import keys as keys_module
+from dsbrdf_service.access.authentication import AuthenticationMiddleware
+from dsbrdf_service.access.keys import Keys, RateLimit, add_key, all_keys, revoke_key
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.database import Database
 from tests.support.guarded import Guarded, keys_command
 from tests.support.server import ENDLESS, QUICK, assert_problem
 
@@ -46,7 +46,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
         compared.append((one, other))
         return one == other
 
-    monkeypatch.setattr("service.access.keys.hmac.compare_digest", compare)
+    monkeypatch.setattr("dsbrdf_service.access.keys.hmac.compare_digest", compare)
     with closing(Database(tmp_path)) as database:
         row, key = add_key(database, "x")
         active = Keys(Settings())
@@ -63,7 +63,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
 
 
 def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.storage.database._COMMAND_BUSY_TIMEOUT", 0.1)
+    monkeypatch.setattr("dsbrdf_service.storage.database._COMMAND_BUSY_TIMEOUT", 0.1)
     with closing(Database(tmp_path)) as database, database.transaction():
         busy = keys_command("add", "x", "--data-dir", str(tmp_path))
     assert busy.returncode in (1, 2)

@@ -4,9 +4,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.support.guarded import Guarded
 from tests.support.server import QUICK, assert_problem
+
+pytestmark = pytest.mark.slow
 
 
 def shown(answer: httpx.Response, *names: str) -> str:

@@ -15,12 +15,12 @@ import pytest
 
 from dsbrdf.cli.main import main
 from dsbrdf.data.merl_validation import FILE_SIZE
-from service.access.keys import add_key, revoke_key
-from service.commands import doctor, purge
-from service.storage.blobs import Blobs
-from service.storage.database import FILE_NAME, Database, read_only
-from service.storage.schema import Caller
-from service.storage.store import Store
+from dsbrdf_service.access.keys import add_key, revoke_key
+from dsbrdf_service.commands import doctor, purge
+from dsbrdf_service.storage.blobs import Blobs
+from dsbrdf_service.storage.database import FILE_NAME, Database, read_only
+from dsbrdf_service.storage.schema import Caller
+from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main, start_in_vain
 from tests.support.guarded import Guarded, keys_command
 from tests.support.merl_files import with_value
@@ -28,6 +28,8 @@ from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 from tests.support.soak import SOAK
 from tests.support.stores import LOCAL, add
+
+pytestmark = pytest.mark.slow
 
 
 def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guarded) -> None:

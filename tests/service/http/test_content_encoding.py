@@ -9,8 +9,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import ProblemError
-from service.http.request_body import PIECE, decoder
+from dsbrdf_service.errors import ProblemError
+from dsbrdf_service.http.request_body import PIECE, decoder
 from tests.support.strategies import examples
 
 LIMIT = 1 << 20  # what the sink of these tests takes

@@ -16,6 +16,8 @@ from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 1.0  # seconds that the service has with slow clients here
 
 

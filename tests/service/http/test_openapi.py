@@ -9,12 +9,12 @@ import pytest
 from openapi_schema_validator import validate
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
-import service
+import dsbrdf_service
 from dsbrdf import FitOptions
-from service.app import create_app
-from service.http.problems import KINDS
-from service.settings import Settings
-from service.wire.fit_options import to_wire
+from dsbrdf_service.app import create_app
+from dsbrdf_service.http.problems import KINDS
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.wire.fit_options import to_wire
 from tests.support.server import Server
 
 
@@ -74,7 +74,7 @@ def test_every_example_is_valid(document: dict[str, Any]) -> None:
 
 
 def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
-    text = "".join(path.read_text() for path in Path(service.__file__).parent.rglob("*.py"))
+    text = "".join(path.read_text() for path in Path(dsbrdf_service.__file__).parent.rglob("*.py"))
     raised = set(re.findall(r"""\b(?:ProblemError|super\(\).__init__|_response)\(\s*["']([a-z-]+)["']""", text))
     assert len(raised) > 20
     assert raised <= set(KINDS)

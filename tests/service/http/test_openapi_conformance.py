@@ -11,9 +11,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from tests.support.guarded import new_key
 from tests.support.server import Server
 from tests.support.soak import repeats
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES, LEAST_CASES = repeats(1, 200), repeats(1000, 2000)
 # As few seconds for the fits that the cases start as there can be; all of them find room in the queue.

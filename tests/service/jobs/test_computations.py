@@ -16,11 +16,11 @@ from starlette.types import Message
 
 from dsbrdf.engines.engine import FitLimits
 from dsbrdf.fitting import decomposition
-from service.access.authentication import CALLER_NAME
-from service.jobs import results, steps
-from service.jobs.computations import Computations, FairTurns
-from service.routes import brdf, figures, fits, uploads
-from service.storage.schema import Caller
+from dsbrdf_service.access.authentication import CALLER_NAME
+from dsbrdf_service.jobs import results, steps
+from dsbrdf_service.jobs.computations import Computations, FairTurns
+from dsbrdf_service.routes import brdf, figures, fits, uploads
+from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
 from tests.support.server import Server

@@ -13,15 +13,15 @@ import pytest
 
 import dsbrdf
 from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Fault, FitTask, Outcome
-from service.errors import FitNotFoundError
-from service.jobs import jobs as jobs_module
-from service.jobs.jobs import Jobs
-from service.jobs.results import ModelCache
-from service.operations.metrics import Metrics
-from service.settings import Settings
-from service.storage.schema import Caller, FitKey, FitRow
-from service.storage.store import Store
-from service.wire.fit_options import to_wire
+from dsbrdf_service.errors import FitNotFoundError
+from dsbrdf_service.jobs import jobs as jobs_module
+from dsbrdf_service.jobs.jobs import Jobs
+from dsbrdf_service.jobs.results import ModelCache
+from dsbrdf_service.operations.metrics import Metrics
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.schema import Caller, FitKey, FitRow
+from dsbrdf_service.storage.store import Store
+from dsbrdf_service.wire.fit_options import to_wire
 from tests.support.materials import glossy_plastic
 from tests.support.stores import LOCAL, add
 

@@ -17,10 +17,12 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.local import WorkerProcesses
-from service.operations.logging import LineFormatter, Repetitions, bind
-from service.storage.database import FILE_NAME
+from dsbrdf_service.operations.logging import LineFormatter, Repetitions, bind
+from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
+
+pytestmark = pytest.mark.slow
 
 SECRET = "s3cret-S3CRET_s3cret-S3CRET_s3cret-S3CRET_x"
 KEY = f"dsbrdf_0123456789ab_{SECRET}"
@@ -158,7 +160,7 @@ def test_lack_of_descriptors_is_told_every_ten_seconds_and_anything_else_at_once
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     times = iter((100.0, 109.0, 111.0))
-    monkeypatch.setattr("service.operations.logging.time", SimpleNamespace(monotonic=lambda: next(times)))
+    monkeypatch.setattr("dsbrdf_service.operations.logging.time", SimpleNamespace(monotonic=lambda: next(times)))
     records = [
         logging.makeLogRecord({"name": "asyncio", "msg": text})
         for text in ("socket.accept() out of system resource\nsocket: ...", "another")

@@ -11,16 +11,16 @@ from typing import cast
 import pytest
 
 from dsbrdf.engines.engine import Engine
-from service.operations import readiness
-from service.operations.readiness import Readiness
-from service.settings import Settings
-from service.storage.database import FILE_NAME
-from service.storage.store import Store
+from dsbrdf_service.operations import readiness
+from dsbrdf_service.operations.readiness import Readiness
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.database import FILE_NAME
+from dsbrdf_service.storage.store import Store
 from tests.support.application import application
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
 def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(

@@ -20,6 +20,8 @@ pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is 
 
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
+pytestmark = pytest.mark.slow
+
 
 def test_sign_in_keeps_the_key_in_a_cookie_and_out_of_addresses(visit: Visit, site: Site) -> None:
     wanted = f"/fits/{site.fits['glossy']}"

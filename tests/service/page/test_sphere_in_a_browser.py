@@ -19,6 +19,8 @@ from dsbrdf.model.render import render_sphere, sphere_normals
 from tests.service.page.conftest import Site
 from tests.support.browser import PAINTED, Page, Visit, expect
 
+pytestmark = pytest.mark.slow
+
 LIGHTINGS = {"three": "three_lights", "environment": "environment"}
 PIXELS = """canvas => {
   const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);

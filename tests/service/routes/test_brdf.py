@@ -11,7 +11,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.output.serialize import from_json
-from service.wire.points import NPY
+from dsbrdf_service.wire.points import NPY
 from tests.support.known_models import pairs_of_directions
 from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem

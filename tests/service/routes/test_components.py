@@ -8,8 +8,8 @@ import pytest
 import dsbrdf
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.output.serialize import decomposition_from_json, from_json, to_json
-from service.errors import ProblemError
-from service.jobs.results import LoadedFit
+from dsbrdf_service.errors import ProblemError
+from dsbrdf_service.jobs.results import LoadedFit
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 

@@ -19,6 +19,8 @@ from dsbrdf.output.serialize import from_json
 from tests.support.models import assert_same_bits
 from tests.support.server import Server
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 

@@ -13,8 +13,10 @@ import dsbrdf
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
-from service.http.problems import KINDS, problem_of
+from dsbrdf_service.http.problems import KINDS, problem_of
 from tests.support.server import QUICK, Server, assert_problem
+
+pytestmark = pytest.mark.slow
 
 
 def assert_shows(answer: httpx.Response, expected: NDArray[np.float64]) -> None:

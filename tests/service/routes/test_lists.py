@@ -2,8 +2,8 @@
 
 import pytest
 
-from service.client import Client
-from service.wire.names import content_disposition, given_name
+from dsbrdf_service.client import Client
+from dsbrdf_service.wire.names import content_disposition, given_name
 from tests.support.server import QUICK, Server, assert_problem
 
 

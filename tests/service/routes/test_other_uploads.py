@@ -20,6 +20,8 @@ from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 from tests.support.soak import repeats
 
+pytestmark = pytest.mark.slow
+
 MODEL = mixture(2, 0)
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
 HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"

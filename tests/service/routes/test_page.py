@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.data.merl import parse_merl
-from service.http.pages import STATIC_FILES
+from dsbrdf_service.http.pages import STATIC_FILES
 from tests.support.guarded import Guarded
 from tests.support.server import QUICK, Server, assert_problem
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.storage.store import Store
+from dsbrdf_service.storage.store import Store
 
 
 @pytest.fixture

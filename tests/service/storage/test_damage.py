@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from service.client import Client
+from dsbrdf_service.client import Client
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
+
+pytestmark = pytest.mark.slow
 
 
 def flip(path: Path) -> None:

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from service.__main__ import main
-from service.access.keys import add_key
-from service.commands import doctor
-from service.commands.purge import purge
-from service.errors import DataFolderError
-from service.storage.database import FILE_NAME, Database
-from service.storage.store import Store
+from dsbrdf_service.__main__ import main
+from dsbrdf_service.access.keys import add_key
+from dsbrdf_service.commands import doctor
+from dsbrdf_service.commands.purge import purge
+from dsbrdf_service.errors import DataFolderError
+from dsbrdf_service.storage.database import FILE_NAME, Database
+from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main
 from tests.support.server import Server, assert_problem
 from tests.support.stores import LOCAL, add, receive
+
+pytestmark = pytest.mark.slow
 
 
 def make_folder(path: Path) -> None:
@@ -59,7 +61,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def refused(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """Return what the service says when it does not take a folder, in one sentence."""
-    monkeypatch.setattr("service.__main__._run", lambda *_: 0)  # it must not come to that
+    monkeypatch.setattr("dsbrdf_service.__main__._run", lambda *_: 0)  # it must not come to that
 
     def start(folder: Path, *words: str) -> str:
         done = run_main(main, "--data-dir", str(folder), "--port", "0", *words)

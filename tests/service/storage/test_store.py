@@ -15,19 +15,19 @@ import pytest
 
 import dsbrdf
 from dsbrdf.data.merl_validation import FILE_SIZE
-from service.errors import (
+from dsbrdf_service.errors import (
     DatabaseLostError,
     DataFolderError,
     FitNotFoundError,
     MeasurementNotFoundError,
     ProblemError,
 )
-from service.storage.blobs import Blobs, Incoming
-from service.storage.database import FILE_NAME, Database
-from service.storage.schema import ROW_SIZE, Caller, FitKey
-from service.storage.store import Store, fit_identity
-from service.storage.uploads import in_thread
-from service.wire.fit_options import to_wire
+from dsbrdf_service.storage.blobs import Blobs, Incoming
+from dsbrdf_service.storage.database import FILE_NAME, Database
+from dsbrdf_service.storage.schema import ROW_SIZE, Caller, FitKey
+from dsbrdf_service.storage.store import Store, fit_identity
+from dsbrdf_service.storage.uploads import in_thread
+from dsbrdf_service.wire.fit_options import to_wire
 from tests.support.application import application
 from tests.support.stores import LOCAL, add, receive
 

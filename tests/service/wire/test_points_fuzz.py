@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsbrdf import InvalidArgumentError
-from service.wire.points import Points, from_query, npy_blocks, take_lists
+from dsbrdf_service.wire.points import Points, from_query, npy_blocks, take_lists
 from tests.support.points import npy
 from tests.support.strategies import MODEL, arrays, examples
 

@@ -26,6 +26,8 @@ from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
+pytestmark = pytest.mark.slow
+
 FittedSurface = tuple[OpenPBR, dict[str, float]]
 
 needs_materialx = pytest.mark.skipif(

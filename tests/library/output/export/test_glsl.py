@@ -17,6 +17,8 @@ from tests.support.mixtures import mixture
 from tests.support.random_models import random_model
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 

@@ -21,6 +21,8 @@ from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 UNIFORM = np.random.default_rng(0).random((3, 50_000)).astype(np.float32)

@@ -17,6 +17,8 @@ from tests.support.known_models import pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.mixtures import mixture
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 MODEL = mixture(3, 0)

@@ -1,7 +1,7 @@
 """Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
 
-``python docs/pictures.py`` writes the one in the README.  With ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL files
-it also writes small pictures of the measured materials in it, for the gallery of those who do not have the data.
+``python docs/_ext/pictures.py`` writes the one in the README.  With ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL
+files it also writes small pictures of the measured materials in it, for the gallery of those who do not have the data.
 """
 
 import json
@@ -20,9 +20,9 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.sphere_panels import compare_spheres, cut_out, encode_png
 from dsbrdf.process_settings import core_count
 
-README_PICTURE = Path(__file__).parent / "_static" / "spheres.png"
+README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.png"
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
-MEASURED = Path(__file__).parent / "_static" / "measured"
+MEASURED = Path(__file__).parents[1] / "_static" / "measured"
 SIZE = 224  # pixels; shown at half of that or a little more
 _STRIP = 128  # pixels of a sphere in a strip
 _METRICS = ("relative_rms", "excess", "psnr")
@@ -133,4 +133,4 @@ if __name__ == "__main__":
     paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
     README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
     if reference := os.environ.get(REFERENCE_VARIABLE):
-        write_measured(Path(reference), Path(__file__).parent / "_build" / "materials")
+        write_measured(Path(reference), Path(__file__).parents[1] / "_build" / "materials")

@@ -1,4 +1,4 @@
-"""Builds the documentation and checks its links: ``python docs/build.py [FOLDER]``, what ``make docs`` does.
+"""Builds the documentation and checks its links: ``python docs/_ext/build.py [FOLDER]``, what ``make docs`` does.
 
 A warning is an error. The pages are in the subfolder ``html``; FOLDER is ``docs/_build`` unless it is named.
 """
@@ -8,12 +8,10 @@ import os
 import sys
 from pathlib import Path
 
+import links
 from sphinx.cmd.build import main as sphinx_build
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
-
-import links  # noqa: E402 (the folder of this file comes first)
+DOCS = Path(__file__).parents[1]
 
 
 def main(folder: Path) -> int:
@@ -21,7 +19,7 @@ def main(folder: Path) -> int:
     _quieten_kernels(folder / "ipython")
     html = folder / "html"
     options = ["--fail-on-warning", "--keep-going", "--quiet", "--doctree-dir", str(folder / "doctrees")]
-    code = sphinx_build([*options, str(HERE), str(html)])
+    code = sphinx_build([*options, str(DOCS), str(html)])
     if code:
         return code
     pages = links.read_pages(html)
@@ -46,4 +44,4 @@ def _quieten_kernels(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "_build"))
+    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS / "_build"))

@@ -1,14 +1,14 @@
-"""Writes the table of settings into the page on operations: ``python docs/settings_table.py``."""
+"""Writes the table of settings into the page on operations: ``python docs/_ext/settings_table.py``."""
 
 from inspect import signature
 from pathlib import Path
 
 from annotated_types import Ge, Gt, Le
 
-from service.commands.serve import flags
-from service.settings import PREFIX, Settings
+from dsbrdf_service.commands.serve import flags
+from dsbrdf_service.settings import PREFIX, Settings
 
-PAGE = Path(__file__).with_name("operations.md")
+PAGE = Path(__file__).parents[1] / "operations.md"
 _BEGIN, _END = "<!-- settings:", "<!-- end of settings -->"
 _SIGNS = {Ge: "from {0.ge}", Gt: "above {0.gt}", Le: "to {0.le}"}
 

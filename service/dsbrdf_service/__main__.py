@@ -1,4 +1,4 @@
-"""``python -m service``: run the HTTP service."""
+"""``python -m dsbrdf_service``: run the HTTP service."""
 
 import signal
 

@@ -1,4 +1,4 @@
-"""HTML pages: rendered from the templates of ``service/page``, with what else a browser loads for them.
+"""HTML pages: rendered from the templates of ``page/``, with what else a browser loads for them.
 
 Nothing is loaded from elsewhere, so they work without the internet, and no script stands in a page itself. Addresses
 in a page are relative, those of a template begin with ``root``, so that they hold behind a proxy that adds a prefix.
@@ -14,7 +14,7 @@ from starlette.responses import HTMLResponse
 
 import dsbrdf
 
-_PACKAGE = __name__.partition(".")[0]  # service in a clone, dsbrdf_service where it is installed
+_PACKAGE = __name__.partition(".")[0]
 _OURS = files(_PACKAGE) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _TYPES = {"js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}

@@ -1,6 +1,6 @@
 """Every error that the service raises on purpose.
 
-The library's own errors and those of the machine are answered with problem documents too: `service.http.problems`.
+The library's own errors and those of the machine are answered with problem documents too: `http.problems`.
 """
 
 import sqlite3
@@ -45,7 +45,7 @@ class KnownAnswerError(DSBRDFServiceError):
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    `kind` is a key of `service.http.problems.KINDS`, which has the status; `detail` is one sentence: what is wrong and
+    `kind` is a key of `http.problems.KINDS`, which has the status; `detail` is one sentence: what is wrong and
     what would be right. The response gets `headers`.
     """
 

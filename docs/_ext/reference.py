@@ -14,9 +14,9 @@ from unittest import mock
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from dsbrdf.cli.main import main
-from service.app import create_app
-from service.http import problems
-from service.settings import Settings
+from dsbrdf_service.app import create_app
+from dsbrdf_service.http import problems
+from dsbrdf_service.settings import Settings
 
 _COLUMNS = "90"
 _KEY_COMMANDS = ("add", "list", "revoke")
