@@ -34,7 +34,7 @@ from dsbrdf.output.serialize import from_json
 from tests.support.server import Server
 
 CONNECTIONS = 16
-POINTS = 1_000_000
+POINTS = 100_000
 UPLOADS = 32
 
 _POINT = "theta_half_deg=10&theta_diff_deg=30"
@@ -104,7 +104,7 @@ def gets(place: Place) -> list[Row]:
 
 
 def npy(place: Place) -> list[Row]:
-    """Measure a million points in one request, compared with the call of the library."""
+    """Measure a hundred thousand points in one request, compared with the call of the library."""
     fit = place.fitted()
     model, _ = from_json(place.server.http.get(f"{fit}/export?format=json").raise_for_status().text)
     degrees = np.random.default_rng(0).uniform(0.0, 90.0, (POINTS, 2))

@@ -38,7 +38,7 @@ _KINDS = {
     b"#?": "a Radiance image",
     b"PK\x03\x04": "a ZIP archive or a NumPy .npz file",
     b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
-    b"\x28\xb5\x2f\xfd": "zstd, without the header Content-Encoding: zstd if it was sent over HTTP",
+    b"\x28\xb5\x2f\xfd": "zstd",
     b"\x93NUMPY": "a .npy array",
     b"\x89HDF": "an HDF5 file",
     b"tensor_file\0": "an RGL .bsdf file, which dsbrdf convert turns into a MERL file",

@@ -25,6 +25,7 @@ from dsbrdf.process_settings import trim_memory
 from .access.authentication import AuthenticationMiddleware
 from .access.keys import Keys
 from .http import openapi, problems
+from .http.request_body import Bodies
 from .http.request_log import RequestLogMiddleware
 from .jobs.computations import Computations
 from .jobs.jobs import Jobs
@@ -89,7 +90,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
         views = FitViews(store, models)
-        app.state.context = Context(settings, store, jobs, models, views, keys, metrics, readiness, computations)
+        parts = settings, store, jobs, models, views, keys, metrics, readiness, computations, Bodies()
+        app.state.context = Context(*parts)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await engine.start()

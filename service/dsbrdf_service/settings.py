@@ -62,7 +62,6 @@ class Settings(BaseSettings):
 
     default_wait: float = Field(default=30.0, ge=0, description="Time that a POST waits for its fit [s].")
     max_wait: float = Field(default=300.0, ge=0, description="Longest time that any request may wait [s].")
-    max_points: int = Field(default=1_000_000, ge=1, description="Points that one request may evaluate.")
     model_cache: int = Field(default=256, ge=1, description="Models kept in memory for evaluation.")
     min_free_mb: int = Field(
         default=256, ge=0, description="Free disk space below which the service is not ready [MB]."

@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Callable
 
 import numpy as np
-import zstandard
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from tests.support.merl_files import HEADER, NODES, filled, header, with_value
@@ -97,7 +96,6 @@ OTHER_FILES: dict[str, Make] = {
     "npy": lambda data: npy(values_of(data).reshape(3, 90, 90, 180)),
     "zip": zipped,
     "gzip without its header": lambda data: gzip.compress(data[:1_000_000], 1),
-    "zstd without its header": lambda data: zstandard.ZstdCompressor(level=1).compress(data[:1_000_000]),
     "png": lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000),
     "pickle": lambda _: b"cos\nsystem\n(S'true'\ntR.",
 }

@@ -18,7 +18,8 @@ from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import KnownAnswerError, ProblemError
 from ..storage.schema import FitRow, MeasurementRow
-from ..wire.points import JSON, number_of
+from ..wire.numbers import number_of
+from ..wire.points import JSON
 from ..wire.schemas import Page
 
 _SECURITY_HEADERS = (

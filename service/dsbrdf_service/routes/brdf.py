@@ -1,10 +1,7 @@
 """BRDF values of a fit and of its components, and the components themselves."""
 
-import re
-from collections.abc import Iterator
 from functools import partial
 from io import BytesIO
-from time import perf_counter
 from typing import Annotated, Any
 from urllib.parse import parse_qsl
 
@@ -13,38 +10,36 @@ from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
 from numpy.lib import format as npy_format
 from pydantic_core import to_json
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
+from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.request_body import IN_MEMORY, PIECE, media_type_of, receive_body
+from ..http.request_body import media_type_of
 from ..http.responses import accepted_type, tagged_reply
-from ..jobs.computations import Place
 from ..jobs.results import LoadedFit
 from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
 from ..wire.points import (
     ANGLES,
-    BLOCK,
     DIRECTIONS,
     JSON,
     NPY,
     PHI_DIFF,
     Array,
     Points,
-    from_angles,
-    from_directions,
+    batch_step,
+    check_count,
+    from_json,
+    from_npy,
     from_query,
-    kept,
-    npy_blocks,
-    take_lists,
 )
-from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values, parse_document
+from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values
 from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
 
 
@@ -76,10 +71,9 @@ Label = Annotated[
 ]
 
 _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
-_MAX_JSON_POINTS = 100_000  # read into lists, numbers take up to sixteen times the memory of their text
-_JSON_BYTES_PER_POINT = 160  # six numbers with all their digits
-_NPY_BYTES_PER_POINT = 48
-_STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
+_BLOCK = 4096  # points that are evaluated at a time
+_MAX_BODY = 16_000_000  # bytes: a hundred thousand pairs of directions as JSON, with all digits
+_MUCH_JSON = 1 << 20  # bytes that are read in some 50 ms, in which no other thread runs
 
 
 def _point_parameter(name: str, description: str, items: dict[str, Any], **example: Any) -> dict[str, Any]:
@@ -135,7 +129,7 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
 
     A .npy array holds (n, 2) or (n, 3) angles in degrees: theta_half, theta_diff and, where it is not 90, phi_diff;
     or (n, 6) or (n, 2, 3) directions. The answer is (n, 3) float64, 0 where a direction is below the horizon.
-    JSON may have 100,000 points, .npy a million.
+    A request has at most 100,000 points.
     """
     return await _values_of_batch(request, context, fit, None)
 
@@ -175,9 +169,6 @@ async def _values_of_batch(request: Request, context: Context, fit: FitKey, labe
         raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
     loaded = await _loaded(context, fit, label)
     points = await _batch(request, context)
-    if len(points) > context.settings.max_points:
-        detail = f"{len(points)} points are more than the {context.settings.max_points} that one request may have."
-        raise ProblemError("too-large", detail)
     return await _reply(request, context, loaded.part(label), points, media_type)
 
 
@@ -192,46 +183,26 @@ async def _loaded(context: Context, fit: FitKey, label: str | None) -> LoadedFit
 async def _reply(
     request: Request, context: Context, model: ReflectanceModel, points: Points, media_type: str
 ) -> Response:
-    """Return the values of a model: a few at once, many in a turn, very many in parts."""
-    head, parts = {"Content-Type": media_type}, _parts(model, points, media_type, context.metrics)
-    if media_type == NPY:  # all numbers take equal room
-        head["Content-Length"] = str(len(_npy_head(len(points))) + 24 * len(points))
-    if len(points) > BLOCK:
-        return StreamingResponse(context.computations.stream(request, parts, head), 200, head)
+    """Return the values of a model: a few at once, more in a turn."""
+    compute = partial(_content, model, points, media_type, context.metrics)
     if len(points) <= _MAX_INLINE and request.method != "HEAD":
-        return Response(b"".join(parts), 200, head)
-    content = await context.computations.run(request, object(), partial(b"".join, parts), head)
-    return Response(content, 200, head)
+        return Response(compute(), 200, media_type=media_type)
+    content = await context.computations.run(request, object(), compute, {"Content-Type": media_type})
+    return Response(content, 200, media_type=media_type)
 
 
 async def _batch(request: Request, context: Context) -> Points:
-    """Return the points in the body; many of them in a temporary file."""
-    folder, max_points = context.store.blobs.temporary, context.settings.max_points
-    npy = media_type_of(request, JSON, NPY) == NPY
-    if not npy:
-        max_points = min(max_points, _MAX_JSON_POINTS)
-    per_point = _NPY_BYTES_PER_POINT if npy else _JSON_BYTES_PER_POINT
-    body = await receive_body(request, max_points * per_point + 4096, folder)
-
-    def convert() -> Points:
-        if npy:
-            return kept(npy_blocks(body), folder)
-        return kept(_from_json(bytes(body), max_points).blocks(), folder)
-
-    # What is read of a long body takes memory: of one at a time.
-    place: Place = "medium" if len(body) > IN_MEMORY else "short"
-    return await context.computations.run(request, object(), convert, {}, place)
-
-
-def _from_json(body: bytes, max_points: int) -> Points:
-    pieces = range(0, len(body), PIECE)  # counted one by one, as nothing else runs meanwhile
-    if sum(body.count(b",", begin, begin + PIECE) for begin in pieces) > 6 * max_points:
-        raise ProblemError("too-large", f"A JSON body may have {max_points} points; send more of them as {NPY}.")
-    if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
-        rest, lists = take_lists(body, 2)
-        return from_directions(**dict(parse_document(DirectionsRequest, rest, strict=True)) | lists)
-    rest, lists = take_lists(body, 1)
-    return from_angles(**dict(parse_document(AnglesRequest, rest, strict=True)) | lists)
+    """Return the points in the body; many of them are read in a turn, and much JSON in a process of its own."""
+    media_type = media_type_of(request, JSON, NPY)
+    async with context.bodies.received(request, _MAX_BODY, request.scope[CALLER_NAME]) as body:
+        if media_type == NPY:
+            return await context.computations.run(request, object(), partial(from_npy, body), {})
+        if len(body) <= _MUCH_JSON:
+            points = await context.computations.run(request, object(), partial(from_json, body), {})
+        else:
+            points = await context.computations.run_in_process(request, object(), batch_step, body, head={})
+    check_count(len(points))
+    return points
 
 
 def _npy_head(n_points: int) -> bytes:
@@ -247,17 +218,11 @@ def _json_triples(values: Array) -> bytes:
     return to_json(values.tolist())[1:-1]
 
 
-def _parts(model: ReflectanceModel, points: Points, media_type: str, metrics: Metrics) -> Iterator[bytes]:
-    """Yield a model's values in parts: one for each block of points, computed when it is asked for, and the end."""
-    npy = media_type == NPY
-    head, between, tail = (_npy_head(len(points)), b"", b"") if npy else (b'{"values":[', b",", b"]}")
-    seconds = 0.0
-    for block in points.blocks():
-        begin = perf_counter()
-        found = block.values(model)
-        part = head + (found.tobytes() if npy else _json_triples(found))
-        seconds += perf_counter() - begin
-        yield part
-        head = between
-    metrics.record_time("evaluating", seconds)
-    yield tail
+def _content(model: ReflectanceModel, points: Points, media_type: str, metrics: Metrics) -> bytes:
+    """Return a model's values as .npy or JSON, computed in blocks so that other threads have their turn."""
+    with metrics.timing("evaluating"):
+        blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
+        values = (points.part(block).values(model) for block in blocks)
+        if media_type == NPY:
+            return b"".join((_npy_head(len(points)), *(block.tobytes() for block in values)))
+        return b'{"values":[%b]}' % b",".join(map(_json_triples, values))

@@ -15,6 +15,7 @@ from ..access.authentication import CALLER
 from ..access.keys import Keys
 from ..errors import ProblemError
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
+from ..http.request_body import Bodies
 from ..jobs.computations import Computations
 from ..jobs.jobs import Jobs
 from ..jobs.results import FitViews, ModelCache
@@ -43,6 +44,7 @@ class Context:
     metrics: Metrics
     readiness: Readiness
     computations: Computations
+    bodies: Bodies
 
     async def fit_row(self, fit: FitKey) -> FitRow:
         """Return a fit's row; raises as `Store.fit`."""

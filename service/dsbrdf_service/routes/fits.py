@@ -96,8 +96,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        body = await receive_body(request, _MAX_JSON, context.store.blobs.temporary)
-        document = schemas.parse_document(schemas.FitRequest, bytes(body))
+        document = schemas.parse_document(schemas.FitRequest, await receive_body(request, _MAX_JSON))
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.jobs.submit(caller, sha256, options, name)
     if not row.ended:

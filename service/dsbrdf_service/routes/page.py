@@ -174,7 +174,7 @@ async def get_environment(request: Request, context: TheContext, fit: TheFit, na
 async def post_environment(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the same under the light of a panorama, whose linear RGB the page has sent."""
     source = await _source(context, fit, name)
-    body = bytes(await receive_body(request, _PANORAMA_BYTES, context.store.blobs.temporary))
+    body = await receive_body(request, _PANORAMA_BYTES)
     if len(body) != _PANORAMA_BYTES:
         raise InvalidArgumentError(
             f"A panorama is float32 RGB of {_PANORAMA[0]} rows of {_PANORAMA[1]} pixels here, {_PANORAMA_BYTES} bytes, "
@@ -235,11 +235,11 @@ async def sign_in(request: Request, context: TheContext) -> Response:
     """Keep a key in a cookie that no script can read, and lead to the page that was wanted."""
     try:
         async with asyncio.timeout(_FORM_SECONDS):
-            body = await receive_body(request, _MAX_FORM, context.store.blobs.temporary)
+            body = await receive_body(request, _MAX_FORM)
     except TimeoutError:
         detail = f"The form took longer than the {_FORM_SECONDS:g} s that it may take."
         raise ProblemError("request-timeout", detail, {"Connection": "close"}) from None
-    form = parse_qs(bytes(body).decode("latin-1"))
+    form = parse_qs(body.decode("latin-1"))
     key, wanted = (form.get(name, [""])[0].strip() for name in ("key", "wanted"))
     wanted = wanted if PAGE_PATHS.fullmatch(wanted) else "/"
     if not same_origin(request.scope["headers"]):

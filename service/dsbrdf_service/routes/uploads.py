@@ -19,7 +19,7 @@ from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import Sink, decoder, encoding_of
+from ..http.request_body import Sink, decoder, encoding_of, most_encoded
 from ..jobs.steps import Kind, conversion_step
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
@@ -40,17 +40,14 @@ PARAMETERS = [
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
-    openapi.header_parameter(
-        "Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip", "zstd"]
-    ),
+    openapi.header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"]),
 ]
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
 _PIECE = 1 << 19  # bytes that are worth a switch to another thread
 _SMALL_PIECE = 1 << 16  # of many uploads at once
 _BLOCK = 1 << 18  # bytes that are read back from the file at a time
-# Compressors add less than this to what they cannot compress.
-_MAX_ENCODED = FILE_SIZE + FILE_SIZE // 64
+_MAX_ENCODED = most_encoded(FILE_SIZE)
 _MAX_CONVERTED = 1 << 23  # bytes of an RGL file or a table: to read one takes up to 70 times as much memory
 
 

@@ -1,29 +1,25 @@
-"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays.
-
-Many points are kept in a temporary file.
-"""
+"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
 
 import math
-import mmap
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import chain
-from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from pydantic_core import from_json
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference
+from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.reflectance import ReflectanceModel
 
-T = TypeVar("T")
+from ..errors import ProblemError
+from .numbers import number_of
+from .schemas import AnglesRequest, DirectionsRequest, parse_document
+
 Array = NDArray[np.float64]
 
 ANGLES = ("theta_half_deg", "theta_diff_deg")
@@ -36,10 +32,9 @@ _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
-_LIST = re.compile(rb'"(\w+)"\s*:\s*\[')
-_OF_NUMBERS = b"0123456789eE+-.,[] \t\r\n"
-_PIECE = 1 << 15  # bytes of JSON that are read while no other thread runs
-BLOCK = 4096  # points: what is kept of a long answer that nobody reads is a few blocks
+_STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
+MAX_POINTS = 100_000
+"""Points of one request."""
 
 
 @dataclass(frozen=True)
@@ -57,24 +52,9 @@ class Points:
         """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
         return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
 
-    def blocks(self) -> "Iterator[Points]":
-        """Yield the points in blocks; there is one, even if it is empty."""
-        for start in range(0, max(len(self), 1), BLOCK):
-            block = slice(start, start + BLOCK)
-            yield Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
-
-
-def kept(blocks: Iterator[Points], folder: Path) -> Points:
-    """Return the points of all blocks; more than one block in a temporary file in `folder`, which goes with them."""
-    first = next(blocks)
-    if len(first) < BLOCK:
-        return first
-    with TemporaryFile(dir=folder) as file:
-        for block in chain((first,), blocks):
-            file.write(np.stack([block.theta_half, block.theta_diff, block.phi_diff], axis=1).tobytes())
-        file.flush()
-        columns = np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)).reshape(-1, 3).T
-    return Points(*columns)
+    def part(self, block: slice) -> "Points":
+        """Return some of the points."""
+        return Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
@@ -115,78 +95,47 @@ def from_directions(
 ) -> Points:
     """Return the points of two sequences of unit vectors, equally long or of one, on either side of the horizon."""
     given = [np.asarray(vectors, dtype=float).reshape(-1, 3) for vectors in (omega_in, omega_out)]
-    pairs = _broadcast(DIRECTIONS, given)
-    angles = np.empty((3, len(pairs[0])))
-    for start in range(0, len(pairs[0]), BLOCK):
-        block = slice(start, start + BLOCK)
-        first, second = (
-            check_directions(name, part[block], below_horizon=True)
-            for name, part in zip(DIRECTIONS, pairs, strict=True)
-        )
-        below = np.minimum(first[:, 2], second[:, 2]) < 0.0
-        angles[:, block] = np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second))
-    return Points(*angles)
+    pairs = zip(DIRECTIONS, _broadcast(DIRECTIONS, given), strict=True)
+    first, second = (check_directions(name, vectors, below_horizon=True) for name, vectors in pairs)
+    below = np.minimum(first[:, 2], second[:, 2]) < 0.0
+    return Points(*np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second)))
 
 
-def take_lists(body: bytes, n_dimensions: int) -> tuple[bytes, dict[str, Array]]:
-    """Return a JSON document with empty lists in place of its members' lists of numbers, and these lists.
+def from_json(body: bytes) -> Points:
+    """Return the points of a JSON document: an `AnglesRequest` or a `DirectionsRequest`.
 
-    A list is read piece by piece: while one is, no other thread runs, the one that answers requests neither. A document
-    with anything but such lists, of numbers or of three each by `n_dimensions`, is returned as it is.
+    Raises InvalidArgumentError if it is neither.
     """
-    rest, taken, begin = b"", dict[str, Array](), 0
-    while (quote := body.find(b'"', begin)) >= 0:
-        member, after = _LIST.match(body, quote), body.find(b'"', body.find(b"[", quote))
-        end = body.rfind(b"]", quote, after if after >= 0 else len(body))
-        try:
-            numbers = None if member is None else _numbers(body[member.end() : end], n_dimensions)
-        except (ValueError, OverflowError):
-            numbers = None
-        if member is None or numbers is None:
-            return body, {}
-        taken[member[1].decode()] = numbers
-        rest += body[begin : member.end()]
-        begin = end
-    return rest + body[begin:], taken
+    if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
+        return from_directions(**dict(parse_document(DirectionsRequest, body, strict=True)))
+    return from_angles(**dict(parse_document(AnglesRequest, body, strict=True)))
 
 
-def _numbers(text: bytes, n_dimensions: int) -> Array | None:
-    """Return the numbers of a list without its brackets; None if there is anything else, or nothing, in it."""
-    between = b"," if n_dimensions == 1 else b"],"
-    parts, begin = [], 0
-    while begin <= len(text):
-        cut = text.find(between, begin + _PIECE)
-        end = len(text) if cut < 0 else cut + len(between) - 1
-        piece = text[begin:end]
-        if piece.translate(None, _OF_NUMBERS):
-            return None
-        part = np.array(from_json(b"[%b]" % piece), dtype=float)
-        if part.shape != (len(part), 3)[:n_dimensions] or not part.size:
-            return None
-        parts.append(part)
-        begin = end + 1
-    numbers = np.concatenate(parts)
-    return numbers if np.isfinite(numbers).all() else None
+def batch_step(body: bytes, _: OnProgress) -> Points:
+    """Return as `from_json`, in a process of its own."""
+    return from_json(body)
 
 
-def npy_blocks(data: bytes | mmap.mmap) -> Iterator[Points]:
-    """Yield the points of a .npy array in blocks.
+def from_npy(data: bytes) -> Points:
+    """Return the points of a .npy array: (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
-    It has (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
-
-    Raises InvalidArgumentError if the bytes are not such an array.
+    Raises InvalidArgumentError if the bytes are not such an array, ProblemError if there are too many points.
     """
-    array = _read_npy(data)
-    for start in range(0, max(len(array), 1), BLOCK):
-        block = array[start : start + BLOCK].astype(np.float64)
-        if array.shape[1:] in ((2,), (3,)):
-            yield from_angles(*block.T)
-        else:
-            pairs = block.reshape(-1, 2, 3)
-            yield from_directions(pairs[:, 0], pairs[:, 1])
+    array = _read_npy(data).astype(np.float64)
+    if array.shape[1:] in ((2,), (3,)):
+        return from_angles(*array.T)
+    pairs = array.reshape(-1, 2, 3)
+    return from_directions(pairs[:, 0], pairs[:, 1])
 
 
-def _read_npy(data: bytes | mmap.mmap) -> NDArray[Any]:
+def check_count(n_points: int) -> None:
+    """Raise ProblemError if one request may not have so many points."""
+    if n_points > MAX_POINTS:
+        detail = f"{n_points} points are more than the {MAX_POINTS} that one request may have."
+        raise ProblemError("too-large", detail)
+
+
+def _read_npy(data: bytes) -> NDArray[Any]:
     """Return the array of a .npy file, which is not copied, without trusting its header."""
     stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
     try:
@@ -197,7 +146,7 @@ def _read_npy(data: bytes | mmap.mmap) -> NDArray[Any]:
         raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
     if dtype.kind != "f" or dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
-    if shape[1:] not in _NPY_SHAPES:
+    if shape[1:] not in _NPY_SHAPES or type(shape[0]) is not int:  # NumPy takes True for a length
         raise InvalidArgumentError(
             f"The array has the shape {str(shape)[:60]}; it must be (n, 2) or (n, 3), theta_half, theta_diff and "
             "phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out."
@@ -206,6 +155,7 @@ def _read_npy(data: bytes | mmap.mmap) -> NDArray[Any]:
     rest = len(data) - stream.tell()
     if min(shape, default=0) < 0 or expected != rest:
         raise InvalidArgumentError(f"The array's header promises {expected} bytes of values, the body has {rest}.")
+    check_count(shape[0])
     flat = np.frombuffer(data, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran_order else "C")
 
@@ -252,15 +202,3 @@ def _vector(name: str, text: str) -> list[float]:
     except ValueError:
         raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
     return [x, y, z]
-
-
-def number_of(text: str) -> float:
-    """Return the number that a text is; raise ValueError if only Python takes it for one, such as ``1_0``."""
-    return float(check_plain(text))
-
-
-def check_plain(text: T) -> T:
-    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
-    if isinstance(text, str) and ("_" in text or not text.isascii()):
-        raise ValueError(f"{text[:40]!r} is no number")
-    return text

@@ -33,7 +33,7 @@ from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
 from .fit_options import DEFAULTS, WIRE_NAMES
 from .model_document import ModelDocument
-from .points import check_plain
+from .numbers import check_plain
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
