@@ -31,7 +31,7 @@ from dsbrdf.process_settings import return_freed_memory
 from .access.keys import has_active_key
 from .app import create_app, make_engine
 from .errors import DataFolderError, validation_sentence
-from .http.limits import connection_class
+from .http.limits import Connection
 from .operations import logging as logs
 from .routes.dependencies import Context
 from .settings import Settings, unknown_settings
@@ -97,7 +97,8 @@ def _run(settings: Settings, store: Store) -> int:
         app,
         host=settings.host,
         port=settings.port,
-        http=connection_class(settings),
+        http=Connection,
+        limit_concurrency=_connection_limit(settings),
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
         # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
@@ -187,6 +188,13 @@ def _raise_descriptor_limit() -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(OSError, ValueError):  # some systems report more than they allow
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _connection_limit(settings: Settings) -> int:
+    """Return how many connections there may be: many are idle, and some descriptors are for files."""
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = 8 * settings.limit_concurrency
+    return most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2)
 
 
 def _keep_temporary_files_in(data_dir: Path) -> None:

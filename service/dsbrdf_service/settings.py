@@ -68,9 +68,8 @@ class Settings(BaseSettings):
     )
 
     limit_concurrency: int = Field(default=512, ge=1, description="Requests answered at once; further ones get 503.")
-    header_timeout: float = Field(default=10.0, gt=0, description="Time that a request's head may take to arrive [s].")
     idle_timeout: float = Field(
-        default=30.0, gt=0, description="Time without a byte after which a slow sender or reader is given up [s]."
+        default=30.0, gt=0, description="Time without a byte of a body after which its sender is given up [s]."
     )
     least_upload_rate: int = Field(
         default=10_000, ge=0, description="Mean rate below which a body is given up [bytes/s]; 0 allows any."

@@ -68,7 +68,7 @@ def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
         ("DSBRDF_PORT", "eighty"),
         ("DSBRDF_LOG_LEVEL", "loud"),
         ("DSBRDF_WORKERS", "0"),
-        ("DSBRDF_HEADER_TIMEOUT", "-1"),
+        ("DSBRDF_IDLE_TIMEOUT", "-1"),
         ("DSBRDF_ACCESS_LOG", "perhaps"),
     ],
 )

@@ -41,7 +41,7 @@ _ODD_PATHS = """
     //v1/fits /v1//fits /v1/fits/ /./v1/fits /v1/../v1/fits /v1/fits/../measurements /V1/fits /v1/fits;x=y /v1/fits%20
     /v1/fits%00 /v1/fits%0a /v1/fits%3Flimit=1 /v1/fits%23 /v1 /v2/fits /%2fv1/fits /v1/fits/@/ /v1/fits/@//brdf
     /v1/fits/@/nothing /v1/fits/@/export/ /v1/fits/@/events/.. /.env /dsbrdf.sqlite /data/dsbrdf.sqlite /blobs /run
-    /cgi-bin/../../bin/sh /openapi.json/ /docs/.. /static/../../etc/passwd /health/ http://evil.example/v1/fits
+    /cgi-bin/../../bin/sh /openapi.json/ /docs/.. /static/../../etc/passwd /health/
     //evil.example/v1/fits v1/fits * ? \\v1\\fits
 """
 _PATHS = [
@@ -130,7 +130,7 @@ _HEADS += [
     f"{_LINE.replace(*change)}\r\n{_HOST}"
     for change in (("1.1", "9.9"), (" HTTP/1.1", ""), ("HTTP/1.1", "HTTP/1.1 x"), ("GET ", "GET  "), ("HTTP", "HTCPCP"))
 ]
-_HEADS += ["PRI * HTTP/2.0", "\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03", "SSH-2.0-x", "\0" * 50, "\xff" * 50]
+_HEADS += ["\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03", "SSH-2.0-x", "\0" * 50, "\xff" * 50]
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ def test_service_heeds_what_it_inherits(own_server: Callable[..., Server]) -> No
     limit, hangup = resource.getrlimit(resource.RLIMIT_NOFILE), signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, limit[1]))
     try:
-        server = own_server(own_interpreter=True, header_timeout="600")
+        server = own_server(own_interpreter=True)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limit)
         signal.signal(signal.SIGHUP, hangup)

@@ -17,6 +17,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ..errors import ProblemError
+from ..http.limits import check_head
 from ..http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from ..http.problems import problem_response
 from ..http.request_log import HEALTH, SAFE_METHODS
@@ -100,10 +101,7 @@ class AuthenticationMiddleware:
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""
-        names = {name for name, _ in scope["headers"]}
-        if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
-            detail = "Content-Length and Transfer-Encoding both say where the body ends; send one of them."
-            raise ProblemError("bad-request", detail, {"Connection": "close"})
+        check_head(scope)
         if scope["path"] in OPEN_PATHS:
             return
         key = self._key(scope)

@@ -33,7 +33,7 @@ _KEY = {
     "description": "An API key, made with `dsbrdf keys add`. From the machine itself no key is needed, unless the "
     "service is set to require one; a key that is sent is always checked.",
 }
-_EVERYWHERE = ("bad-request", "internal", "overloaded", "shutting-down")
+_EVERYWHERE = ("bad-request", "head-too-long", "internal", "overloaded", "shutting-down")
 _BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")
 BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
 UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)

@@ -53,6 +53,7 @@ KINDS: dict[str, Kind] = {
     "measurement-too-large": Kind(413, "The file is too long"),
     "unsupported-media-type": Kind(415, "The body's type or encoding is not supported"),
     "range-not-satisfiable": Kind(416, "The file has no such part"),
+    "head-too-long": Kind(431, "The request's head is too long"),
     "misdirected": Kind(421, "The service has another name"),
     "measurement-format": Kind(422, "Not an acceptable measurement"),
     "invalid-argument": Kind(422, "An argument is not acceptable"),
