@@ -87,6 +87,13 @@ def entry_point(group: str, name: str) -> EntryPoint:
     return found
 
 
+def open_closed_output() -> None:
+    """Write to nowhere what would go to a closed output, whose descriptor another file would take otherwise."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
+
+
 def run_service_command(command: str, words: Sequence[str]) -> int:
     """Run one of `SERVICE_COMMANDS` with the arguments that follow it; return the exit code.
 

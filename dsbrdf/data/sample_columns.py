@@ -32,6 +32,7 @@ _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
     "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or value"
 )
+_LONGEST_NAME = 200  # characters of a cell with a name and its unit
 _SURELY_DEGREES = 1.6  # theta never gets further than this in radians
 
 
@@ -100,9 +101,13 @@ def sample_columns(table: TextTable) -> tuple[Array, list[str]]:
 
 def _meaning(cell: str) -> tuple[str, str]:
     """Return the name in a cell in lower case, and the unit after it, if any."""
-    found = re.fullmatch(r"(.*?)\s*(?:[\[(]\s*(.*?)\s*[\])])?", cell.strip().strip("'\"").strip().lower())
-    name, unit = (found[1], found[2] or "") if found else (cell, "")
-    name = re.sub(r"[\s.-]+", "_", name)
+    if len(cell) > _LONGEST_NAME:
+        return cell, ""
+    text, unit = cell.strip().strip("'\"").strip().lower(), ""
+    bracket = min((place for mark in "[(" if (place := text.find(mark)) >= 0), default=-1)
+    if bracket >= 0 and text.endswith(("]", ")")):
+        text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
+    name = re.sub(r"[\s.-]+", "_", text)
     base, _, last = name.rpartition("_")
     return (base, last) if last in (*_DEGREES, *_RADIANS) else (name, unit)
 

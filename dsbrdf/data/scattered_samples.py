@@ -25,6 +25,9 @@ from dsbrdf.errors import MeasurementFormatError
 
 FEWEST_SAMPLES = 200
 """Fewer samples than this do not determine a model."""
+SMALLEST_MAXIMUM = 1e-8
+"""The largest value of samples is at least this [1/sr]."""
+LARGEST_WEIGHT = 1e12
 _UNIT_TOLERANCE = 1e-3
 
 
@@ -82,9 +85,9 @@ class ScatteredSamples:
         omega_in, omega_out : array_like, shape (n, 3)
             Unit vectors, to 0.001, above the horizon (z > 0).
         values : array_like, shape (n, 3)
-            RGB [1/sr], finite and not negative.
+            RGB [1/sr], finite and not negative; the largest from 1e-8 to 1e8.
         weight : array_like, shape (n,), optional
-            Positive; 1 by default.
+            From 1e-12 to 1e12; 1 by default.
         name : str, optional
             The material's name.
         notes : tuple of str, optional
@@ -115,9 +118,16 @@ class ScatteredSamples:
             arrays[side] /= length[:, np.newaxis]
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
         _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, "no reflectance is")
-        _refuse("is not positive", "weight", arrays["weight"] <= 0.0, "leave out what must not count")
+        weights = arrays["weight"]
+        _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
+        extreme = (weights < 1.0 / LARGEST_WEIGHT) | (weights > LARGEST_WEIGHT)
+        _refuse("is not from 1e-12 to 1e12", "weight", extreme, "weights say how much samples count among each other")
         if not arrays["values"].any():
             raise MeasurementFormatError("Every sample is zero in all channels; a measurement has positive values.")
+        if (largest := arrays["values"].max()) < SMALLEST_MAXIMUM:
+            raise MeasurementFormatError(
+                f"The largest value is {largest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
+            )
         digest = hashlib.sha256()
         for array in arrays.values():
             digest.update(array.astype("<f8").tobytes())

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.grid import THETA_DIFF
+from dsbrdf.data.merl_validation import LARGEST_VALUE
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.guide import guide_structure
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
@@ -71,7 +72,7 @@ def with_usual_values(samples: ScatteredSamples, model: DSBRDF) -> tuple[Scatter
     Returns the completed samples, and the share of the pairs that have no sample within `FAR`.
     """
     omega_in, omega_out = _pairs(model)
-    values = np.maximum(model.evaluate_directions(omega_in, omega_out), 0.0)
+    values = np.clip(model.evaluate_directions(omega_in, omega_out), 0.0, LARGEST_VALUE)
     distance, _ = cKDTree(_places(samples.omega_in, samples.omega_out)).query(_places(omega_in, omega_out))
     typical = float(np.median(samples.weight))
     completed = ScatteredSamples.from_arrays(

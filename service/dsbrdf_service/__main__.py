@@ -24,7 +24,7 @@ import uvicorn
 from fastapi import FastAPI
 from pydantic import ValidationError
 
-from dsbrdf.cli.arguments import BAD_INPUT, print_error
+from dsbrdf.cli.arguments import BAD_INPUT, open_closed_output, print_error
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory
 
@@ -45,6 +45,7 @@ logger = logging.getLogger(__name__)
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the service until it is stopped; return the exit code."""
+    open_closed_output()
     words = sys.argv[1:] if words is None else words
     if not words:
         return _serve({})
@@ -154,6 +155,7 @@ class _Server(uvicorn.Server):
 def _exit_at_once() -> None:
     """End the process although something hangs: accepted fits are stored, and the next start cleans up."""
     logger.error("the service does not end in time; its process is ended now")
+    logging.shutdown()
     os._exit(1)
 
 

@@ -119,7 +119,13 @@ class Application:
         if body:
             headers.append((b"content-length", str(len(body) + stalled).encode()))
             headers.append((b"content-type", media_type.encode()))
-        scope: dict[str, Any] = {"type": "http", "method": method, "path": path, "headers": headers}
+        scope: dict[str, Any] = {
+            "type": "http",
+            "http_version": "1.0",
+            "method": method,
+            "path": path,
+            "headers": headers,
+        }
         scope |= {"query_string": query.encode(), "client": ("127.0.0.1", 1)}
         messages: list[Message] = []
         gone, unsent = asyncio.Event(), [body]

@@ -126,8 +126,8 @@ class AuthenticationMiddleware:
             if key is None:
                 raise invalid_key()
         else:
-            found = _KEY_IN_COOKIE.search(b"; ".join(value for name, value in headers if name == b"cookie"))
-            key = None if found is None else self._keys.find(found[1])
+            # Another page of the host can set a cookie of this name too, for any path.
+            key = next((key for text in keys_in_cookies(headers) if (key := self._keys.find(text))), None)
             if key is None:  # also one that has been revoked since its owner signed in
                 self._check_local(scope)
                 return None
@@ -154,6 +154,11 @@ class AuthenticationMiddleware:
             if from_another_site(headers) and not (is_link and scope["method"] == "GET"):
                 detail = "Without an API key the service does not answer to pages of other sites."
                 raise ProblemError("foreign-origin", detail)
+
+
+def keys_in_cookies(headers: _Headers) -> list[bytes]:
+    """Return what cookies of a request give as keys."""
+    return _KEY_IN_COOKIE.findall(b"; ".join(value for name, value in headers if name == b"cookie"))
 
 
 def same_origin(headers: _Headers) -> bool:

@@ -31,7 +31,7 @@ def check_head(scope: Scope) -> None:
     if len(lines) > _MAX_HEADERS or max(lines, default=0) > _MAX_LINE:
         detail = f"A request has at most {_MAX_HEADERS} headers of {_MAX_LINE} bytes each."
         raise ProblemError("head-too-long", detail, _CLOSE)
-    if len(scope["raw_path"]) + len(scope["query_string"]) > _MAX_LINE:
+    if len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE:
         detail = f"An address has at most {_MAX_LINE} bytes; many points are sent with POST."
         raise ProblemError("head-too-long", detail, _CLOSE)
     names = [name for name, _ in headers]

@@ -7,13 +7,17 @@ out of every line. A line stays one line and short, whatever a client sends.
 
 import logging
 import math
+import os
 import re
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from json import JSONEncoder
+from queue import Full, Queue
+from threading import Thread
 from types import MappingProxyType
 from typing import Any
 
@@ -30,6 +34,8 @@ _encode = JSONEncoder(default=str).encode
 _bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
 _OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
 _SECONDS_BETWEEN = 10.0
+_MOST_WAITING = 2000  # lines
+_LONGEST_FLUSH = 1.0  # seconds
 
 
 def bind(name: str, value: str) -> None:
@@ -40,11 +46,55 @@ def bind(name: str, value: str) -> None:
 def configure(settings: Settings) -> None:
     """Send everything that is logged or warned of in this process to stderr, as `settings` say."""
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
-    handler = logging.StreamHandler(sys.stderr)
+    handler = LogWriter(sys.stderr.fileno())
     handler.setFormatter(LineFormatter(text=text, colors=text and sys.stderr.isatty()))
     handler.addFilter(Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
+
+
+class LogWriter(logging.Handler):
+    """Hands lines to a thread that writes them to a descriptor, so that who logs never waits for who reads the log.
+
+    Lines for which there is no room are dropped and counted; the count is a line too. The descriptor is used without
+    the lock of Python's streams, which a thread that waits forever would keep.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self._descriptor = descriptor
+        self._lines: Queue[str] = Queue(_MOST_WAITING)
+        self._n_dropped = 0
+        Thread(target=self._write_lines, name="log", daemon=True).start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Put a line in the queue."""
+        try:
+            self._lines.put_nowait(self.format(record))
+        except Full:
+            self._n_dropped += 1
+
+    def flush(self) -> None:
+        """Wait for the lines to be written, for a moment."""
+        end = time.monotonic() + _LONGEST_FLUSH
+        while self._lines.unfinished_tasks and time.monotonic() < end:
+            time.sleep(0.01)
+
+    def _write_lines(self) -> None:
+        while True:
+            self._write(self._lines.get())
+            with self.lock or nullcontext():
+                n_dropped, self._n_dropped = self._n_dropped, 0
+            if n_dropped:
+                told = f"{n_dropped} lines of the log were dropped: nobody read it."
+                self._write(self.format(logging.makeLogRecord({"name": __name__, "levelname": "WARNING", "msg": told})))
+            self._lines.task_done()
+
+    def _write(self, line: str) -> None:
+        rest = f"{line}\n".encode(errors="replace")
+        with suppress(OSError):  # nobody can read it any more
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
 
 
 class LineFormatter(logging.Formatter):

@@ -24,7 +24,7 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export import FORMATS
 from dsbrdf.output.report_text import likeness, lobes_phrase
 
-from ..access.authentication import COOKIE, from_another_site, same_origin
+from ..access.authentication import COOKIE, from_another_site, keys_in_cookies, same_origin
 from ..errors import ProblemError
 from ..http.openapi import BINARY
 from ..http.pages import PAGE_PATHS, POLICY_WITHOUT_FORMS, STATIC_FILES, render, sign_in_page
@@ -263,7 +263,9 @@ async def sign_out(request: Request) -> Response:
 
 
 def _render(template: str, request: Request, status: int = 200, **values: Any) -> Response:
-    return render(template, request.url.path, status, signed_in=COOKIE in request.cookies, **values)
+    return render(
+        template, request.url.path, status, signed_in=bool(keys_in_cookies(request.scope["headers"])), **values
+    )
 
 
 async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:

@@ -5,14 +5,14 @@ A name is no part of an identity: the same measurement or fit sent with another 
 
 import re
 from contextlib import suppress
-from email.message import Message
-from email.utils import collapse_rfc2231_value
-from urllib.parse import quote
+from urllib.parse import quote, unquote_to_bytes
 
 from dsbrdf.errors import InvalidArgumentError
 
 MAX_LENGTH = 100
 _SUFFIX = ".binary"
+_LONGEST_HEADER = 1024
+_PARAMETER = re.compile(r';\s*([^\s=;"]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;"]+)\s*')
 
 
 def check_name(text: str) -> str:
@@ -32,15 +32,30 @@ def given_name(given: str | None, content_disposition: str) -> str | None:
     """
     if given is not None:
         return check_name(given)
-    message = Message()
-    message["Content-Disposition"] = content_disposition
-    parameters = {name.lower(): value for name, value in message.get_params([], "content-disposition")}
-    if "filename" not in parameters:
-        return None
-    name = collapse_rfc2231_value(parameters["filename"])  # the extended form comes last, so it is the one that is kept
+    name = _file_name(content_disposition)
+    # A folder is the sender's matter.
+    return None if name is None else check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))
+
+
+def _file_name(header: str) -> str | None:
+    """Return the file name in a ``Content-Disposition``, that with an encoding (RFC 8187) if there are two."""
+    if len(header) > _LONGEST_HEADER:
+        raise InvalidArgumentError(f"A Content-Disposition has at most {_LONGEST_HEADER} characters.")
+    found: dict[str, str] = {}
+    place = header.find(";")
+    while place >= 0 and (parameter := _PARAMETER.match(header, place)):
+        found.setdefault(parameter[1].lower(), parameter[2])
+        place = parameter.end()
+    charset, _, rest = found.get("filename*", "").partition("'")
     with suppress(UnicodeError):
-        name = name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
-    return check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))  # a folder is the sender's matter
+        if charset.lower() in ("utf-8", "iso-8859-1"):
+            return unquote_to_bytes(rest.partition("'")[2]).decode(charset)
+    name = found.get("filename")
+    if name is not None:
+        name = re.sub(r"\\(.)", r"\1", name[1:-1]) if name.startswith('"') else name
+        with suppress(UnicodeError):
+            return name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
+    return name
 
 
 def content_disposition(file_name: str) -> str:

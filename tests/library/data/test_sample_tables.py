@@ -12,6 +12,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.sample_columns import is_known
 from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.errors import MeasurementFormatError
 
@@ -307,3 +308,19 @@ def test_values_are_divided_by_the_cosine_that_they_contain() -> None:
     samples = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 0.24))
     np.testing.assert_allclose(samples.divided_by_cosine("in").values, 0.3, rtol=1e-14)
     np.testing.assert_allclose(samples.divided_by_cosine("out").values, 0.4, rtol=1e-14)
+
+
+@pytest.mark.parametrize("cell", ["(" + " " * 100_000, "(" * 100_000, "a [" * 30_000, "- " * 50_000])
+def test_a_long_cell_is_no_name_at_once(cell: str) -> None:
+    assert not is_known(cell)
+    with pytest.raises(MeasurementFormatError):
+        parse_samples(cell.encode() + b"\n1\n")
+
+
+def test_values_and_weights_that_no_fit_can_tell_from_none_are_refused() -> None:
+    omega = np.tile([0.0, 0.0, 1.0], (200, 1))
+    with pytest.raises(MeasurementFormatError, match="largest value is 1e-200/sr"):
+        ScatteredSamples.from_arrays(omega, omega, np.full((200, 3), 1e-200))
+    for weight in (1e308, 1e-308):
+        with pytest.raises(MeasurementFormatError, match=r"200 of 200 samples.* weight is not from 1e-12 to 1e12"):
+            ScatteredSamples.from_arrays(omega, omega, np.ones((200, 3)), np.full(200, weight))

@@ -225,3 +225,11 @@ def test_an_error_that_only_samples_left_out_tell_of_is_named() -> None:
     assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in sentence
     assert not [*error_warnings(Metrics(relative_rms=0.1), Metrics(relative_rms=0.15))]
     assert not [*error_warnings(Metrics(relative_rms=0.001), Metrics(relative_rms=0.01))]
+
+
+@pytest.mark.parametrize("value", [1e8, 1e-8])
+def test_samples_at_the_limits_are_completed(value: float, truth: dsbrdf.DSBRDF) -> None:
+    omega_in, omega_out = scattered_directions(truth, 400, 0)
+    samples = ScatteredSamples.from_arrays(omega_in, omega_out, np.full((400, 3), value))
+    completed, _ = with_usual_values(samples, usual_material(samples)[0])
+    assert len(completed.values) == 400 + N_PAIRS

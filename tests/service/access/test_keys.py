@@ -137,7 +137,15 @@ def test_refused_requests_of_one_caller_are_asked_to_come_one_after_the_other_wi
     async def ask_at_once(number: int) -> None:
         settings = Settings(limit_concurrency=2)  # and so one caller has one place
         middleware = AuthenticationMiddleware(wait, settings, Keys(settings))
-        scope = {"type": "http", "method": "GET", "path": "/v1/fits", "headers": [], "client": ("127.0.0.1", 1)}
+        scope = {
+            "type": "http",
+            "http_version": "1.0",
+            "query_string": b"",
+            "method": "GET",
+            "path": "/v1/fits",
+            "headers": [],
+            "client": ("127.0.0.1", 1),
+        }
         first, *refused = [asyncio.create_task(middleware({**scope}, receive, send)) for _ in range(1 + number)]
         await asyncio.gather(*refused)
         over.set()

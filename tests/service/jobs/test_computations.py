@@ -163,7 +163,7 @@ async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
 
 
 async def test_keys_take_turns_with_long_batches(running: Application, key: str, block: Block) -> None:
-    blocked, alice, bob = block(brdf, "_from_json"), key, running.new_key()
+    blocked, alice, bob = block(brdf, "from_json"), key, running.new_key()
     of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
     await blocked.until_called()
     of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
@@ -259,7 +259,7 @@ async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
 def test_process_of_an_export_ends_when_its_client_leaves(server: Server, fitted: str) -> None:
     before = server.workers()
     request = f"GET /v1/fits/{fitted}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
-    with closing(server.connection(2 * request)):  # the second request does not hide that the client leaves
+    with closing(server.connection(request)):
         wait_until(lambda: bool(server.workers() - before), 20.0)
         (worker,) = server.workers() - before
         os.kill(worker, signal.SIGSTOP)  # by itself it does not end any more

@@ -7,19 +7,23 @@ import os
 import re
 import signal
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.local import WorkerProcesses
-from dsbrdf_service.operations.logging import LineFormatter, Repetitions, bind
+from dsbrdf_service.operations.logging import LineFormatter, LogWriter, Repetitions, bind
 from dsbrdf_service.storage.database import FILE_NAME
-from tests.support.processes import wait_until
+from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 
 pytestmark = pytest.mark.slow
@@ -75,9 +79,9 @@ def test_request_is_logged_in_one_line(watched: Server) -> None:
 
 
 def test_line_is_short_however_long_the_path_is(watched: Server) -> None:
-    for path in ("/" + "x" * 60_000, "/v1/fits/" + "%01" * 20_000):
-        assert watched.http.get(path, headers={"X-Request-ID": "long-path"}).status_code in (404, 400)
-    for line in lines_of(watched, "long-path", 2):
+    for path in ("/" + "x" * 60_000, "/" + "x" * 8000, "/v1/fits/" + "%01" * 8000):
+        assert watched.http.get(path, headers={"X-Request-ID": "long-path"}).status_code in (431, 404)
+    for line in lines_of(watched, "long-path", 3):
         assert line["path"].endswith(" characters)")
         assert len(json.dumps(line)) < 5000
 
@@ -261,3 +265,43 @@ def test_fits_and_uploads_are_counted_and_timed(own_server: Callable[..., Server
     assert after["dsbrdf_stage_seconds_count", "waiting"] == 2
     assert after["dsbrdf_stage_seconds_count", "fitting"] == 2  # one of them was lost
     assert after["dsbrdf_requests_in_progress",] == 1
+
+
+def test_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
+    port, (read, write) = free_port(), os.pipe()
+    command = [sys.executable, "-m", "dsbrdf_service", "--port", str(port), "--data-dir", str(tmp_path / "data")]
+    environment = {**os.environ, "DSBRDF_ACCESS_LOG": "true"}
+    with subprocess.Popen(["sh", "-c", 'exec "$@" 1>&-', "sh", *command], stderr=write, env=environment) as process:
+        os.close(write)
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as client:
+
+            def answers() -> bool:
+                with suppress(httpx.ConnectError):
+                    return client.get("/health/live").status_code == 200
+                return False
+
+            wait_until(answers, 60)
+            for _ in range(600):  # a pipe takes 64 kB, some 200 lines
+                assert client.get("/health/live", headers={"X-Request-ID": "x" * 64}).status_code == 200
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 0
+    os.close(read)
+
+
+def test_lines_that_are_dropped_are_counted() -> None:
+    read, write = os.pipe()
+    handler = LogWriter(write)
+    handler.setFormatter(LineFormatter(text=False))
+    for number in range(10_000):
+        handler.emit(logging.makeLogRecord({"msg": "line %d", "args": (number,), "levelname": "INFO"}))
+    content = bytearray()
+    with open(read, "rb", buffering=0) as pipe:  # noqa: PTH123 (a descriptor)
+
+        def told() -> int:
+            content.extend(pipe.read(1 << 16))
+            events = [json.loads(line)["event"] for line in content.splitlines() if line.endswith(b"}")]
+            dropped = [int(event.split()[0]) for event in events if event.endswith("were dropped: nobody read it.")]
+            return len(events) - len(dropped) + sum(dropped)
+
+        wait_until(lambda: told() >= 10_000, 60)
+    os.close(write)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf_service.client import Client
 from dsbrdf_service.wire.names import content_disposition, given_name
 from tests.support.server import QUICK, Server, assert_problem
@@ -68,10 +69,22 @@ def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: s
         ("attachment; filename=\"x\"; filename*=UTF-8''N%C3%A4ckel.binary", "Näckel"),
         ("attachment; filename=" + "Näckel".encode().decode("latin-1"), "Näckel"),
         (content_disposition('ä;"'), 'ä;"'),
+        ("attachment; filename*=iso-8859-1'en'%A3%20rates; filename=x", "£ rates"),
+        ("attachment; FileName = nickel ; size=3", "nickel"),
+        ('attachment; filename="never closed', None),
+        *((f"attachment; filename*={charset}''a", None) for charset in ("idna", "undefined", "utf-7", "x" * 100)),
+        ("attachment; filename*=" + "9" * 900, None),
+        (f"attachment; filename*{'9' * 900}=a; filename=b", "b"),
     ],
 )
 def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
     assert given_name(None, header) == name
+
+
+@pytest.mark.parametrize("part", [";", ';"', '; a="', "; filename=", "=\\"])
+def test_only_a_short_header_is_read_for_a_name(part: str) -> None:
+    with pytest.raises(InvalidArgumentError, match="at most 1024 characters"):
+        given_name(None, part * 1025)
 
 
 def numbers(items: list[dict[str, dict[str, int]]]) -> list[int]:

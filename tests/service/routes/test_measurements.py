@@ -39,7 +39,7 @@ def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, s
         # What is not one range of bytes is as if it had not been sent (RFC 9110, section 14.2).
         ("bytes=5-4", slice(None)),
         ("bytes=0-1,3-4", slice(None)),
-        ("bytes=" + "0-1," * 5000, slice(None)),
+        ("bytes=" + "0-1," * 2000, slice(None)),
         ("lines=1-2", slice(None)),
         ("bytes=-", slice(None)),
         ("bytes=x-", slice(None)),

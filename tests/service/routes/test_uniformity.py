@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import httpx
 import pytest
 
 from tests.support.guarded import Guarded, new_key
@@ -89,9 +88,6 @@ def test_metrics_of_all_are_shown_only_to_keys_made_for_it(guarded: Guarded) -> 
 
 def test_every_response_has_security_headers(guarded: Guarded) -> None:
     http_client = guarded.server.http
-    with guarded.server.connection(b"noise\r\n\r\n") as connection:
-        status, *head = connection.recv(10_000).decode().partition("\r\n\r\n")[0].split("\r\n")
-    assert " 400 " in status
     answers = {
         "open": http_client.get("/health/live"),
         "documentation": http_client.get("/docs"),
@@ -101,7 +97,7 @@ def test_every_response_has_security_headers(guarded: Guarded) -> None:
         "missing": http_client.get("/nothing", headers=guarded.alice),
         "wrong method": http_client.put("/v1/fits", headers=guarded.alice),
         "with a slash": http_client.get("/v1/fits/", headers=guarded.alice),
-        "no HTTP": httpx.Response(400, headers=dict(line.split(": ", 1) for line in head)),
+        "too long a head": http_client.get("/v1/fits", headers={"X-Long": "x" * 9000}),
     }
     for name, answer in answers.items():
         assert answer.headers["x-content-type-options"] == "nosniff", name
