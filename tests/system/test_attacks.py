@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from typing import Any
 
 import httpx
 import pytest
@@ -61,7 +62,7 @@ class Target:
         assert seconds < PATIENCE, name
         assert cost < self.limit, name
 
-    def check_problem(self, name: str, status: int, media_type: str, problem: dict[str, str]) -> None:
+    def check_problem(self, name: str, status: int, media_type: str, problem: dict[str, Any]) -> None:
         """Check a problem document."""
         assert media_type == "application/problem+json", (name, media_type)
         assert set(problem) == {"type", "title", "status", "detail", "instance"}, name
