@@ -47,7 +47,7 @@ class Work:
     force
         Fit again even if the folder has the fit already.
     jobs
-        Fits at once; by default one for each core.
+        Fits at once; by default one for each core of this machine.
     scheduler
         Compute on the Dask cluster with this scheduler, tcp://host:8786.
     url

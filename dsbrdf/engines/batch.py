@@ -1,13 +1,12 @@
 """Fits of many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
 
-import asyncio
 import os
-import queue
-import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from dsbrdf.engines.dask import DaskEngine
@@ -21,8 +20,7 @@ from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
 _CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
-
-_Message = tuple[int, "float | FileFit"]
+_PROGRESS_INTERVAL = 0.1  # seconds between two calls of `progress`
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,9 @@ def fit_files(
 
     Every model is written completely or not at all, as soon as its fit is done, to ``NAME.json`` in the `folder`, if
     there is one. Closing the iterator ends the processes. At most so many `jobs` run at once, by default one for each
-    processor core. With the address of a Dask `scheduler` its workers compute the fits, and `jobs` is the most
-    measurements read at once; any other `engine` is started and closed here. Without `force` a fit in the folder is
-    kept if it is newer than its measurement and was made with the same options by the same version of the algorithm.
+    processor core. With the address of a Dask `scheduler` its workers compute the fits; any other `engine` is closed
+    here. Without `force` a fit in the folder is kept if it is newer than its measurement and was made with the same
+    options by the same version of the algorithm.
     `progress` is called with the number of finished files, fractions included.
 
     Raises InvalidArgumentError if two files would be written to the same output or `jobs` is less than 1, OSError if an
@@ -89,16 +87,26 @@ def fit_files(
     done: dict[int, FileFit] = {}
     shares = [0.0] * len(files)
     yielded = 0
-    with closing(_messages(engine, zip(files, known, strict=True), options)) as messages:
-        for number, message in messages:
-            if isinstance(message, FileFit):
-                done[number] = _written(message, outputs[number])
-            else:
-                shares[number] = message
+    with closing(engine):
+        numbers: dict[Future[Outcome], int] = {}
+        for number, (file, known_result) in enumerate(zip(files, known, strict=True)):
+            if known_result is not None:
+                done[number] = known_result
+                continue
+            if not numbers:
+                _wait_until_ready(engine)
+            task = FitTask(file.stem, file, options)
+            numbers[engine.submit(task, partial(shares.__setitem__, number))] = number
+        unfinished = set(numbers)
+        while yielded < len(files):
             on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
             while yielded in done:
                 yield done[yielded]
                 yielded += 1
+            ended, unfinished = wait(unfinished, _PROGRESS_INTERVAL, FIRST_COMPLETED)
+            for future in ended:
+                number = numbers[future]
+                done[number] = _written(_file_fit(files[number], future.result()), outputs[number])
 
 
 def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
@@ -110,76 +118,15 @@ def _known_result(file: Path, output: Path | None, options: FitOptions, *, force
     return None if output is None or force else _earlier_fit(file, output, options)
 
 
-def _messages(
-    engine: Engine, files: Iterable[tuple[Path, FileFit | None]], options: FitOptions
-) -> Generator[_Message, None, None]:
-    """Yield the finished share or the result of each file, by its number; closing the iterator ends the processes.
-
-    The engine's event loop runs in a thread of its own: the caller may work meanwhile, and have an event loop too.
-    """
-    messages: queue.SimpleQueue[_Message | BaseException | None] = queue.SimpleQueue()
-    loop = asyncio.new_event_loop()
-    fitting = loop.create_task(_fit_all(engine, files, options, messages.put))
-
-    def run() -> None:
-        loop.run_until_complete(asyncio.wait([fitting]))
-        messages.put(None if fitting.cancelled() else fitting.exception())
-        loop.run_until_complete(loop.shutdown_default_executor())
-
-    thread = threading.Thread(target=run, name="dsbrdf-engine")
-    thread.start()
-    try:
-        while (message := messages.get()) is not None:
-            if isinstance(message, BaseException):
-                raise message
-            yield message
-    finally:
-        loop.call_soon_threadsafe(fitting.cancel)  # the loop is not closed before: the thread may be about to end
-        thread.join()
-        loop.close()
-
-
-async def _fit_all(
-    engine: Engine,
-    files: Iterable[tuple[Path, FileFit | None]],
-    options: FitOptions,
-    notify: Callable[[_Message], None],
-) -> None:
-    async def fit_one(number: int, file: Path, started: asyncio.Event) -> None:
-        async with engine.slot():
-            started.set()
-            outcome = await engine.run(FitTask(file.stem, file, options), lambda share: notify((number, share)))
-        notify((number, _file_fit(file, outcome)))
-
-    tasks: set[asyncio.Task[None]] = set()
-    try:
-        for number, (file, known) in enumerate(files):
-            if known is not None:
-                notify((number, known))
-                continue
-            if not tasks:
-                await engine.start()
-                await _until_ready(engine)
-            started = asyncio.Event()
-            tasks.add(asyncio.create_task(fit_one(number, file, started)))
-            await started.wait()
-        await asyncio.gather(*tasks)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        await engine.close()
-
-
-async def _until_ready(engine: Engine) -> None:
+def _wait_until_ready(engine: Engine) -> None:
     deadline = time.monotonic() + _CLUSTER_TIMEOUT
     while True:
         try:
-            return await engine.check()
+            return engine.check()
         except RuntimeError as error:
             if time.monotonic() > deadline:
                 raise ConnectionError(str(error)) from error
-        await asyncio.sleep(0.1)
+        time.sleep(0.1)
 
 
 def _file_fit(file: Path, outcome: Outcome) -> FileFit:

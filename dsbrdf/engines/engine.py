@@ -5,15 +5,17 @@ output files. That of this machine and that of a Dask cluster give the same resu
 does not affect the others, and no process outlives its engine.
 """
 
+import contextvars
 import errno
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.decomposition import Decomposition
@@ -21,6 +23,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 
 logger = logging.getLogger(__name__)
+T = TypeVar("T")
 
 OnProgress = Callable[[float], None]
 """Called with the finished share of a fit, 0 to 1."""
@@ -69,6 +72,73 @@ class Fault:
 
 
 Outcome = FitResult | Fault
+MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+STOPPED = Fault("system", "Stopped", "The fit was stopped because its result is not wanted.")
+
+
+class Engine(Protocol):
+    """What every engine offers."""
+
+    def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
+        """Compute a task, when those before it leave room; `on_progress` is called in a thread, with rising shares.
+
+        `Future.cancel` stops the fit also while it runs. The future is done when the fit's process has ended.
+        """
+
+    def check(self) -> None:
+        """Get ready to run fits; raise RuntimeError with one sentence if none can run now."""
+
+    def close(self) -> None:
+        """Stop all fits, and return when their processes have ended."""
+
+
+class Threads:
+    """At most `count` calls at once, each in a thread of its own; their futures can be cancelled while they run."""
+
+    def __init__(self, count: int) -> None:
+        self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
+        self._unfinished: set[_Stoppable[Any]] = set()
+
+    def submit(self, call: Callable[..., T], *arguments: Any) -> "Future[T]":
+        """Call ``call(stopped, *arguments)`` in a thread; ``stopped`` is an event that says that it should return."""
+        future: _Stoppable[T] = _Stoppable()
+        self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        context = contextvars.copy_context()  # carries the fields that the caller has bound for its log lines
+        self._threads.submit(context.run, future.run, call, *arguments)
+        return future
+
+    def close(self) -> None:
+        """Cancel all calls, and return when they have ended."""
+        for future in self._unfinished.copy():
+            future.cancel()
+        self._threads.shutdown()
+
+
+class _Stoppable(Future[T]):
+    """A future that tells its call to stop when it is cancelled, and is done when the call has returned."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stopped = threading.Event()
+
+    def cancel(self) -> bool:
+        self._stopped.set()
+        return super().cancel()
+
+    def run(self, call: Callable[..., T], *arguments: Any) -> None:
+        """Make the call; what one that was stopped has returned is dropped."""
+        if not self.set_running_or_notify_cancel():
+            return
+        try:
+            result = call(self._stopped, *arguments)
+        except BaseException as error:
+            self.set_exception(error)
+        else:
+            if self._stopped.is_set():
+                self.set_exception(CancelledError())
+            else:
+                self.set_result(result)
 
 
 def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> OnProgress:
@@ -83,9 +153,6 @@ def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> 
             on_progress(last)
 
     return filtered
-
-
-MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 
 def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
@@ -106,25 +173,3 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
         logger.exception("a fit failed with an unexpected error")
         message = f"The computation failed with {type(error).__name__}; the log has the details."
         return Fault("compute", "InternalError", message)
-
-
-class Engine(Protocol):
-    """What every engine offers."""
-
-    async def start(self) -> None:
-        """Get ready to run fits; an engine that cannot reach its machines keeps trying by itself."""
-
-    def slot(self) -> AbstractAsyncContextManager[object]:
-        """Wait in line until the engine has room for one more fit; call `run` inside the block."""
-
-    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        """Compute a task; `on_progress` gets the finished share, 0 to 1, which never decreases.
-
-        Cancelling this call stops the computation and frees what it used.
-        """
-
-    async def check(self) -> None:
-        """Raise RuntimeError with one sentence if no fit can run now."""
-
-    async def close(self) -> None:
-        """Release what `start` acquired; all calls of `run` must have ended or been cancelled."""

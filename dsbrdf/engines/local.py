@@ -9,15 +9,12 @@
 Both ways give the same result to the last bit, apart from the timings.
 """
 
-import asyncio
-import contextvars
-import threading
 import time
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractAsyncContextManager
+from concurrent.futures import Future
 from dataclasses import replace
+from threading import Event
 from typing import Any
 
 from dsbrdf.data.measurement import Measurement
@@ -25,7 +22,7 @@ from dsbrdf.data.measurement_files import open_checked, read_measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import Component, decompose
@@ -92,46 +89,29 @@ class WorkerProcesses:
 
     def __init__(self, count: int, limits: FitLimits) -> None:
         self._limits = limits
-        self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
+        self._threads = Threads(count)
 
-    async def start(self) -> None:
-        """Start the server from which worker processes are forked."""
-        await asyncio.to_thread(start_fork_server)
+    def call(
+        self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress = lambda _: None
+    ) -> "Future[Any]":
+        """Call ``step(*arguments, on_progress)`` in a new process; the future gets what it returns, or a `Fault`.
 
-    async def call(self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress = lambda _: None) -> Any:
-        """Call ``step(*arguments, on_progress)`` in a new process; return what it returns, or a `Fault`.
-
-        When cancelled, the process is ended before this returns.
+        `Future.cancel` ends the process; the future is done when it has ended.
         """
-        loop = asyncio.get_running_loop()
-        stopped = threading.Event()
+        return self._threads.submit(self._run, step, arguments, on_progress)
 
-        def progress_in_loop(share: float) -> None:
-            loop.call_soon_threadsafe(on_progress, share)
+    def check(self) -> None:
+        """Start the server from which processes are forked, unless it runs; RuntimeError if it cannot be started."""
+        start_fork_server()
 
-        context = contextvars.copy_context()  # carries the fields that the caller has bound for its log lines
-        supervision = self._threads.submit(
-            context.run, run_in_process, step, arguments, self._limits, progress_in_loop, lambda: not stopped.is_set()
-        )
-        ended = asyncio.wrap_future(supervision)
-        try:
-            return await asyncio.shield(ended)
-        except asyncio.CancelledError:
-            if not supervision.cancel():  # it runs already
-                stopped.set()
-                await asyncio.wait([ended])
-            raise
+    def close(self) -> None:
+        """End all processes, and return when they have ended."""
+        self._threads.close()
 
-    async def check(self, what: str = "no process") -> None:
-        """Start the fork server again if it has ended; raise RuntimeError if what is needed cannot be started."""
-        try:
-            await self.start()
-        except OSError as error:
-            raise RuntimeError(f"{what} can be started: {error}") from error
-
-    async def close(self) -> None:
-        """Release the threads; all calls must have ended or been cancelled."""
-        await asyncio.to_thread(self._threads.shutdown)
+    def _run(
+        self, stopped: Event, step: Callable[..., Any], arguments: tuple[Any, ...], on_progress: OnProgress
+    ) -> Any:
+        return run_in_process(step, arguments, self._limits, on_progress, stopped.is_set)
 
 
 class LocalEngine(WorkerProcesses):
@@ -139,13 +119,7 @@ class LocalEngine(WorkerProcesses):
 
     def __init__(self, workers: int, limits: FitLimits | None = None) -> None:
         super().__init__(workers, limits or FitLimits())
-        self._slots = asyncio.Semaphore(workers)
 
-    def slot(self) -> AbstractAsyncContextManager[object]:
-        """Wait until a worker process may be started."""
-        return self._slots
-
-    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        """Compute a task in a new process; when cancelled, end the process before returning."""
-        outcome: Outcome = await self.call(compute, task, on_progress=on_progress)
-        return outcome
+    def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
+        """Compute a task in a new process."""
+        return self.call(compute, task, on_progress=on_progress)

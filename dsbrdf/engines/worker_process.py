@@ -19,7 +19,7 @@ from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.engines.engine import MEMORY_LIMIT, NOT_STARTED, Fault, FitLimits, OnProgress, rising, run_step
+from dsbrdf.engines.engine import MEMORY_LIMIT, NOT_STARTED, STOPPED, Fault, FitLimits, OnProgress, rising, run_step
 from dsbrdf.process_settings import ONE_BLAS_THREAD, end_with_parent, keep_freed_memory, reserve_blas_memory
 
 try:
@@ -49,16 +49,19 @@ logger = logging.getLogger(__name__)
 def start_fork_server() -> None:
     """Start the server from which worker processes are forked, unless it runs or this system has none.
 
-    Raises OSError if it cannot be started, or be reached because its socket has been removed.
+    Raises RuntimeError if it cannot be started, or be reached because its socket has been removed.
     """
     if "forkserver" in multiprocessing.get_all_start_methods():
         from multiprocessing import forkserver
 
-        with _start_conditions():
-            _context()
-            forkserver.ensure_running()
-            if not any(Path(util.get_temp_dir()).glob("listener-*")):
-                raise OSError("the fork server's socket has been removed; start this program again")
+        try:
+            with _start_conditions():
+                _context()
+                forkserver.ensure_running()
+        except OSError as error:
+            raise RuntimeError(f"no process can be started: {error}") from error
+        if not any(Path(util.get_temp_dir()).glob("listener-*")):
+            raise RuntimeError("no process can be started: a socket has been removed; start this program again")
 
 
 def run_in_process(
@@ -66,13 +69,13 @@ def run_in_process(
     arguments: tuple[Any, ...],
     limits: FitLimits,
     on_progress: OnProgress,
-    still_wanted: Callable[[], bool],
+    stopped: Callable[[], bool],
 ) -> Any:
     """Call ``step(*arguments, on_progress)`` in a process of its own; return what it returns, or a `Fault`.
 
     The process is forked from a server that has the library loaded, never from this one, whose memory and connections
     it does not share; without fork servers it is a new interpreter, which takes longer. The step is importable, its
-    arguments can be pickled. `still_wanted` is called ten times a second; when it returns False, the process is ended.
+    arguments can be pickled. `stopped` is called ten times a second; when it returns True, the process is ended.
     """
     context = _context()
     reader, writer = context.Pipe(duplex=False)
@@ -87,7 +90,7 @@ def run_in_process(
             logger.exception("the process of a fit could not be started")
             return Fault("system", NOT_STARTED, f"The fit's process could not be started: {error}.")
         try:
-            return _outcome(process, reader, limits.seconds, on_progress, still_wanted)
+            return _outcome(process, reader, limits.seconds, on_progress, stopped)
         finally:
             _join(process, _EXIT_TIMEOUT)
             process.kill()
@@ -99,15 +102,15 @@ def _outcome(
     reader: "connection.Connection[Any, Any]",
     seconds: float,
     on_progress: OnProgress,
-    still_wanted: Callable[[], bool],
+    stopped: Callable[[], bool],
 ) -> Any:
     """Receive messages until the outcome comes, the process dies or its time is up."""
     deadline = time.monotonic() + seconds
     try:
         while (left := deadline - time.monotonic()) > 0:
-            if not still_wanted():
+            if stopped():
                 process.kill()
-                return Fault("system", "NotWanted", "The fit was stopped because its result is not wanted.")
+                return STOPPED
             if reader.poll(min(left, _POLL_INTERVAL)):
                 message = reader.recv()
                 if isinstance(message, logging.LogRecord):

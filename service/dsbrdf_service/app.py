@@ -94,7 +94,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.context = Context(*parts)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
-        await engine.start()
         await jobs.start()
         regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
         regular.append(asyncio.create_task(_every_minute(trim_memory)))
@@ -107,7 +106,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             await asyncio.gather(*regular, return_exceptions=True)
             await computations.close()
             await jobs.close()
-            await engine.close()
+            await asyncio.to_thread(engine.close)
             await run_in_threadpool(keys.write_uses, store.database)
     finally:
         store.close()

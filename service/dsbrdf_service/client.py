@@ -1,47 +1,39 @@
-"""Python clients of the service: the library's own objects and errors, over HTTP.
+"""The service from Python: the library's own objects and errors, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
     result = client.fit("nickel.binary")  # as dsbrdf.fit returns it
     result.model.evaluate(theta_half, theta_diff)
-
-async with AsyncClient("http://127.0.0.1:8000") as client:
-    results = await asyncio.gather(client.fit("nickel.binary"), client.fit("brass.binary"))
 """
 
-import asyncio
 import hashlib
 import json
 import os
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import wraps
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Concatenate, Literal, ParamSpec, TypeVar
+from threading import Event
+from typing import IO, Any, Literal
 
 import httpx
-from anyio import CapacityLimiter, to_thread
 
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
-from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome
+from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
 from .wire.fit_options import from_wire, to_wire
 from .wire.names import check_name
 
-__all__ = ["AccessError", "AsyncClient", "Client", "Fit", "LimitError", "ServiceError", "Source"]
-
 Source = str | os.PathLike[str] | bytes | Measurement
 Progress = Callable[[float], None]
 Removal = Literal["cancel", "delete"]
-P = ParamSpec("P")
-T = TypeVar("T")
 
 _POLL = 20.0  # seconds that one request waits for a fit
 _PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
@@ -276,54 +268,6 @@ class Client:
             time.sleep(retry_after)
 
 
-def _in_thread(
-    method: Callable[Concatenate[Client, P], T],
-) -> "Callable[Concatenate[AsyncClient, P], Coroutine[Any, Any, T]]":
-    """Return a method of `Client` as one of `AsyncClient`, which calls it in a thread."""
-
-    @wraps(method)
-    async def call(self: "AsyncClient", /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return await to_thread.run_sync(
-            lambda: method(self.blocking, *args, **kwargs), abandon_on_cancel=True, limiter=self.threads
-        )
-
-    return call
-
-
-class AsyncClient:
-    """Connection to a service for programs with an event loop: parameters, methods and errors are those of `Client`.
-
-    Each call runs in a thread, at most 100 at once; a `progress` is called in that thread. A call that is cancelled
-    returns at once, and its thread ends with its fit or with the connections.
-    """
-
-    def __init__(self, base_url: str = "http://127.0.0.1:8000", **settings: Any) -> None:
-        self.blocking = Client(base_url, **settings)
-        self.threads = CapacityLimiter(100)
-
-    async def __aenter__(self) -> "AsyncClient":
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
-
-    fit = _in_thread(Client.fit)
-    submit = _in_thread(Client.submit)
-    get = _in_thread(Client.get)
-    result = _in_thread(Client.result)
-    delete = _in_thread(Client.delete)
-    upload = _in_thread(Client.upload)
-    measurement = _in_thread(Client.measurement)
-    delete_measurement = _in_thread(Client.delete_measurement)
-    close = _in_thread(Client.close)
-
-    async def fits(self, *, name: str | None = None) -> AsyncIterator[Fit]:
-        """Yield the service's fits, or those of one name, newest first."""
-        fits = self.blocking.fits(name=name)
-        while fit := await to_thread.run_sync(next, fits, None, limiter=self.threads):
-            yield fit
-
-
 class ClientEngine:
     """The engine behind ``dsbrdf fit --url``: asks the service at `url` for at most `count` fits at once.
 
@@ -331,24 +275,32 @@ class ClientEngine:
     """
 
     def __init__(self, url: str, count: int) -> None:
-        self._url, self._count = url, count
+        self._url, self._client, self._threads = url, Client(url), Threads(count)
 
-    async def start(self) -> None:
-        """Make the client, which asks for nothing yet."""
-        self._slots, self._client = asyncio.Semaphore(self._count), AsyncClient(self._url)
+    def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
+        """Ask for a fit; when it is cancelled, do not wait for it any more.
 
-    def slot(self) -> AbstractAsyncContextManager[object]:
-        """Wait until one more fit may be asked for."""
-        return self._slots
-
-    async def run(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        """Ask for a fit and wait for it.
-
-        Raises ConnectionError if the service cannot be reached, or fails for another reason than the measurement or
-        the options. Raises InvalidArgumentError if it wants a key.
+        The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
+        measurement or the options. It raises InvalidArgumentError if the service wants a key.
         """
+        return self._threads.submit(self._fit, task, on_progress)
+
+    def check(self) -> None:
+        """Do nothing: the first fit says whether the service answers."""
+
+    def close(self) -> None:
+        """Give up what is asked for, and close the connections."""
+        self._threads.close()
+        self._client.close()
+
+    def _fit(self, stopped: Event, task: FitTask, on_progress: OnProgress) -> Outcome:
+        def progress(share: float) -> None:
+            if stopped.is_set():
+                raise CancelledError
+            on_progress(share)
+
         try:
-            return await self._client.fit(task.path, task.options, progress=on_progress)
+            return self._client.fit(task.path, task.options, progress=progress)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except AccessError as error:
@@ -359,13 +311,6 @@ class ClientEngine:
             raise ConnectionError(f"nothing answers at {self._url}: {advice} ({error})") from error
         except (ServiceError, httpx.TransportError) as error:
             raise ConnectionError(f"{self._url}: {error}") from error
-
-    async def check(self) -> None:
-        """Do nothing: the first fit says whether the service answers."""
-
-    async def close(self) -> None:
-        """Close the connections, with which the threads of calls that were cancelled end."""
-        await self._client.close()
 
 
 def _fit(document: Mapping[str, Any]) -> Fit:

@@ -51,7 +51,7 @@ class Settings(BaseSettings):
     workers: int = Field(
         default_factory=core_count,
         ge=1,
-        description="Fits that run at once; with Dask, measurements that are read at once.",
+        description="Fits that run at once; with Dask, fits that are sent to the cluster at once.",
     )
     queue_limit: int = Field(default=1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
     fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")

@@ -38,7 +38,7 @@ def test_site_has_a_page_for_each_public_name_and_the_references(site: Path) -> 
     documented = {file.name for file in (site / "generated" / "api").glob("dsbrdf.*.html")}
     names = set(dsbrdf.__all__) - {"ALGORITHM_VERSION", "__version__"}
     assert {f"dsbrdf.{name}.html" for name in names} <= documented
-    assert (site / "generated" / "api" / "dsbrdf_service.client.AsyncClient.html").is_file()
+    assert (site / "generated" / "api" / "dsbrdf_service.client.Client.html").is_file()
     assert (site / "model.html").read_text().count("<math ") > 20
     assert "dsbrdf fit" in (site / "command_reference.html").read_text()
     assert 'href="#post-v1-fits"' in (site / "http_reference.html").read_text()

@@ -1,11 +1,11 @@
-"""The Python clients give the library's objects and raise the library's errors."""
+"""The Python client gives the library's objects and raises the library's errors."""
 
-import asyncio
 import hashlib
-import inspect
 import re
 import time
-from dataclasses import asdict
+from contextlib import closing
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import httpx
@@ -13,14 +13,17 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf_service.client import AccessError, AsyncClient, Client, ClientEngine, LimitError, ServiceError, Source
+from dsbrdf.engines.engine import FitTask
+from dsbrdf_service.client import AccessError, Client, ClientEngine, LimitError, ServiceError
 from dsbrdf_service.wire.fit_options import canonical, to_wire
+from tests.support import endless_fit
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
-from tests.support.server import ENDLESS, Server
+from tests.support.processes import wait_until
+from tests.support.server import Server
 
-pytestmark = [pytest.mark.slow, pytest.mark.anyio, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
 
 
@@ -115,60 +118,46 @@ def test_client_sends_its_key_and_raises_what_was_refused(
         Client(url, key="clé")
 
 
-def test_async_client_has_the_methods_of_the_client() -> None:
-    def signatures(client: type) -> dict[str, list[str]]:
-        methods = inspect.getmembers(client, inspect.isfunction)
-        return {name: [*inspect.signature(method).parameters] for name, method in methods if name[0] != "_"}
-
-    assert signatures(AsyncClient) == signatures(Client)
-
-
-async def test_async_client_gives_what_the_client_gives(
-    server: Server, plastic: dsbrdf.Measurement, tmp_path: Path
-) -> None:
-    url = str(server.http.base_url)
+def test_client_deletes_fits_and_measurements(server: Server, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
     other = tmp_path / "other plastic.binary"
     dsbrdf.write_merl(other, plastic.values * 0.5)
     seen: list[float] = []
-
-    async with AsyncClient(url) as client:
-        results = await asyncio.gather(client.fit(plastic, OPTIONS, progress=seen.append), client.fit(other, OPTIONS))
-        with Client(url) as blocking:
-            sources: tuple[Source, ...] = plastic, other
-            for result, source in zip(results, sources, strict=True):
-                expected = blocking.fit(source, OPTIONS)
-                assert_same_bits(result.model, expected.model)
-                assert result.report == expected.report
-        (fit,) = [fit async for fit in client.fits(name="other plastic")]
-        assert await client.get(fit.id) == fit
-        await client.delete(fit.id)
-        assert [one async for one in client.fits(name="other plastic")] == []
-        np.testing.assert_array_equal((await client.measurement(fit.measurement)).stored, plastic.stored * 0.5)
-        await client.delete_measurement(fit.measurement)
+    with Client(str(server.http.base_url)) as client:
+        client.fit(other, OPTIONS, progress=seen.append)
+        (fit,) = client.fits(name="other plastic")
+        assert client.get(fit.id) == fit
+        assert client.delete(fit.id) == "deleted"
+        assert list(client.fits(name="other plastic")) == []
+        np.testing.assert_array_equal(client.measurement(fit.measurement).stored, plastic.stored * 0.5)
+        client.delete_measurement(fit.measurement)
         with pytest.raises(ServiceError, match="no measurement"):
-            await client.measurement(fit.measurement)
-        with pytest.raises(dsbrdf.MeasurementFormatError, match="empty"):
-            await client.submit(b"")
+            client.measurement(fit.measurement)
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
 
-async def test_async_client_does_not_wait_for_a_call_that_is_cancelled(server: Server, stored: str) -> None:
-    fit = server.submit(stored, "respond-async", **ENDLESS).json()
+def test_engine_asks_for_as_many_fits_at_once_as_it_is_told_and_is_closed_at_once(
+    server: Server, plastic_file: Path
+) -> None:
+    begun: list[int] = []
+    with closing(ClientEngine(str(server.http.base_url), 2)) as engine:
+        fits = [
+            engine.submit(
+                FitTask(str(mask), plastic_file, replace(endless_fit.OPTIONS, mask=float(mask))),
+                partial(note, begun, mask),
+            )
+            for mask in range(3)
+        ]
+        wait_until(lambda: {*begun} == {0, 1})
+    assert all(fit.done() for fit in fits)
+    assert {*begun} == {0, 1}
+    for unfinished in server.http.get("/v1/fits?limit=100").json()["items"]:
+        if unfinished["status"] in ("accepted", "running"):
+            server.http.delete(f"/v1/fits/{unfinished['id']}")
 
-    async with AsyncClient(str(server.http.base_url)) as client:
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(client.get(fit["id"], wait=20), 0.2)
-        assert await client.delete(fit["id"], only="cancel") == "cancelled"
 
-
-async def test_engine_asks_for_as_many_fits_at_once_as_it_is_told(server: Server) -> None:
-    engine = ClientEngine(str(server.http.base_url), 2)
-    await engine.start()
-    async with asyncio.timeout(10.0), engine.slot(), engine.slot():
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(engine.slot().__aenter__(), 0.01)
-    await engine.close()
+def note(begun: list[int], number: int, _: float) -> None:
+    begun.append(number)
 
 
 def test_client_follows_the_pages_of_a_list(server: Server, fitted: str) -> None:

@@ -7,6 +7,7 @@ computed in a process of its own, which gives way to the one that answers.
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -29,10 +30,10 @@ Place = Literal["short", "medium", "long"]
 
 
 class FairTurns:
-    """Owners take turns in one event loop; the requests of one are served in the order in which they came."""
+    """At most `count` turns at once in one event loop; owners alternate, and each is served in the order it came."""
 
-    def __init__(self) -> None:
-        self._taken = False
+    def __init__(self, count: int = 1) -> None:
+        self._free = count
         self._waiting: dict[str, deque[asyncio.Future[None]]] = {}  # by owner; the next to be served comes first
 
     @asynccontextmanager
@@ -46,19 +47,23 @@ class FairTurns:
             yield
         finally:
             if granted.done() and not granted.cancelled():  # also where it was cancelled just after it was granted
-                self._taken = False
-                if more := self._waiting.pop(owner, None):
-                    self._waiting[owner] = more  # behind all other owners who wait now
+                self._free += 1
+                self._put_last(owner)
                 self._serve()
 
     def _serve(self) -> None:
-        while self._waiting and not self._taken:
+        while self._waiting and self._free:
             owner, waiting = next(iter(self._waiting.items()))
-            if not waiting:
-                del self._waiting[owner]
-            elif not (granted := waiting.popleft()).done():  # else cancelled while it waited
-                self._taken = True
+            granted = waiting.popleft()
+            self._put_last(owner)
+            if not granted.done():  # else cancelled while it waited
+                self._free -= 1
                 granted.set_result(None)
+
+    def _put_last(self, owner: str) -> None:
+        """Put an owner behind all others who wait now."""
+        if more := self._waiting.pop(owner, None):
+            self._waiting[owner] = more
 
 
 @dataclass
@@ -111,8 +116,7 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-        work = partial(self._processes.call, step, *arguments)
-        found = await self._wait(request, key, work, head, place)
+        found = await self._wait(request, key, lambda: result_of(self._processes.call(step, *arguments)), head, place)
         if not isinstance(found, Fault):
             return found
         if found.origin == "input":
@@ -142,7 +146,7 @@ class Computations:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        await self._processes.close()
+        await asyncio.to_thread(self._processes.close)
 
     async def _wait(
         self,
@@ -186,6 +190,15 @@ class Computations:
             del self._in_progress[key]
         if task.done() and not task.cancelled():
             task.exception()  # perhaps nobody waits for it any more
+
+
+async def result_of(future: "Future[T]") -> T:
+    """Await a process; when cancelled, return after its end, so that its turn is not given away before."""
+    try:
+        return await asyncio.wrap_future(future)
+    except asyncio.CancelledError:
+        await asyncio.wait([asyncio.wrap_future(future)])
+        raise
 
 
 async def departure(request: Request) -> None:

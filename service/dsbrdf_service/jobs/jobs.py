@@ -8,8 +8,9 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import AsyncExitStack, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any, TypeVar, TypeVarTuple
 
 from starlette.concurrency import run_in_threadpool
@@ -26,7 +27,7 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
 from ..wire.fit_options import from_wire
-from .computations import FairTurns
+from .computations import FairTurns, result_of
 
 logger = logging.getLogger(__name__)
 
@@ -35,8 +36,8 @@ T = TypeVar("T")
 
 _RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
 _FINAL_BUSY_TIMEOUT = 1.0  # seconds that a write may wait for others when the service is about to end
+_READY_INTERVAL = 0.5  # seconds between two questions whether the engine can run fits
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
-_MAX_CANCEL_WAIT = 5.0  # seconds that who cancels a fit waits until its process has ended
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
 # A fit that runs whenever the service is killed may be the cause: after the first number of interruptions it waits
@@ -67,10 +68,11 @@ class Jobs:
     def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store
         self._engine = engine
-        self._turns = FairTurns()
+        self._turns = FairTurns(settings.workers)
         self._settings = settings
         self._metrics = metrics
-        self._stopping: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._loop = asyncio.get_running_loop()
+        self._stopping: asyncio.Future[None] = self._loop.create_future()
         self._running: dict[FitKey, _RunningFit] = {}
 
     async def start(self) -> None:
@@ -152,7 +154,6 @@ class Jobs:
         row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
             running.task.cancel()
-            await asyncio.wait([running.task], timeout=_MAX_CANCEL_WAIT)
         return row
 
     def _begin(self, key: FitKey, interruptions: int = 0) -> None:
@@ -190,9 +191,8 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with AsyncExitStack() as stack:
-            async with self._turns.turn(key.owner):  # whose fit gets the next slot
-                await stack.enter_async_context(self._engine.slot())
+        async with self._turns.turn(key.owner):
+            await self._until_ready()
             row = await _write(self._store.start_fit, key)
             if row is None:
                 return True
@@ -208,6 +208,14 @@ class Jobs:
                     return True
             return await _write(self._record, row, outcome)
 
+    async def _until_ready(self) -> None:
+        """Wait as long as the engine can run no fit."""
+        while True:
+            try:
+                return await run_in_threadpool(self._engine.check)
+            except RuntimeError:  # of which the log is told by who asks whether the service is ready
+                await asyncio.sleep(_READY_INTERVAL)
+
     async def _compute(self, row: FitRow) -> Outcome:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
@@ -217,7 +225,7 @@ class Jobs:
                     return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
                 task = FitTask(str(row.key), path, options, row.measurement)
-                outcome = await self._engine.run(task, lambda share: self._set_progress(row.key, share))
+                outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
                 if isinstance(outcome, FitResult):
                     return outcome
             except OSError as error:
@@ -246,6 +254,10 @@ class Jobs:
         self._store.fail_fit(row.key, asdict(outcome))
         logger.warning("the fit has failed: %s", outcome.message)
         return True
+
+    def _progress_in_loop(self, key: FitKey, share: float) -> None:
+        """Take a share from another thread."""
+        self._loop.call_soon_threadsafe(self._set_progress, key, share)
 
     def _set_progress(self, key: FitKey, share: float) -> None:
         running = self._running.get(key)

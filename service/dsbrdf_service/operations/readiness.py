@@ -32,7 +32,7 @@ class Readiness:
             "The database": partial(_in_thread, store.check),
             "The folder of measurements": partial(_in_thread, store.blobs.check),
             "The disk": partial(_in_thread, _check_space, store, settings.min_free_mb),
-            "The engine": engine.check,
+            "The engine": partial(_in_thread, engine.check),
         }
         self._asked: dict[str, tuple[float, asyncio.Task[str | None]]] = {}  # when, and what the check returns
 

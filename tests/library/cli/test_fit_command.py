@@ -160,10 +160,10 @@ class ComputedError(Exception):
 def test_second_run_keeps_the_stored_fits_of_these_files_and_options(
     two_files: list[str], stored_fit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def compute(_: object) -> None:
+    def compute(*_: object) -> None:
         raise ComputedError
 
-    monkeypatch.setattr(local.LocalEngine, "start", compute)
+    monkeypatch.setattr(local.LocalEngine, "submit", compute)
     one, two = (tmp_path / "out" / name for name in ("one.json", "two.json"))
     command = ["fit", *two_files, "-o", str(one.parent), "--json", *QUICK]
     one.parent.mkdir()

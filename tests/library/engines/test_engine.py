@@ -3,9 +3,12 @@
 import asyncio
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
+import time
 import warnings
+from concurrent.futures import CancelledError
 from functools import cache
 from pathlib import Path
 
@@ -14,9 +17,9 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.engines import dask_cluster as cluster_room
 from dsbrdf.engines import worker_process as child
-from dsbrdf.engines.engine import Engine, Fault, FitLimits, FitTask
+from dsbrdf.engines.engine import Fault, FitLimits, FitTask
+from dsbrdf.engines.local import LocalEngine
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from tests.support.dask_cluster import DaskCluster, forked
@@ -28,7 +31,7 @@ from tests.support.engines import (
     SLOW,
     Stage,
     content,
-    in_event_loop,
+    ignore,
     run,
     started,
     until,
@@ -122,68 +125,80 @@ def test_failed_fit_is_a_fault_that_says_why(
     wait_until(lambda: not stage.fitting())
 
 
-@in_event_loop
-async def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others(
+def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others(
     stage: Stage, plastic_file: Path
 ) -> None:
     shares: list[float] = []
-    async with started(stage.engine()) as engine:
-        fit = asyncio.create_task(engine.run(FitTask("one", plastic_file, SLOW), shares.append))
-        await until(lambda: asyncio.sleep(0.02, len(shares)), lambda count: count > 3)
+    with started(stage.engine()) as engine:
+        fit = engine.submit(FitTask("one", plastic_file, SLOW), shares.append)
+        waiting = engine.submit(FitTask("two", plastic_file, SLOW), shares.append)
+        wait_until(lambda: len(shares) > 3, PATIENCE)
         assert shares == sorted(set(shares))
         assert 0.0 < shares[0] < 0.5
-        victims = await until_fitting(stage)
-        begin = asyncio.get_running_loop().time()
-        fit.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await fit
-        await until(lambda: asyncio.sleep(0.01, any(map(alive, victims))), lambda any_alive: not any_alive)
+        victims = stage.fitting()
+        assert len(victims) == 1
+        begin = time.monotonic()
+        for future in (waiting, fit):
+            future.cancel()
+            with pytest.raises(CancelledError):
+                future.result(PATIENCE)
+        wait_until(lambda: not any(map(alive, victims)), PATIENCE)
         if SOAK:
-            assert asyncio.get_running_loop().time() - begin < 1.0
-        assert isinstance(await engine.run(FitTask("two", plastic_file, QUICK), lambda _: None), FitResult)
-    wait_until(lambda: not stage.fitting() and not forked(os.getpid()))
+            assert time.monotonic() - begin < 1.0
+        assert isinstance(engine.submit(FitTask("three", plastic_file, QUICK), ignore).result(PATIENCE), FitResult)
+        unfinished = [engine.submit(FitTask(name, plastic_file, ENDLESS), ignore) for name in ("four", "five")]
+        victims = until_fitting(stage)
+    assert all(future.done() for future in unfinished)
+    assert not forked(os.getpid())
+    wait_until(lambda: not any(map(alive, victims)), PATIENCE)
 
 
-@pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "elsewhere"])
-@in_event_loop
-async def test_fits_in_flight_are_as_many_as_there_are_slots(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch, *, elsewhere: bool
-) -> None:
-    if elsewhere:
-        monkeypatch.setattr(cluster_room, "_host", lambda address: address)
-    # One more than threads is prepared for other machines, so that they need not wait.
-    room = 2 if elsewhere and stage.cluster is not None else 1
-    begun: list[int] = []
+def test_future_of_a_cancelled_fit_is_done_when_its_process_has_ended(plastic_file: Path) -> None:
+    with started(LocalEngine(1)) as engine:
+        fit = engine.submit(FitTask("one", plastic_file, ENDLESS), ignore)
+        victims = until(lambda: forked(os.getpid()), bool)
+        for victim in victims:
+            os.kill(victim, signal.SIGSTOP)  # by itself it does not end any more
+        fit.cancel()
+        with pytest.raises(CancelledError):
+            fit.result(PATIENCE)
+        assert not any(map(alive, victims))
 
-    async def fit_one(engine: Engine, number: int, go: asyncio.Event) -> None:
-        async with engine.slot():
-            begun.append(number)
-            await go.wait()
 
-    async with started(stage.engine()) as engine:
-        go = asyncio.Event()
-        tasks = [asyncio.create_task(fit_one(engine, number, go)) for number in range(5)]
-        await until(lambda: asyncio.sleep(0, len(begun)), lambda count: count >= room)
-        for _ in range(20):  # gives the event loop time to start one fit too many
-            await asyncio.sleep(0)
-        assert begun == list(range(room))
-        go.set()
-        await asyncio.gather(*tasks)
-        assert begun == [0, 1, 2, 3, 4]
+def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) -> None:
+    shares: list[list[float]] = []
+    with started(LocalEngine(2)) as engine:
+        for number in range(3):
+            shares.append([])
+            engine.submit(FitTask(str(number), plastic_file, SLOW), shares[-1].append)
+        wait_until(lambda: bool(shares[0] and shares[1]), PATIENCE)
+        assert not shares[2]
+        assert len(forked(os.getpid())) == 2
+
+
+def test_event_loop_waits_for_a_fit_and_cancels_it(plastic_file: Path) -> None:
+    async def wait_for_two() -> None:
+        fit = await asyncio.wrap_future(engine.submit(FitTask("one", plastic_file, QUICK), ignore))
+        assert isinstance(fit, FitResult)
+        endless = engine.submit(FitTask("two", plastic_file, ENDLESS), ignore)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.wrap_future(endless), 0.2)
+        await asyncio.to_thread(wait_until, endless.done, PATIENCE)
+
+    with started(LocalEngine(1)) as engine:
+        asyncio.run(wait_for_two())
+        assert not forked(os.getpid())
 
 
 PROGRAM = """
-import asyncio, sys
+import sys
 from pathlib import Path
-from tests.support.engines import ENDLESS, QUICK, DaskEngine, FitTask, started
+from tests.support.engines import ENDLESS, QUICK, DaskEngine, FitTask, ignore, started
 
-async def main():
-    async with started(DaskEngine(sys.argv[1], 1)) as engine:
-        for options in (QUICK, ENDLESS):
-            outcome = await engine.run(FitTask("one", Path(sys.argv[2]), options), lambda _: None)
-            print(type(outcome).__name__, flush=True)
-
-asyncio.run(main())
+with started(DaskEngine(sys.argv[1], 1)) as engine:
+    for options in (QUICK, ENDLESS):
+        outcome = engine.submit(FitTask("one", Path(sys.argv[2]), options), ignore).result()
+        print(type(outcome).__name__, flush=True)
 """
 
 

@@ -173,16 +173,15 @@ def test_lack_of_descriptors_is_told_every_ten_seconds_and_anything_else_at_once
     assert [[passes(record) for record in records] for _ in range(3)] == [[True, True], [False, True], [True, True]]
 
 
-@pytest.mark.anyio
-async def test_output_of_fit_processes_is_in_the_log() -> None:
+def test_output_of_fit_processes_is_in_the_log() -> None:
     stream, processes = io.StringIO(), WorkerProcesses(1, FitLimits())
     handler, of_processes = logging.StreamHandler(stream), logging.getLogger("dsbrdf.engines.engine")
     handler.setFormatter(LineFormatter(text=False))
     of_processes.addHandler(handler)
     bind("fit", "one")
-    fault = await processes.call(divmod, 1, on_progress=print)  # which a number cannot be divided by
+    fault = processes.call(divmod, 1, on_progress=print).result()  # which a number cannot be divided by
     of_processes.removeHandler(handler)
-    await processes.close()
+    processes.close()
     assert isinstance(fault, Fault)
     told = json.loads(stream.getvalue())
     assert (told["level"], told["fit"]) == ("error", "one")

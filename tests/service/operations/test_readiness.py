@@ -3,6 +3,7 @@
 import asyncio
 import shutil
 import sqlite3
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -106,12 +107,12 @@ class Asked:
     def __init__(self) -> None:
         self.times = 0
         self.fault: str | None = None
-        self.hangs = asyncio.Event()
+        self.hangs = threading.Event()
         self.hangs.set()
 
-    async def check(self) -> None:
+    def check(self) -> None:
         self.times += 1
-        await self.hangs.wait()
+        self.hangs.wait()
         if self.fault is not None:
             raise RuntimeError(self.fault)
 
