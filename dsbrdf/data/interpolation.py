@@ -8,6 +8,7 @@ A node without a value takes that of the nearest one along theta_diff, along whi
 Every node then has one value, so the interpolation has no steps, not even beside invalid nodes.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,28 +52,44 @@ class InterpolatedMeasurement:
             values[block] = self._values(*(angle[block] for angle in flat)).T
         return values.reshape(*angles[0].shape, 3)
 
+    def is_measured(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Mask:
+        """Whether one of the nodes that a value lies between was measured; angles as for `evaluate`, shape (...)."""
+        angles = np.broadcast_arrays(*checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff))
+        found = np.zeros(angles[0].shape, dtype=bool)
+        for weight, node in _corners(*angles):
+            found |= self.measurement.valid[node] & (weight > 0.0)
+        return found
+
     def _values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values at N points, shape (3, N)."""
-        rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
-        row, row_share = _cells(rows, GRID_SHAPE[0])
-        diff, diff_share = _cells(np.clip(np.degrees(theta_diff), 0.0, 90.0), GRID_SHAPE[1])
-        turn = np.mod(np.degrees(phi_diff), 180.0)
-        column = np.minimum(turn.astype(np.intp), GRID_SHAPE[2] - 1)
-        column_share = turn - column
         stored = self.measurement.stored.reshape(3, -1)
         scale = self.measurement.scale[:, np.newaxis]
-        logarithm = np.zeros((3, rows.size))
-        for corner in range(8):
-            a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
-            weight = (
-                (row_share if a else 1.0 - row_share)
-                * (diff_share if b else 1.0 - diff_share)
-                * (column_share if c else 1.0 - column_share)
-            )
-            nodes = self.source[:, row + a, diff + b, (column + c) % GRID_SHAPE[2]]
+        logarithm = np.zeros((3, theta_half.size))
+        for weight, (row, diff, column) in _corners(theta_half, theta_diff, phi_diff):
+            nodes = self.source[:, row, diff, column]
             found = stored[:, nodes[0]] if len(nodes) == 1 else np.take_along_axis(stored, nodes, axis=1)
             logarithm += weight * np.log(found * scale + _FLOOR)
         return np.maximum(np.exp(logarithm) - _FLOOR, 0.0)
+
+
+def _corners(
+    theta_half: Array, theta_diff: Array, phi_diff: Array
+) -> Iterator[tuple[Array, tuple[Indices, Indices, Indices]]]:
+    """Yield the weight and the node of each of the eight corners of the cell that holds each point."""
+    rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
+    row, row_share = _cells(rows, GRID_SHAPE[0])
+    diff, diff_share = _cells(np.clip(np.degrees(theta_diff), 0.0, 90.0), GRID_SHAPE[1])
+    turn = np.mod(np.degrees(phi_diff), 180.0)
+    column = np.minimum(turn.astype(np.intp), GRID_SHAPE[2] - 1)
+    column_share = turn - column
+    for corner in range(8):
+        a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
+        weight = (
+            (row_share if a else 1.0 - row_share)
+            * (diff_share if b else 1.0 - diff_share)
+            * (column_share if c else 1.0 - column_share)
+        )
+        yield weight, (row + a, diff + b, (column + c) % GRID_SHAPE[2])
 
 
 def interpolate(measurement: Measurement) -> InterpolatedMeasurement:

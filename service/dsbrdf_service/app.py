@@ -167,7 +167,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, measurements.router, about.router, page.pages, page.router)
+    routers = (*of_fits, brdf.measured, measurements.router, about.router, page.pages, page.router)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:

@@ -17,7 +17,7 @@ from dsbrdf import DSBRDF
 from ..wire.fit_options import DEFAULTS
 from ..wire.model_document import model_document
 from ..wire.points import JSON
-from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, Problem, Progress
+from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, NewName, Problem, Progress
 from . import problems as table
 from .request_log import HEALTH
 
@@ -26,7 +26,7 @@ Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
 # FastAPI does not find these itself.
-_REFERENCED = (Problem, FitRequest, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
+_REFERENCED = (Problem, FitRequest, NewName, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
 _KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -104,6 +104,8 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "RemovedFit": {"id": EXAMPLE_FIT, "status": "cancelled"},
     "ComponentList": {"items": [_COMPONENT]},
     "Values": {"values": [[0.42, 0.21, 0.11]]},
+    "MeasuredValues": {"values": [[0.42, 0.21, 0.11], None]},
+    "NewName": {"name": "brushed nickel"},
     "Health": {"status": "live", "version": dsbrdf.__version__},
     "Readiness": {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0},
 }

@@ -88,7 +88,7 @@ def view_step(model: DSBRDF, stored: StoredMeasurement | None, horizon_cutoff: f
     reference = render_sphere(measurement, size=_SIZE)
     factor = exposure(reference, normals)
     pictures = {"fit": displayed(fit, factor), "measured": displayed(reference, factor)}
-    pictures["difference"] = np.clip(DIFFERENCE_GAIN * np.abs(pictures["measured"] - pictures["fit"]), 0.0, 1.0)
+    pictures["difference"] = _difference(pictures["measured"], pictures["fit"])
     reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
     means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
     polar = interpolate(measurement).evaluate(*in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
@@ -105,6 +105,27 @@ def sphere_step(
     if part is not None:
         image = render_sphere(part, lighting=lighting, size=size)
     return encode_png(displayed(image, factor))
+
+
+def difference_step(model: DSBRDF, stored: StoredMeasurement, lighting: str, size: int, _: OnProgress) -> bytes:
+    """Return the PNG of the difference of a fit's sphere and its measurement's, with the measurement's exposure."""
+    fit, reference = (render_sphere(shown, lighting=lighting, size=size) for shown in (model, stored.mapped()))
+    factor = exposure(reference, sphere_normals(size)[1])
+    return encode_png(_difference(displayed(reference, factor), displayed(fit, factor)))
+
+
+def measured_step(
+    stored: StoredMeasurement, theta_half: Array, theta_diff: Array, phi_diff: Array, _: OnProgress
+) -> Array:
+    """Return a measurement's values at points (n,), shape (n, 3), interpolated as on its sphere; NaN without one."""
+    known = interpolate(stored.mapped())
+    values = known.evaluate(theta_half, theta_diff, phi_diff)
+    values[~known.is_measured(theta_half, theta_diff, phi_diff)] = np.nan
+    return values
+
+
+def _difference(measured: Array, fit: Array) -> Array:
+    return np.clip(DIFFERENCE_GAIN * np.abs(measured - fit), 0.0, 1.0)
 
 
 def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
@@ -133,11 +154,14 @@ def figure_step(
     model: DSBRDF,
     stored: StoredMeasurement,
     horizon_cutoff: float | None,
+    dark: bool,
     _: OnProgress,
 ) -> bytes:
-    """Return one of `FIGURES` as a file."""
+    """Return one of `FIGURES` as a file, perhaps for a dark background."""
     import matplotlib as mpl
+    import matplotlib.style
 
+    mpl.style.use("dark_background" if dark else "default")
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
     reduced = profiles(stored.mapped(), horizon_cutoff=horizon_cutoff)
     return encode_figure(FIGURES[figure](reduced, model), image_format)

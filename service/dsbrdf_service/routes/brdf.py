@@ -10,6 +10,7 @@ from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
 from numpy.lib import format as npy_format
 from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
@@ -23,6 +24,7 @@ from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import accepted_type, tagged_reply
 from ..jobs.results import LoadedFit
+from ..jobs.steps import StoredMeasurement, measured_step
 from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
 from ..wire.points import (
@@ -39,8 +41,19 @@ from ..wire.points import (
     from_npy,
     from_query,
 )
-from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Values
-from .dependencies import NO_QUERY, Context, TheContext, TheFit, caller_of, context_of, fit_key, no_query
+from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, MeasuredValues, Values
+from .dependencies import (
+    NO_QUERY,
+    Context,
+    Sha256,
+    TheCaller,
+    TheContext,
+    TheFit,
+    caller_of,
+    context_of,
+    fit_key,
+    no_query,
+)
 
 
 class _DirectRoute(APIRoute):
@@ -64,6 +77,7 @@ class _DirectRoute(APIRoute):
 
 
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
+measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
 components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"])
 Label = Annotated[
     str,
@@ -107,6 +121,7 @@ _GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished", "invalid-argum
 _POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
     "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
+_OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged", "invalid-argument")
 _get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
 _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)
 
@@ -140,6 +155,34 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
     return await _values_of_batch(request, context, fit, label)
 
 
+@measured.get(
+    "", response_model=MeasuredValues, summary="A measurement's values", responses=_OF_MEASUREMENT, openapi_extra=_QUERY
+)
+async def get_measured_values(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
+
+    A value is null where no node beside it was measured, as below the horizon.
+    """
+    stored = await context.stored_measurement(caller.owner, sha256)
+    points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
+    return await _measured_reply(request, context, stored, points, JSON)
+
+
+@measured.post(
+    "",
+    response_model=MeasuredValues,
+    summary="A measurement's values at many points",
+    responses=_OF_MEASUREMENT | _POST_RESPONSES,
+    openapi_extra=_BATCH,
+)
+async def post_measured_values(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
+    await no_query(request)
+    media_type = _answer_type(request)
+    stored = await context.stored_measurement(caller.owner, sha256)
+    return await _measured_reply(request, context, stored, await _batch(request, context), media_type)
+
+
 @components.get(
     "",
     dependencies=NO_QUERY,
@@ -164,12 +207,30 @@ async def _values_of_query(request: Request, context: Context, fit: FitKey, labe
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     await no_query(request)
-    media_type = accepted_type(request, JSON, NPY)
-    if media_type is None:
-        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
+    media_type = _answer_type(request)
     loaded = await _loaded(context, fit, label)
     points = await _batch(request, context)
     return await _reply(request, context, loaded.part(label), points, media_type)
+
+
+def _answer_type(request: Request) -> str:
+    media_type = accepted_type(request, JSON, NPY)
+    if media_type is None:
+        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
+    return media_type
+
+
+async def _measured_reply(
+    request: Request, context: Context, stored: StoredMeasurement, points: Points, media_type: str
+) -> Response:
+    """Return a measurement's values, which a process of its own interpolates."""
+    angles = points.theta_half, points.theta_diff, points.phi_diff
+    head = {"Content-Type": media_type}
+    values = await context.in_process(request, object(), measured_step, stored, *angles, head=head)
+    if media_type == NPY:
+        return Response(_npy_head(len(points)) + values.tobytes(), 200, head)
+    triples = [None if np.isnan(triple[0]) else triple for triple in values.tolist()]
+    return Response(await run_in_threadpool(to_json, {"values": triples}), 200, head)
 
 
 async def _loaded(context: Context, fit: FitKey, label: str | None) -> LoadedFit:

@@ -11,10 +11,11 @@ from dsbrdf.extras import require
 
 from ..http import openapi
 from ..http.responses import check_wanted, tag_of
-from ..jobs.steps import FIGURES, figure_step, sphere_step
+from ..jobs.steps import FIGURES, StoredMeasurement, difference_step, figure_step, sphere_step
+from ..storage.schema import FitKey
 from ..wire.fit_options import from_wire
-from ..wire.schemas import FitSphere, Sphere
-from .dependencies import NO_QUERY, NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
+from ..wire.schemas import Figure, FitSphere, Sphere
+from .dependencies import NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
 
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
@@ -43,19 +44,37 @@ async def draw_sphere(
     fit: TheFit,
     wanted: Annotated[FitSphere, Query()],
 ) -> Response:
-    """Return a picture of a sphere of the fit, or of one component, with the exposure of the whole fit.
+    """Return a picture of a sphere of the fit, or of one component, with the exposure of the fit or its measurement.
 
-    The 99th percentile of the whole fit's sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
+    The 99th percentile of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
     loaded = await context.models.get(fit)
-    part = None if wanted.component is None else loaded.part(wanted.component)
-    step = sphere_step, loaded.model, part, wanted.lighting, wanted.size
+    part = loaded.model if wanted.component is None else loaded.part(wanted.component)
+    exposed = loaded.model if wanted.exposure == "fit" else await _measurement_of(context, fit)
+    step = sphere_step, exposed, part, wanted.lighting, wanted.size
     return await drawn_reply(request, context, PNG, ("sphere", fit, wanted.model_dump_json()), *step)
 
 
 @router.get(
+    "/fits/{fit_id}/figures/difference.png",
+    response_class=Response,
+    summary="How a sphere of a fit differs from its measurement's",
+    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument"),
+)
+async def draw_difference(
+    request: Request,
+    context: TheContext,
+    fit: TheFit,
+    wanted: Annotated[Sphere, Query()],
+) -> Response:
+    """Return four times the difference of the pictures of fit and measurement, both with the measurement's exposure."""
+    model, stored = (await context.models.get(fit)).model, await _measurement_of(context, fit)
+    step = difference_step, model, stored, wanted.lighting, wanted.size
+    return await drawn_reply(request, context, PNG, ("difference", fit, wanted.model_dump_json()), *step)
+
+
+@router.get(
     "/fits/{fit_id}/figures/{figure}.{image_format}",
-    dependencies=NO_QUERY,
     response_class=Response,
     summary="A figure of a fit",
     responses=_FIGURE
@@ -68,6 +87,7 @@ async def draw_figure(
     fit: TheFit,
     figure: _Figure,
     image_format: _ImageFormat,
+    wanted: Annotated[Figure, Query()],
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -79,8 +99,8 @@ async def draw_figure(
     row = await context.fit_row(fit)
     stored = await context.stored_measurement(fit.owner, row.measurement, row.name)
     require("plot", "matplotlib", purpose="figures")
-    step = figure_step, figure, image_format, model, stored, from_wire(row.options).horizon_cutoff
-    key = "figure", fit, row.name, figure, image_format
+    step = figure_step, figure, image_format, model, stored, from_wire(row.options).horizon_cutoff, wanted.dark
+    key = "figure", fit, row.name, figure, image_format, wanted.dark
     return await drawn_reply(request, context, _MEDIA_TYPES[image_format], key, *step)
 
 
@@ -101,6 +121,10 @@ async def draw_measurement(
     stored = await context.stored_measurement(caller.owner, sha256)
     step = sphere_step, stored, None, wanted.lighting, wanted.size
     return await drawn_reply(request, context, PNG, ("measured", caller.owner, sha256, wanted.model_dump_json()), *step)
+
+
+async def _measurement_of(context: Context, fit: FitKey) -> StoredMeasurement:
+    return await context.stored_measurement(fit.owner, (await context.fit_row(fit)).measurement)
 
 
 async def drawn_reply(

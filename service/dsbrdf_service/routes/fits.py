@@ -31,7 +31,7 @@ from ..storage.schema import Caller, FitKey, FitRow
 from ..wire import schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.model_document import model_document
-from ..wire.names import content_disposition
+from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
 from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of, revocation
 from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
@@ -143,6 +143,22 @@ async def get_fit(
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
     return tagged_reply(request, document, headers=headers)
+
+
+@router.patch(
+    "/{fit_id}",
+    dependencies=NO_QUERY,
+    response_model=schemas.FitDocument,
+    summary="Rename a fit",
+    responses=openapi.problems("not-found", "invalid-argument", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
+    openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(schemas.NewName)}}),
+)
+async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Give a fit another name, or none; nothing else of it can be changed."""
+    media_type_of(request, JSON)
+    given = schemas.parse_document(schemas.NewName, await receive_body(request, _MAX_JSON))
+    name = None if given.name is None else check_name(given.name)
+    return json_reply(await _document(context, await in_write_thread(context.store.rename_fit, fit, name)))
 
 
 @router.delete(

@@ -49,6 +49,7 @@ _ADD_MEASUREMENT = (
     f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?, ?) ON CONFLICT (owner, sha256) DO UPDATE"
     f" SET name = coalesce(excluded.name, name) RETURNING {columns(MeasurementRow)}"
 )
+_NAME_FIT = f"UPDATE fits SET name = ? {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
 _RENAME_FIT = f"UPDATE fits SET name = coalesce(?, name) {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
 
 
@@ -120,7 +121,7 @@ class Store:
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
         if drawn and not row.on_grid:
-            detail = "The measurement is a table of scattered samples, of which there is no picture."
+            detail = "The measurement is a table of scattered samples, which has no values between them and no picture."
             raise ProblemError("not-found", detail)
         return self.blobs.path(sha256)
 
@@ -186,6 +187,14 @@ class Store:
         if row is None:
             raise FitNotFoundError(key.id)
         return row
+
+    def rename_fit(self, key: FitKey, name: str | None) -> FitRow:
+        """Give a fit another name, or none; raises FitNotFoundError."""
+        with self.database.transaction() as db:
+            rows = db.execute(_NAME_FIT, (name, *key)).fetchall()
+        if not rows:
+            raise FitNotFoundError(key.id)
+        return FitRow.from_values(rows[0])
 
     def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""

@@ -33,6 +33,7 @@ from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
 from .fit_options import DEFAULTS, WIRE_NAMES
 from .model_document import ModelDocument
+from .names import MAX_LENGTH
 from .numbers import check_plain
 
 FIT_ID = r"^[0-9a-f]{32}$"
@@ -304,6 +305,12 @@ class Values(BaseModel):
     values: list[Rgb]
 
 
+class MeasuredValues(BaseModel):
+    """Values of a measurement, one RGB triple for each point [1/sr]; null where nothing was measured."""
+
+    values: list[Rgb | None]
+
+
 class Progress(BaseModel):
     """A server-sent event of a fit."""
 
@@ -360,6 +367,22 @@ class FitSphere(Sphere):
     """What of a fit to draw."""
 
     component: _Component = None
+    exposure: Annotated[
+        Literal["fit", "measurement"],
+        Field(description="Whose whole sphere sets the exposure; pictures to be compared have one exposure."),
+    ] = "fit"
+
+
+class Figure(_Input):
+    """How to draw a figure."""
+
+    dark: Annotated[bool, Field(description="For a dark background.")] = False
+
+
+class NewName(_Input):
+    """Another name of a fit, or none."""
+
+    name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]
 
 
 def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:

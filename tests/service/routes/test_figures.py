@@ -13,6 +13,7 @@ import dsbrdf
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
 from dsbrdf_service.http.problems import KINDS, problem_of
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -44,6 +45,18 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     picture = dsbrdf.render_sphere(plastic, size=32)
     assert_shows(answer, displayed(picture, exposure(picture, sphere_normals(32)[1])))
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
+
+
+def test_fit_and_measurement_are_compared_with_one_exposure(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, plastic: dsbrdf.Measurement
+) -> None:
+    url = f"/v1/fits/{fitted}/figures"
+    fit, measured = (dsbrdf.render_sphere(shown, size=32) for shown in (model, plastic))
+    factor = exposure(measured, sphere_normals(32)[1])
+    answer = server.http.get(f"{url}/sphere.png", params={"size": "32", "exposure": "measurement"})
+    assert_shows(answer, displayed(fit, factor))
+    difference = DIFFERENCE_GAIN * np.abs(displayed(fit, factor) - displayed(measured, factor))
+    assert_shows(server.http.get(f"{url}/difference.png", params={"size": "32"}), np.minimum(difference, 1.0))
 
 
 def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted: str) -> None:

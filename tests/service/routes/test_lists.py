@@ -1,5 +1,8 @@
 """Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
 
+import html
+import re
+
 import pytest
 
 from dsbrdf.errors import InvalidArgumentError
@@ -122,3 +125,23 @@ def test_measurements_are_listed(server: Server, data: bytes) -> None:
     first = server.http.get("/v1/measurements", params={"name": "listed", "limit": 1})
     assert first.json()["items"] == [other]
     assert server.http.get(first.links["next"]["url"]).json()["items"] == [one]
+
+
+def test_fit_gets_another_name_or_none(server: Server, fitted: str) -> None:
+    path = f"/v1/fits/{fitted}"
+    before = server.http.get(path).json()
+    for name in ("brushed nickel", None, before["name"]):
+        answer = server.http.patch(path, json={"name": name})
+        assert answer.json() == server.http.get(path).json() == {**before, "name": name}
+    for wrong in ({"name": "a/b"}, {"name": ""}, {"name": 3}, {}, {"name": "a", "status": "failed"}):
+        assert_problem(server.http.patch(path, json=wrong), 422, "invalid-argument")
+    assert_problem(server.http.patch(f"/v1/fits/{'0' * 32}", json={"name": "a"}), 404, "not-found")
+
+
+def test_older_fits_of_the_page_are_others(server: Server, fitted: str, stored: str) -> None:
+    server.submit(stored, em_iterations=7)
+    page = server.http.get("/?limit=1").text
+    (older,) = re.findall(r'href="\./(\?[^"]*cursor[^"]*)"', page)
+    pages = page, server.http.get("/" + html.unescape(older)).text
+    listed = [fit["id"] for fit in server.http.get("/v1/fits", params={"limit": 2}).json()["items"]]
+    assert [re.findall(r"fits/([0-9a-f]{32})", text)[0] for text in pages] == listed
