@@ -17,9 +17,11 @@ from benchmarks.durability_series.harness import (
     leftovers,
     query_database,
     same_bits,
+    temporary_files,
 )
 from benchmarks.durability_series.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
 from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf_service.commands.purge import purge
 from tests.support.server import Server
 
 _CLIENTS = 4
@@ -40,9 +42,12 @@ def server_killed(harness: Harness, times: int) -> str:
             _kill_under_load(harness, server, clients)
         promised = sum(client.settle(server.http) for client in clients)
         accepted = sum(client.accepted for client in clients)
+        # A kill between the end of a row and that of its file leaves the file.
+        files = purge(server.data_dir, None, files_without_rows=True)["files_without_rows"]
         _end(harness, server)
     return (
-        f"{times} kills, {_answers(clients)} requests, {accepted} fits accepted, {promised} of them due at the end: "
+        f"{times} kills, {_answers(clients)} requests, {accepted} fits accepted, {promised} of them due at the end, "
+        f"{files} files without rows: "
         f"{len(harness.faults)} faults"
     )
 
@@ -64,7 +69,7 @@ def _kill_under_load(harness: Harness, server: Server, clients: list[StatefulCli
     server.start()
     gone = becomes_true(lambda: not before & server.processes(), _LAST_BREATH)
     harness.expect(gone, "processes outlived a server that was killed")
-    left = leftovers(server)
+    left = temporary_files(server)
     harness.expect(not left, f"left behind by a server that was killed: {left}")
 
 

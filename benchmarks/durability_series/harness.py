@@ -125,8 +125,12 @@ def leftovers(server: Server) -> list[str]:
     """Return temporary files of earlier processes, and files of measurements without a row."""
     known = {f"{sha256}.binary" for (sha256,) in query_database(server, "SELECT DISTINCT sha256 FROM measurements")}
     stray = [path for path in (server.data_dir / "blobs").rglob("*") if path.is_file() and path.name not in known]
-    stray += [*(server.data_dir / "tmp").iterdir(), *(server.data_dir / "lost").glob("*")]
-    stray += Path(server.environment["TMPDIR"]).iterdir()
+    return [*temporary_files(server), *map(str, stray)]
+
+
+def temporary_files(server: Server) -> list[str]:
+    """Return temporary files of earlier processes."""
+    stray = [*(server.data_dir / "tmp").iterdir(), *Path(server.environment["TMPDIR"]).iterdir()]
     # The sockets of the process that runs are in one folder; more than that is an earlier one's.
     stray += sorted((server.data_dir / "run").iterdir())[1:]
     return [str(path) for path in stray]

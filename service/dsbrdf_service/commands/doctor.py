@@ -58,18 +58,19 @@ def _measurements(folder: Path) -> str:
     return f"{len(still)} files are what their rows say"
 
 
-def _lost(folder: Path) -> str:
-    if number := Blobs(folder).n_lost():
+def _files(folder: Path) -> str:
+    files = set(Blobs(folder).all())  # before their rows: a file is placed before its row is committed
+    if without := files - _stored(folder):
         raise CheckFailedError(
-            f"{number} files have no row or not the bytes that they are named by: they are in {folder / 'lost'}, from "
-            "where an upload of the same measurement takes one back; remove those that nobody needs"
+            f"{len(without)} of {len(files)} files have no row: a newer copy of the database may have them, an upload "
+            "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
         )
-    return "no file is set aside"
+    return f"{len(files)} files have rows"
 
 
 def _stored(folder: Path) -> set[str]:
     return {sha256 for (sha256,) in read_only(folder, "SELECT DISTINCT sha256 FROM measurements")}
 
 
-CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements, "lost files": _lost}
+CHECKS: dict[str, Callable[[Path], str]] = {"database": _database, "measurements": _measurements, "files": _files}
 """A check returns what it has found, or raises an exception that says what is wrong."""

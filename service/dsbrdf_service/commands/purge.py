@@ -1,7 +1,7 @@
 """The command ``dsbrdf purge``: remove what is older than a given age, also while a server runs.
 
 Fits are removed when they ended longer ago, measurements when they were stored longer ago and no remaining fit of their
-owner uses them, files with the last row of any owner.
+owner uses them, files after the last row of any owner. Files that have no row at all go only when that is asked for.
 """
 
 import re
@@ -19,12 +19,13 @@ from dsbrdf.cli.commands import new_application
 
 from ..storage.blobs import Blobs
 from ..storage.database import Database, check_integrity
+from ..storage.removal import remove_files, remove_rows
 from ..storage.schema import IS_UNFINISHED
-from . import DataDir, Json, data_folder, run_on_folder
+from . import DataDir, Json, data_folder, refuse, run_on_folder
 
 _AGE = re.compile(r"([0-9]{1,6})([smhdw])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
-_PURPOSE = "Remove fits that ended long ago, and measurements as old that no other fit uses; a server may run."
+_PURPOSE = "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run."
 _ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
@@ -36,22 +37,35 @@ _OLD_MEASUREMENTS = (
 )
 
 
-def purge(folder: Path, before: float, *, dry_run: bool = False) -> dict[str, int]:
-    """Remove what is older than the time `before` [s since 1970]; return how many rows, and bytes of files.
+def purge(
+    folder: Path, before: float | None, *, files_without_rows: bool = False, dry_run: bool = False
+) -> dict[str, int]:
+    """Remove what is older than the time `before` [s since 1970], and perhaps the files that have no row.
+
+    Return how many fits, measurements and files without rows that are, and how many bytes of files.
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
     check_integrity(folder)
+    blobs, purged = Blobs(folder), {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
     with closing(Database(folder, exclusive=False)) as database:
-        if dry_run:
-            return _counted(database, before)
-        fits = measurements = freed = 0
-        while gone := _remove_fits(database, before):
-            fits += gone
-        while gone_now := _remove_measurements(database, Blobs(folder), before):
-            measurements += len(gone_now)
-            freed += sum(gone_now)
-    return {"fits": fits, "measurements": measurements, "bytes": freed}
+        if before is not None and dry_run:
+            purged |= _counted(database, before)
+        elif before is not None:
+            while gone := _remove_fits(database, before):
+                purged["fits"] += gone
+            while removed := _remove_measurements(database, blobs, before):
+                purged["measurements"] += len(removed)
+                purged["bytes"] += sum(removed)
+        if files_without_rows:
+            names = set(blobs.all()) - {sha256 for (sha256,) in database.rows("SELECT sha256 FROM measurements")}
+            if dry_run:
+                sizes = [blobs.path(name).lstat().st_size for name in names]
+            else:
+                sizes = remove_files(database, blobs, names)
+            purged["files_without_rows"] = len(sizes)
+            purged["bytes"] += sum(sizes)
+    return purged
 
 
 def _counted(database: Database, before: float) -> dict[str, int]:
@@ -72,15 +86,12 @@ def _remove_fits(database: Database, before: float) -> int:
 def _remove_measurements(database: Database, blobs: Blobs, before: float) -> list[int]:
     """Remove some old measurements; return for each how many bytes it has freed."""
     query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
-    freed = []
-    with blobs.removal() as remove_file, database.transaction() as db:
-        for rowid, sha256, size in db.execute(query, {"before": before}).fetchall():
-            db.execute("DELETE FROM measurements WHERE rowid = ?", (rowid,))
-            last = _rows_of(db, sha256) == 0
-            if last:  # inside the transaction: an upload of the same bytes comes before it or after it
-                remove_file(sha256)
-            freed.append(size if last else 0)
-    return freed
+    with database.transaction() as db:
+        old = db.execute(query, {"before": before}).fetchall()
+        unwanted = set(remove_rows(db, blobs, [(rowid, sha256) for rowid, sha256, _ in old]))
+    remove_files(database, blobs, unwanted)
+    sizes = {sha256: size for _, sha256, size in old if sha256 in unwanted}
+    return [sizes.pop(sha256, 0) for _, sha256, _ in old]
 
 
 def _rows_of(db: sqlite3.Connection, sha256: str) -> int:
@@ -107,14 +118,19 @@ def _age(_: Any, tokens: Sequence[Token]) -> int:
 
 def _purge(
     *,
-    older_than: Annotated[int, Parameter(converter=_age, metavar="AGE", help="Such as 30d, 12h or 45m.")],
+    older_than: Annotated[int | None, Parameter(converter=_age, metavar="AGE", help="Such as 30d, 12h or 45m.")] = None,
+    files_without_rows: Annotated[bool, Parameter(help="Remove the files that belong to no measurement.")] = False,
     dry_run: Annotated[bool, Parameter(help="Only report what would be removed.")] = False,
     data_dir: DataDir = None,
     json: Json = False,
-) -> None:
-    purged = purge(data_folder(data_dir), time.time() - older_than, dry_run=dry_run)
+) -> int:
+    if older_than is None and not files_without_rows:
+        return refuse("name what to remove: --older-than AGE, such as 30d, --files-without-rows, or both")
+    before = None if older_than is None else time.time() - older_than
+    purged = purge(data_folder(data_dir), before, files_without_rows=files_without_rows, dry_run=dry_run)
     if json:
         print_json({**purged, "dry_run": dry_run})
     else:
-        removed = f"{purged['fits']} fits and {purged['measurements']} measurements"
-        print(f"{removed} {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")
+        rows = f"{purged['fits']} fits, {purged['measurements']} measurements and {purged['files_without_rows']}"
+        print(f"{rows} files without rows {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")
+    return 0

@@ -107,7 +107,7 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasuredValues": {"values": [[0.42, 0.21, 0.11], None]},
     "NewName": {"name": "brushed nickel"},
     "Health": {"status": "live", "version": dsbrdf.__version__},
-    "Readiness": {"status": "ready", "version": dsbrdf.__version__, "lost_files": 0},
+    "Readiness": {"status": "ready", "version": dsbrdf.__version__},
 }
 EXAMPLE_EVENTS = (
     f'event: running\ndata: {{"id":"{EXAMPLE_FIT}","status":"running","progress":0.42,"error":null}}\n\n'

@@ -2,10 +2,11 @@
 
 import hashlib
 import json
+import logging
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from ..storage.schema import FitRow, MeasurementRow
 from ..wire.numbers import number_of
 from ..wire.points import JSON
 from ..wire.schemas import Page
+
+logger = logging.getLogger(__name__)
 
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -98,15 +101,12 @@ def check_wanted(request: Request, headers: Mapping[str, str]) -> None:
 class OpenFileResponse(FileResponse):
     """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
 
-    If the whole of it has not the digest `sha256`, its last piece is kept back, which breaks the connection, and
-    `on_damage` is called: the client learns that it has not got what the ETag says. Raises FileNotFoundError if the
-    file has been deleted already.
+    If the whole of it has not the digest `sha256`, its last piece is kept back, which breaks the connection: the client
+    learns that it has not got what the ETag says. Raises FileNotFoundError if the file has been deleted already.
     """
 
-    def __init__(
-        self, path: Path, headers: Mapping[str, str], media_type: str, sha256: str, on_damage: Callable[[], None]
-    ) -> None:
-        self._sha256, self._on_damage = sha256, on_damage
+    def __init__(self, path: Path, headers: Mapping[str, str], media_type: str, sha256: str) -> None:
+        self._sha256 = sha256
         self._file = path.open("rb")
         number = self._file.fileno()
         super().__init__(
@@ -134,7 +134,7 @@ class OpenFileResponse(FileResponse):
         if held is None or held.get("more_body", True):  # the client has gone
             return
         if status == 200 and digest.hexdigest() != self._sha256:
-            self._on_damage()
+            logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
         else:
             await send(held)
 

@@ -43,8 +43,7 @@ async def get_ready(context: TheContext) -> Response:
     fault = await context.readiness.fault()
     if fault is not None:
         raise ProblemError("not-ready", fault)
-    lost = await run_in_threadpool(context.store.blobs.n_lost)
-    return json_reply(Readiness(status="ready", version=dsbrdf.__version__, lost_files=lost))
+    return json_reply(Readiness(status="ready", version=dsbrdf.__version__))
 
 
 @router.get(

@@ -1,6 +1,5 @@
 """Measurements: upload once, fit often."""
 
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -121,9 +120,8 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     if request.method == "HEAD":
         return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{'.binary' if row.on_grid else '.txt'}")
-    distrust = partial(context.store.blobs.distrust, sha256)
     try:
-        return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256, distrust)
+        return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 

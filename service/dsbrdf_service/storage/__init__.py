@@ -1,5 +1,6 @@
 """What the service keeps on disk; no other wing touches the data folder.
 
 `store` rows, files and their life; `uploads` those in progress, and what a key may have; `database`
-connections, transactions and the lock; `schema` the tables and their rows; `blobs` the files of measurements.
+connections, transactions and the lock; `schema` the tables and their rows; `blobs` the files of measurements;
+`removal` their end.
 """

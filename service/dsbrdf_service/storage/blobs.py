@@ -1,20 +1,16 @@
 """Measurement files on disk: written under a temporary name, then moved into place in one step.
 
-A file goes only when its row is deleted by request; one that no row wants, or that has not the bytes that it is named
-by, is moved to the folder ``lost``, and comes back when it is wanted.
+A file is placed before its row is committed, and goes after its row's end: see `removal`. Its name is the sha256 of its
+bytes; whoever reads it compares the two first, or at least its length with that of its row.
 """
 
 import errno
 import hashlib
-import logging
 import os
 import re
-import secrets
-import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
@@ -23,11 +19,7 @@ from .database import own_folder
 
 _SUFFIX = ".binary"
 _UPLOAD = "upload-"
-_REMOVED = "removed-"
-_ROOM = 1 << 24  # bytes of free disk space that writing to the database does not use up
 _NAME = re.compile("[0-9a-f]{64}")
-
-logger = logging.getLogger(__name__)
 
 
 class Incoming:
@@ -67,13 +59,11 @@ class Incoming:
 
 
 class Blobs:
-    """Measurement files, named by the sha256 of their bytes, in ``blobs``, ``tmp`` and ``lost`` of the data folder."""
+    """Measurement files, named by the sha256 of their bytes, in ``blobs`` and ``tmp`` of the data folder."""
 
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
-        self._lost = folder / "lost"  # made when it is needed
         self.temporary = folder / "tmp"  # also for request bodies that are too long for the memory
-        self._verified: dict[str, tuple[int, ...]] = {}  # fingerprints of files whose bytes were found to be right
 
     def make_folders(self) -> None:
         """Make both folders if they do not exist; raise DataFolderError if something else is in their place."""
@@ -91,89 +81,25 @@ class Blobs:
     def place(self, incoming: Incoming) -> None:
         """Move a closed incoming file to its place; durable when this returns.
 
-        A file in its place that has other bytes is moved to ``lost``: they may be those of another measurement.
+        What is there already is not looked at: how long this takes does not tell whether another key has the file.
         """
-        sha256, target = incoming.sha256, self.path(incoming.sha256)
-        if os.path.lexists(target) and self.damage(sha256) is not None:
-            self.set_aside(sha256)
-        self.take_back(sha256)
-        self._move_to_place(incoming.path, sha256)
-        self._verified[sha256] = _fingerprint(target.stat())
+        target = self.path(incoming.sha256)
+        if not target.parent.exists():
+            target.parent.mkdir()
+            _sync_folder(self._blobs)
+        incoming.path.replace(target)
+        _sync_folder(target.parent)
 
     def damage(self, sha256: str) -> str | None:
-        """Return what is wrong with a measurement's file; None if it has the bytes that it is named by.
+        """Return what is wrong with a measurement's file; None if it has the bytes that it is named by: all are read.
 
-        They are read again only if the file has changed since.
+        Raises OSError if too many files are open.
         """
-        try:
-            with _opened(self.path(sha256)) as file:
-                fingerprint = _fingerprint(os.fstat(file.fileno()))
-                if self._verified.get(sha256) == fingerprint:
-                    return None
-                digest = hashlib.file_digest(file, "sha256")
-        except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # too many open files; the measurement may be sound
-                raise
-            return error.strerror or str(error)
-        if digest.hexdigest() != sha256:
-            return "its sha256 is another one"
-        self._verified[sha256] = fingerprint
-        return None
+        return _fault(self.path(sha256), lambda file: _has_digest(file, sha256))
 
-    def distrust(self, sha256: str) -> None:
-        """Check a measurement's file at the next occasion, although it looks as it did: wrong bytes came out of it."""
-        logger.error("the file of the measurement %s has changed while it was sent; the connection is closed", sha256)
-        self._verified.pop(sha256, None)
-
-    @contextmanager
-    def removal(self) -> Iterator[Callable[[str], None]]:
-        """Yield a function that removes a measurement's file.
-
-        The files go when the block ends well; if it raises, they stay. If this process ends in the middle, the next
-        start does the one or the other, as the rows say.
-        """
-        removed: list[tuple[Path, Path]] = []
-
-        def remove(sha256: str) -> None:
-            self._verified.pop(sha256, None)
-            path, name = self.path(sha256), self.temporary / f"{_REMOVED}{sha256}-{secrets.token_hex(4)}"
-            with suppress(FileNotFoundError):
-                if shutil.disk_usage(self.temporary).free < _ROOM:  # the row's removal takes room: that of the file
-                    path.unlink()
-                else:
-                    path.rename(name)
-                    removed.append((path, name))
-
-        try:
-            yield remove
-        except BaseException:
-            for path, name in removed:
-                with suppress(FileNotFoundError):
-                    name.rename(path)
-            raise
-        for _, name in removed:
-            name.unlink(missing_ok=True)
-
-    def set_aside(self, sha256: str) -> None:
-        """Move a measurement's file to ``lost``, under a new name."""
-        self._verified.pop(sha256, None)
-        path = self.path(sha256)
-        own_folder(self._lost)
-        path.rename(self._lost / f"{path.name}.{secrets.token_hex(4)}")
-        _sync_folder(self._lost)
-
-    def take_back(self, sha256: str) -> bool:
-        """Return whether ``lost`` has the bytes of a measurement; they are moved to their place."""
-        found = [path for path in self._lost.glob(f"{sha256}*") if _sha256_of(path) == sha256]
-        if not found:
-            return False
-        for path in found:  # all have the same bytes
-            self._move_to_place(path, sha256)
-        return True
-
-    def n_lost(self) -> int:
-        """Return the number of files in ``lost``."""
-        return sum(1 for _ in self._lost.glob("*"))
+    def wrong_length(self, sha256: str, size: int) -> str | None:
+        """Return what is wrong with a measurement's file; None if it has as many bytes as its row says."""
+        return _fault(self.path(sha256), lambda file: _has_length(file, size))
 
     def all(self) -> Iterator[str]:
         """Yield the sha256 of every file that is one of a measurement."""
@@ -181,22 +107,11 @@ class Blobs:
             if _NAME.fullmatch(path.stem) and path == self.path(path.stem):
                 yield path.stem
 
-    def clear_temporary(self, wanted: Container[str]) -> None:
-        """Remove what an earlier process was receiving or removing when it ended; a `wanted` measurement comes back."""
-        for path in (*self.temporary.glob(f"{_UPLOAD}*"), *self.temporary.glob(f"{_REMOVED}*")):
-            sha256 = path.name.removeprefix(_REMOVED)[:64]
-            if sha256 in wanted and not self.path(sha256).exists():
-                self._move_to_place(path, sha256)
-            elif path.is_file():
+    def clear_temporary(self) -> None:
+        """Remove what an earlier process was receiving when it ended."""
+        for path in self.temporary.glob(f"{_UPLOAD}*"):
+            if path.is_file():
                 path.unlink()
-
-    def _move_to_place(self, path: Path, sha256: str) -> None:
-        target = self.path(sha256)
-        if not target.parent.exists():
-            target.parent.mkdir()
-            _sync_folder(self._blobs)
-        path.replace(target)
-        _sync_folder(target.parent)
 
     def check(self) -> None:
         """Raise OSError unless a file can be written."""
@@ -205,9 +120,24 @@ class Blobs:
             os.fsync(probe.fileno())
 
 
-def _fingerprint(status: os.stat_result) -> tuple[int, ...]:
-    """Return (inode, size, mtime, ctime), a fingerprint of the file's state; programs can set the mtime."""
-    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+def _fault(path: Path, check: Callable[[BufferedReader], str | None]) -> str | None:
+    """Return what a check says of a file, or why it cannot be read."""
+    try:
+        with _opened(path) as file:
+            return check(file)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):  # the file may be sound
+            raise
+        return error.strerror or str(error)
+
+
+def _has_digest(file: BufferedReader, sha256: str) -> str | None:
+    return None if hashlib.file_digest(file, "sha256").hexdigest() == sha256 else "its sha256 is another one"
+
+
+def _has_length(file: BufferedReader, size: int) -> str | None:
+    found = os.fstat(file.fileno()).st_size
+    return None if found == size else f"it has {found} bytes instead of {size}"
 
 
 def _opened(path: Path) -> BufferedReader:
@@ -217,15 +147,6 @@ def _opened(path: Path) -> BufferedReader:
         file.close()
         raise OSError(errno.EINVAL, "it is no regular file")
     return file
-
-
-def _sha256_of(path: Path) -> str | None:
-    """Return the digest of a file; None if it cannot be read."""
-    try:
-        with _opened(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
 
 
 def _sync_folder(folder: Path) -> None:

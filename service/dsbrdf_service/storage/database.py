@@ -118,7 +118,7 @@ class Database:
 def check_integrity(folder: Path) -> None:
     """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
 
-    A damaged table can lack rows, and files without a row would be set aside.
+    A damaged table can lack rows: what they tell of would be answered as if it had never been.
     """
     if not (folder / FILE_NAME).exists():
         return

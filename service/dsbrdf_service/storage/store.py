@@ -6,6 +6,7 @@ Every method is safe to call from any thread and returns when the change is dura
 import hashlib
 import json
 import logging
+import sqlite3
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ import dsbrdf
 from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from .blobs import Blobs, Incoming
 from .database import Database
+from .removal import remove_files, remove_rows
 from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
@@ -70,7 +72,8 @@ class Store:
         self.uploads = Uploads(self.database, self.blobs)
         try:
             self.blobs.make_folders()
-            self._match_files_to_rows()
+            self.blobs.clear_temporary()
+            self._compare_files_with_rows()
         except BaseException:
             self.close()
             raise
@@ -87,10 +90,6 @@ class Store:
         Raises ProblemError if the caller would have stored more than it may.
         """
         sha256 = incoming.sha256
-        found = self.measurement(caller.owner, sha256)
-        renamed = name is not None and found is not None and name != found.name
-        if found is not None and not renamed and self.blobs.damage(sha256) is None:  # nothing has to be written
-            return found, False
         with self.database.transaction() as db:
             query = f"SELECT 1 FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             new = db.execute(query, (caller.owner, sha256)).fetchone() is None
@@ -98,7 +97,7 @@ class Store:
                 check_storage(db, caller, incoming.size)
             values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
             (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
-            # Placed even if another owner has the same bytes: how long it takes does not tell whether there is one.
+            # Placed even if it is there: that mends a damaged file, and tells nobody who else has it.
             self.blobs.place(incoming)
         return MeasurementRow(*row), new
 
@@ -110,10 +109,14 @@ class Store:
     def measurement_file(self, owner: str, sha256: str, *, drawn: bool = False) -> Path:
         """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
 
+        Of one that is to be `drawn`, only the length is looked at. So many pictures of a file cost no more than one.
+
         Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
         and ProblemError if it is to be `drawn` and is a table of samples.
         """
-        damage = None if self.measurement(owner, sha256) is None else self.blobs.damage(sha256)
+        found, damage = self.measurement(owner, sha256), None
+        if found is not None:
+            damage = self.blobs.wrong_length(sha256, found.size) if drawn else self.blobs.damage(sha256)
         row = self.measurement(owner, sha256)
         if row is None:  # or it has been deleted meanwhile, file and row
             raise MeasurementNotFoundError(sha256)
@@ -130,21 +133,25 @@ class Store:
         return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, name)]
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
-        """Remove a measurement, whose file goes with its last owner's row; return whether there was one.
+        """Remove a measurement, whose file goes after its last owner's row; return whether there was one.
 
         Its finished fits stay; raises ProblemError if fits of it are unfinished.
         """
-        with self.blobs.removal() as remove_file, self.database.transaction() as db:
+        with self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
             (unfinished,) = db.execute(query, (sha256, owner)).fetchone()
             if unfinished:
                 detail = f"{unfinished} unfinished fits use the measurement; cancel them or wait until they have ended."
                 raise ProblemError("measurement-in-use", detail)
-            delete = f"DELETE FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
-            removed = db.execute(delete, (owner, sha256)).rowcount > 0
-            if removed and db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is None:
-                remove_file(sha256)
-        return removed
+            query = f"SELECT rowid, sha256 FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
+            rows = db.execute(query, (owner, sha256)).fetchall()
+            unwanted = remove_rows(db, self.blobs, rows)
+        try:
+            if unwanted:
+                remove_files(self.database, self.blobs, unwanted)
+        except (OSError, sqlite3.Error) as error:  # the measurement is deleted all the same
+            logger.warning("the file of the deleted measurement %s stays: %s", sha256, error)
+        return bool(rows)
 
     def add_fit(
         self, caller: Caller, sha256: str, options: Mapping[str, Any], queue_limit: int, name: str | None = None
@@ -287,22 +294,19 @@ class Store:
         query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
         return self.database.rows(query, *given.values(), limit)
 
-    def _match_files_to_rows(self) -> None:
-        """Set files aside that have no row, and look there for those of rows without a file.
+    def _compare_files_with_rows(self) -> None:
+        """Warn of files without a row and of rows without a file.
 
         The database may be an older copy, and files may not be there yet: so neither files nor rows are deleted.
         """
-        with self.database.transaction() as db:  # `dsbrdf purge` may run too
-            rows = {sha256 for (sha256,) in db.execute("SELECT sha256 FROM measurements NOT INDEXED")}
-            self.blobs.clear_temporary(rows)
-            files = set(self.blobs.all())
-            for sha256 in files - rows:
-                self.blobs.set_aside(sha256)
-            missing = sum(not self.blobs.take_back(sha256) for sha256 in rows - files)
+        rows = {sha256 for (sha256,) in self.database.rows("SELECT sha256 FROM measurements NOT INDEXED")}
+        files = set(self.blobs.all())
         if files - rows:
-            self.warnings.append(f"{len(files - rows)} files of measurements have no row; they are in the folder lost")
-        if missing:
-            self.warnings.append(f"the files of {missing} measurements are missing; dsbrdf doctor names the first")
+            self.warnings.append(f"{len(files - rows)} files have no row; dsbrdf doctor says what helps")
+        if rows - files:
+            self.warnings.append(
+                f"the files of {len(rows - files)} measurements are missing; dsbrdf doctor names the first"
+            )
 
 
 def _first(fits: Sequence[tuple[Any, ...]]) -> FitRow | None:

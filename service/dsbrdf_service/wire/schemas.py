@@ -330,8 +330,6 @@ class Health(BaseModel):
 class Readiness(Health):
     """The state of a service that can take work."""
 
-    lost_files: Annotated[int, Field(description="Files that were set aside; `dsbrdf doctor` says more.")]
-
 
 class Export(_Input):
     """What to export."""

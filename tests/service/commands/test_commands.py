@@ -79,6 +79,7 @@ AGES = ("30", "d", "-1d", "1.5d", "30 d", "1y", "\u0663d", "")
     ("words", "part"),
     [
         *((["purge", f"--older-than={age}"], "30d") for age in AGES),
+        (["purge"], "--files-without-rows"),
         (["add", "x", "--requests-per-second", "0"], "rate"),
         (["add", "x", "--requests-per-second", "nan"], "rate"),
         (["add", "x", "--stored-mb", "-1"], "bound"),
@@ -147,7 +148,7 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(
     values = f"/v1/fits/{old_fit}/brdf?theta_half_deg=1&theta_diff_deg=1"
     assert server.http.get(values).status_code == 200  # and so its model is in memory
 
-    expected = {"fits": 1, "measurements": 2, "bytes": 2 * FILE_SIZE}
+    expected = {"fits": 1, "measurements": 2, "files_without_rows": 0, "bytes": 2 * FILE_SIZE}
     assert purged(folder, "--older-than", "30d", "--dry-run") == {**expected, "dry_run": True}
     assert server.http.get(values).status_code == 200
     assert purged(folder, "--older-than", "30d") == {**expected, "dry_run": False}
@@ -160,7 +161,7 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(
     for fit in (fresh_fit, kept_fit):
         assert server.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg=1&theta_diff_deg=1").status_code == 200
     assert server.http.delete(f"/v1/fits/{busy_fit}").json()["status"] == "cancelled"  # and so it was there
-    assert purged(folder, "--older-than", "30d") == {"fits": 0, "measurements": 0, "bytes": 0, "dry_run": False}
+    assert purged(folder, "--older-than", "30d") == {**dict.fromkeys(expected, 0), "dry_run": False}
 
 
 def test_file_is_removed_with_its_last_row(tmp_path: Path) -> None:
@@ -170,8 +171,8 @@ def test_file_is_removed_with_its_last_row(tmp_path: Path) -> None:
         with store.database.transaction() as db:
             db.execute("UPDATE measurements SET created = 0 WHERE owner = 'other'")
         told = run_main(purge.main, "--data-dir", str(tmp_path), "--older-than", "1d", "--dry-run").stdout
-        assert told == "0 fits and 1 measurements would be removed, 0.0 MB of files\n"
-        expected = {"fits": 0, "measurements": 1, "bytes": 0}
+        assert told == "0 fits, 1 measurements and 0 files without rows would be removed, 0.0 MB of files\n"
+        expected = {"fits": 0, "measurements": 1, "files_without_rows": 0, "bytes": 0}
         assert purged(tmp_path, "--older-than", "1d", "--dry-run") == {**expected, "dry_run": True}
         assert purged(tmp_path, "--older-than", "1d") == {**expected, "dry_run": False}
         assert path.exists()
@@ -226,7 +227,7 @@ def test_healthy_folder_of_a_running_server_passes_and_is_not_changed(folder: Pa
         [
             "ok     database:       intact, 1 fits",
             "ok     measurements:   1 files are what their rows say",
-            "ok     lost files:     no file is set aside",
+            "ok     files:          1 files have rows",
         ],
     )
     with pytest.raises(sqlite3.OperationalError, match="readonly"):

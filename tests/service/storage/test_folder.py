@@ -4,6 +4,7 @@ import os
 import shutil
 import sqlite3
 import stat
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -14,8 +15,9 @@ from dsbrdf_service.__main__ import main
 from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.commands import doctor
 from dsbrdf_service.commands.purge import purge
-from dsbrdf_service.errors import DataFolderError
+from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
 from dsbrdf_service.storage.database import FILE_NAME, Database
+from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main
 from tests.support.server import Server, assert_problem
@@ -155,7 +157,7 @@ def harm_page(folder: Path, name: str, content: bytes = b"") -> None:
         file.write(content.ljust(size, b"\0"))
 
 
-def test_older_database_loses_no_file_and_an_upload_takes_it_back(
+def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(
     own_server: Callable[..., Server], data: bytes, tmp_path: Path
 ) -> None:
     server = own_server(fits=False)
@@ -164,45 +166,57 @@ def test_older_database_loses_no_file_and_an_upload_takes_it_back(
     sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
     server.stop()
     shutil.copy(older, server.data_dir / FILE_NAME)
+    before = server.files()
     server.start()
     assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
-    assert stored(server.data_dir) == {data}
-    assert "1 files of measurements have no row; they are in the folder lost" in server.log.read_text()
-    assert server.http.get("/health/ready").json()["lost_files"] == 1
+    assert "1 files have no row; dsbrdf doctor says what helps" in server.log.read_text()
     examined = run_main(doctor.main, "--data-dir", str(server.data_dir))
     assert examined.returncode == 1
-    assert "WRONG  lost files:     1 files have no row" in examined.stdout
+    assert "WRONG  files:          1 of 1 files have no row" in examined.stdout
+    assert server.files() == before
     assert server.http.post("/v1/measurements", content=data).status_code == 201
     assert server.http.get(f"/v1/measurements/{sha256}").content == data
-    assert server.http.get("/health/ready").json()["lost_files"] == 0
-    assert list((server.data_dir / "lost").iterdir()) == []
+    assert server.files() == before
+    assert run_main(doctor.main, "--data-dir", str(server.data_dir)).returncode == 0
 
 
-def test_rows_wait_for_their_files_and_take_them_back(store: Store, tmp_path: Path) -> None:
+def test_rows_wait_for_their_files(store: Store, tmp_path: Path) -> None:
     contents = {add(store, content): content for content in (b"first", b"second")}
     store.close()
-    copy = shutil.copy(tmp_path / FILE_NAME, tmp_path / "copy")
-    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as db, db:
-        db.execute("DELETE FROM measurements")  # as in an older database
-    with closing(Store(tmp_path)) as store:
-        assert store.blobs.n_lost() == 2
-    shutil.copy(copy, tmp_path / FILE_NAME)
-    (tmp_path / "lost").rename(tmp_path / "later")  # the database came back before the measurements
+    (tmp_path / "blobs").rename(tmp_path / "later")  # the database came back before the measurements
     with closing(Store(tmp_path)) as store:
         assert store.warnings == ["the files of 2 measurements are missing; dsbrdf doctor names the first"]
         assert {row.sha256 for row in store.measurements("", 9, None)} == set(contents)
-    (tmp_path / "later").rename(tmp_path / "lost")
+    (tmp_path / "blobs").rmdir()
+    (tmp_path / "later").rename(tmp_path / "blobs")
     with closing(Store(tmp_path)) as store:
-        assert (store.warnings, store.blobs.n_lost()) == ([], 0)
-        assert {sha256: store.blobs.path(sha256).read_bytes() for sha256 in contents} == contents
+        assert store.warnings == []
+        assert {sha256: store.measurement_file("", sha256).read_bytes() for sha256 in contents} == contents
 
 
-def test_upload_in_the_place_of_other_bytes_keeps_them(store: Store, tmp_path: Path) -> None:
+def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_path: Path) -> None:
     first, second = add(store, b"first"), add(store, b"second")
-    store.blobs.path(second).replace(store.blobs.path(first))
+    with store.database.transaction() as db:
+        db.execute("DELETE FROM measurements WHERE sha256 = ?", (second,))
+    assert purge(tmp_path, 0.0) == {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
+    for dry_run in (True, False):
+        assert store.blobs.path(second).exists()
+        purged = purge(tmp_path, None, files_without_rows=True, dry_run=dry_run)
+        assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
+    assert not store.blobs.path(second).exists()
+    assert store.measurement_file("", first).read_bytes() == b"first"
+
+
+@pytest.mark.parametrize("harm", [b"other", b"anything else", None])
+def test_upload_mends_what_is_in_the_place_of_its_file(store: Store, harm: bytes | None) -> None:
+    sha256 = add(store, b"first")
+    path = store.blobs.path(sha256)
+    path.unlink()
+    os.mkfifo(path) if harm is None else path.write_bytes(harm)
+    with pytest.raises(MeasurementDamagedError):
+        store.measurement_file("", sha256)
     assert not store.add_measurement(LOCAL, receive(store, b"first"))[1]
-    assert stored(tmp_path) == {b"first", b"second"}
-    assert store.blobs.damage(first) is None
+    assert store.measurement_file("", sha256).read_bytes() == b"first"
 
 
 EMPTY_TABLE, EMPTY_INDEX = (bytes([kind, 0, 0, 0, 0, 16, 0, 0]) for kind in (13, 10))  # a valid page without rows
@@ -230,20 +244,55 @@ def test_damaged_table_or_index_is_refused_in_one_sentence(
     assert stored(tmp_path) == {b"content"}
 
 
-@pytest.mark.parametrize("committed", [False, True])
-def test_deletion_that_a_kill_breaks_off_is_undone_or_done(tmp_path: Path, committed: bool) -> None:
-    store = Store(tmp_path)
-    sha256 = add(store, b"content")
-    removed = store.blobs.temporary / f"removed-{sha256}-0123abcd"
-    store.blobs.path(sha256).rename(removed)
-    if committed:
-        with store.database.transaction() as db:
-            db.execute("DELETE FROM measurements")
-    store.close()
-    with closing(Store(tmp_path)) as store:
-        assert not removed.exists()
-        assert (store.warnings, store.blobs.n_lost()) == ([], 0)
-        assert store.blobs.path(sha256).exists() is not committed
+@pytest.fixture
+def steps() -> Iterator[list[str]]:
+    """The files that are opened, moved or removed from now on, and the commits; a test adds those itself."""
+    events: list[str] = []
+    recording = True
+
+    def record(event: str, arguments: tuple[object, ...]) -> None:
+        if recording and event in ("open", "os.rename", "os.remove") and ".sqlite" not in str(arguments[0]):
+            events.append(f"{event} {arguments[0]}")
+
+    sys.addaudithook(record)  # it cannot be taken back
+    yield events
+    recording = False
+
+
+def test_file_comes_before_its_row_and_goes_after_it(
+    store: Store, tmp_path: Path, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each step is durable before the next one; at any moment, no row lacks its file."""
+    transaction = store.database.transaction
+
+    @contextmanager
+    def recorded() -> Iterator[sqlite3.Connection]:
+        with transaction() as db:
+            yield db
+        steps.append(f"commit of {store.database.rows('SELECT count(*) FROM measurements')[0][0]} rows")
+
+    incoming = receive(store, b"content")
+    store.blobs.path(incoming.sha256).parent.mkdir()
+    monkeypatch.setattr(store.database, "transaction", recorded)
+    steps.clear()
+    store.add_measurement(LOCAL, incoming)
+    path = store.blobs.path(incoming.sha256)
+    assert steps == [f"os.rename {incoming.path}", f"open {path.parent}", "commit of 1 rows"]
+    steps.clear()
+    assert store.remove_measurement("", incoming.sha256)
+    assert steps == ["commit of 0 rows", f"os.remove {path}", "commit of 0 rows"]
+
+
+def test_upload_looks_at_no_file_that_another_key_has(store: Store, steps: list[str]) -> None:
+    """So that its time does not tell whether there is one."""
+    done = []
+    for owner in ("first", "second"):
+        incoming = receive(store, b"content")
+        store.blobs.path(incoming.sha256).parent.mkdir(exist_ok=True)
+        steps.clear()
+        assert store.add_measurement(Caller(owner), incoming)[1]
+        done.append([step.replace(str(incoming.path), "the upload") for step in steps])
+    assert done[0] == done[1] != []
 
 
 def test_deletion_that_cannot_be_committed_keeps_the_file(
@@ -258,10 +307,21 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(
             raise sqlite3.OperationalError("database or disk is full")
 
     sha256 = add(store, b"content")
-    monkeypatch.setattr(store.database, "transaction", broken_off)
-    with pytest.raises(sqlite3.OperationalError, match="full"):
-        store.remove_measurement("", sha256)
-    monkeypatch.undo()
-    assert store.blobs.damage(sha256) is None
+    with monkeypatch.context() as full:
+        full.setattr(store.database, "transaction", broken_off)
+        with pytest.raises(sqlite3.OperationalError, match="full"):
+            store.remove_measurement("", sha256)
+    assert store.measurement_file("", sha256).read_bytes() == b"content"
     assert store.remove_measurement("", sha256)
     assert not stored(tmp_path)
+
+
+def test_measurement_is_deleted_also_where_its_file_cannot_be(
+    store: Store, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sha256 = add(store, b"content")
+    store.blobs.path(sha256).unlink()
+    store.blobs.path(sha256).mkdir()  # what cannot be removed as a file, by nobody
+    assert store.remove_measurement("", sha256)
+    assert store.measurement("", sha256) is None
+    assert f"the file of the deleted measurement {sha256} stays" in caplog.text
