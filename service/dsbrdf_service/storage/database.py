@@ -20,6 +20,17 @@ FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"
 _BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
 _COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
+_RESTORE = "restore the folder from a copy; nothing in it has been changed"
+_REMEDIES = {
+    sqlite3.SQLITE_CORRUPT: _RESTORE,
+    sqlite3.SQLITE_NOTADB: _RESTORE,
+    sqlite3.SQLITE_BUSY: "another program uses it; try again when that has ended",
+    sqlite3.SQLITE_FULL: "the disk is full; make room",
+    **dict.fromkeys(
+        (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY),
+        "the user that the service runs as has to be allowed to read and write the folder and what is in it",
+    ),
+}
 in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
 """Calls what writes rows: it may have to wait for others that do, for which those that read should not wait."""
 
@@ -57,10 +68,11 @@ class Database:
                 self._writer.execute("PRAGMA synchronous = FULL")
                 self._reader.execute("PRAGMA query_only = ON")
                 self._version = pragma(self._writer, "data_version")
-                self._status = self._path.stat()
+                self._reader.execute("SELECT 1 FROM sqlite_master").fetchall()  # from now on it has all its files
+                self._files = {path: path.stat() for path in (self._path, *_companions(self._path))}
                 self._resources = resources.pop_all()
         except sqlite3.DatabaseError as error:
-            raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}") from error
+            raise _cannot_be_opened(folder, error) from error
 
     def close(self) -> None:
         """Close the connections and release the lock."""
@@ -77,18 +89,19 @@ class Database:
         """Write all or nothing; what is written is durable when the block ends.
 
         Raises DatabaseBusyError or sqlite3.OperationalError if its turn has not come within `busy_timeout`,
-        DatabaseLostError if the file is not where it was.
+        DatabaseLostError if the database or its log is not where it was, also when the block has ended.
         """
         deadline = time.monotonic() + self.busy_timeout
         if not self._writer_lock.acquire(timeout=self.busy_timeout):
             raise DatabaseBusyError("other transactions take too long")
         try:
-            self._check_file()
+            self._check_files()
             self._writer.execute(f"PRAGMA busy_timeout = {max(0, round(1000 * (deadline - time.monotonic())))}")
             self._writer.execute("BEGIN IMMEDIATE")
             try:
                 yield self._writer
                 self._writer.execute("COMMIT")
+                self._check_files()  # what has been written to a log without a name is not durable
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
@@ -105,14 +118,15 @@ class Database:
     def _connection(self) -> sqlite3.Connection:
         return sqlite3.connect(self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False)
 
-    def _check_file(self) -> None:
-        with suppress(OSError):
-            if os.path.samestat(self._path.stat(), self._status):
-                return
-        raise DatabaseLostError(
-            "its file has been removed or replaced while the service had it open; put it back, or start the "
-            "service again"
-        )
+    def _check_files(self) -> None:
+        for path, status in self._files.items():
+            with suppress(OSError):
+                if os.path.samestat(path.stat(), status):
+                    continue
+            raise DatabaseLostError(
+                f"{path.name} has been removed or replaced while the service had it open; put it back, or start the "
+                "service again"
+            )
 
 
 def check_integrity(folder: Path) -> None:
@@ -122,14 +136,13 @@ def check_integrity(folder: Path) -> None:
     """
     if not (folder / FILE_NAME).exists():
         return
-    remedy = "restore the folder from a copy; nothing in it has been changed"
     try:
         ((fault,),) = read_only(folder, "PRAGMA integrity_check(1)")
     except sqlite3.DatabaseError as error:
-        raise DataFolderError(f"the database {folder / FILE_NAME} cannot be opened: {error}; {remedy}") from error
+        raise _cannot_be_opened(folder, error) from error
     if fault != "ok":
         first = " ".join(fault.split())
-        raise DataFolderError(f"the database {folder / FILE_NAME} is damaged ({first}); {remedy}")
+        raise DataFolderError(f"the database {folder / FILE_NAME} is damaged ({first}); {_RESTORE}")
 
 
 def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
@@ -175,6 +188,19 @@ def _claim(folder: Path) -> None:
             f"{folder} has files in it, but none of a service, and was left as it is; "
             "give a data folder that is new, empty or the service's"
         )
+
+
+def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
+    """Return an error of SQLite as one that says what helps: only a damaged database needs a copy."""
+    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # without its details
+    return DataFolderError(
+        f"the database {folder / FILE_NAME} cannot be opened: {error}" + (f"; {remedy}" if remedy else "")
+    )
+
+
+def _companions(path: Path) -> tuple[Path, Path]:
+    """Return the log of a database and the index of the log."""
+    return path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
 
 
 @contextmanager

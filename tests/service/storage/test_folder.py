@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import stat
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -242,6 +243,28 @@ def test_damaged_table_or_index_is_refused_in_one_sentence(
     assert "WRONG  database: " in run_main(doctor.main, "--data-dir", str(tmp_path)).stdout
     assert (tmp_path / FILE_NAME).read_bytes() == before
     assert stored(tmp_path) == {b"content"}
+
+
+def test_what_the_user_may_not_do_is_no_damage(refused: Callable[..., str]) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        Store(folder).close()
+        (folder / FILE_NAME).chmod(0o444)
+        folder.chmod(0o555)
+        user = os.geteuid()
+        if user == 0:  # who may do everything
+            os.seteuid(65534)
+        try:
+            said = [refused(folder), refused(folder, "--host", "0.0.0.0")]
+            with pytest.raises(DataFolderError) as raised:
+                purge(folder, 1e12)
+        finally:
+            os.seteuid(user)
+            folder.chmod(0o755)
+    for sentence in (*said, str(raised.value)):
+        assert "has to be allowed to read and write the folder" in sentence
+        assert "copy" not in sentence
 
 
 @pytest.fixture

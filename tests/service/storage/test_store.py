@@ -118,11 +118,19 @@ def test_transactions_are_synced_to_the_disk_before_they_end(store: Store) -> No
         assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
-def test_nothing_is_written_to_a_database_that_was_replaced(store: Store, tmp_path: Path) -> None:
-    path = tmp_path / FILE_NAME
+@pytest.mark.parametrize("suffix", ["", "-wal", "-shm"])
+@pytest.mark.parametrize("replaced", [True, False])
+def test_nothing_is_written_to_a_database_that_was_removed_or_replaced(
+    store: Store, tmp_path: Path, suffix: str, replaced: bool
+) -> None:
+    path = tmp_path / f"{FILE_NAME}{suffix}"
     shutil.copy(path, tmp_path / "copy")
-    (tmp_path / "copy").replace(path)
-    with pytest.raises(DatabaseLostError, match="removed or replaced"), store.database.transaction():
+    lost = pytest.raises(DatabaseLostError, match=f"{path.name} has been removed or replaced")
+    with lost, store.database.transaction():
+        path.unlink()  # what is committed now is lost at the next crash
+    if replaced:
+        (tmp_path / "copy").rename(path)
+    with pytest.raises(DatabaseLostError), store.database.transaction():
         pytest.fail("the transaction began")
 
 
