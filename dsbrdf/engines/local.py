@@ -1,4 +1,4 @@
-"""What runs in processes of this machine, one a fit: an export, and a fit in one step, or in three.
+"""What runs in processes of this machine, one a fit: a fit in one step, or in three.
 
     compute:             file -> result
 
@@ -25,12 +25,10 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import Component, decompose
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.export import export_model
 
 
 def compute(task: FitTask, on_progress: OnProgress) -> DecomposedFit:
@@ -63,11 +61,6 @@ def complete_report(result: FitResult, task: FitTask, sha256: str, seconds: floa
         timings = result.report.timings | {"profiles": seconds}
         result = add_sample_metrics(replace(result, report=replace(result.report, timings=timings)), measurement)
     return _decomposed(result)
-
-
-def export_step(model: DSBRDF | Component, file_format: str, _: OnProgress) -> bytes:
-    """Return the content of a file with a model, as `export_model` does, for formats that take seconds."""
-    return export_model(model, file_format)
 
 
 def _decomposed(result: FitResult) -> DecomposedFit:

@@ -39,7 +39,7 @@ from .storage.database import Database
 from .storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
-_COMPUTATION_SECONDS = 300.0  # that one in a process of its own may take; the longest need some 15
+_COMPUTATION_SECONDS = 30.0  # that one in a process of its own may take; the longest need some 15
 _NICENESS = 10  # of these processes: answers that are known already go first
 _SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 _CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds

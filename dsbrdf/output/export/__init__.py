@@ -63,6 +63,7 @@ FORMATS = {
         "binary",
         _BINARY,
         lambda source, _: encode_merl(source.tabulate()),
+        time="medium",
     ),
     "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, lambda source, _: glsl_function(source)),
     "brdf": ExportFormat(

@@ -139,6 +139,21 @@ class OpenFileResponse(FileResponse):
             await send(held)
 
 
+class MadeFileResponse(FileResponse):
+    """A file without a name, which has been made for the requests that are answered with it; it `keeps` it open."""
+
+    def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str]) -> None:
+        super().__init__(f"/dev/fd/{descriptor}", headers=headers, stat_result=os.fstat(descriptor))
+        self._keeps = keeps
+        for name in ("etag", "last-modified", "accept-ranges"):  # of this file, which the next request does not get
+            del self.headers[name]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the whole file."""
+        headers = [header for header in scope["headers"] if header[0] != b"range"]
+        await super().__call__({**scope, "headers": headers}, receive, send)
+
+
 def check_range(request: Request, size: int) -> None:
     """Check that a file of `size` bytes has the range of bytes that the request asks for (RFC 9110, section 14.2).
 

@@ -5,12 +5,16 @@ computed in a process of its own, which gives way to the one that answers.
 """
 
 import asyncio
+import os
+import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from tempfile import mkstemp
 from typing import Any, Literal, TypeVar, get_args
 
 from starlette.concurrency import run_in_threadpool
@@ -66,6 +70,14 @@ class FairTurns:
             self._waiting[owner] = more
 
 
+class MadeFile:
+    """An open file, which is closed when nobody has it any more."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        weakref.finalize(self, os.close, descriptor)
+
+
 @dataclass
 class _Computation:
     """What is being computed, or waits for its turn, and how many requests wait for it."""
@@ -116,29 +128,42 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-        found = await self._wait(request, key, lambda: result_of(self._processes.call(step, *arguments)), head, place)
+        work = partial(self._called, step, *arguments)
+        return self._checked(await self._wait(request, key, work, head, place))
+
+    async def _called(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        return await result_of(self._processes.call(step, *arguments))
+
+    @staticmethod
+    def _checked(found: Any) -> Any:
+        """Return what a process has found; raise its fault."""
         if not isinstance(found, Fault):
             return found
         if found.origin == "input":
             raise InvalidArgumentError(found.message)
         raise ProblemError("internal", f"The answer could not be computed ({found.type}); ask for it again.")
 
-    def stream(self, request: Request, parts: Iterator[T], head: Mapping[str, str]) -> AsyncIterator[T]:
-        """Return the parts of a long answer, each computed in a turn of its own; who reads slowly holds up nobody.
+    async def make_file(
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, folder: Path, **named: Any
+    ) -> "MadeFile":
+        """Return the file that ``step(*arguments, path, on_progress)`` writes, which is called as by `run_in_process`.
 
-        Raises KnownAnswerError as `run` does.
+        It is in `folder`, without a name when this returns, and goes with the last request that has it.
+
+        Raises OSError too if it cannot be made.
         """
-        if request.method == "HEAD":
-            raise KnownAnswerError(200, head)
-        return self._parts(request.scope[CALLER_NAME], parts)
 
-    async def _parts(self, caller: str, parts: Iterator[T]) -> AsyncIterator[T]:
-        while True:
-            async with self._turns["short"].turn(caller):
-                part = await run_in_threadpool(next, parts, None)
-            if part is None:
-                return
-            yield part
+        async def work() -> Any:
+            descriptor, path = mkstemp(dir=folder)  # not in a thread, whose result a cancelled task would not get
+            made = MadeFile(descriptor)
+            try:
+                found = await self._called(step, *arguments, path)
+            finally:
+                Path(path).unlink()
+            return found if isinstance(found, Fault) else made
+
+        made: MadeFile = self._checked(await self._wait(request, key, work, **named))
+        return made
 
     async def close(self) -> None:
         """Give up what is being computed."""

@@ -24,11 +24,13 @@ from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import parse_samples
 from dsbrdf.engines.engine import OnProgress
+from dsbrdf.fitting.decomposition import Component
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.export import export_model
 from dsbrdf.output.figures import encode_figure, lobes_figure, parameters_figure, profiles_figure, residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 
@@ -165,6 +167,11 @@ def figure_step(
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
     reduced = profiles(stored.mapped(), horizon_cutoff=horizon_cutoff)
     return encode_figure(FIGURES[figure](reduced, model), image_format)
+
+
+def export_step(model: DSBRDF | Component, file_format: str, path: str, _: OnProgress) -> None:
+    """Write a file with a model, as `export_model` makes it, for formats that take long or make long files."""
+    Path(path).write_bytes(export_model(model, file_format))
 
 
 def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, int]:

@@ -1,31 +1,27 @@
 """Fits: submit, look up, follow, export, cancel and delete."""
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Coroutine
 from contextlib import asynccontextmanager
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 
-from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.engines.local import export_step
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, check_shader_options, export_model
-from dsbrdf.output.export.merl import merl_parts
 
 from ..access.authentication import invalid_key
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import PIECE, media_type_of, receive_body
-from ..http.responses import json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from ..http.request_body import media_type_of, receive_body
+from ..http.responses import MadeFileResponse, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from ..jobs.computations import departure
+from ..jobs.steps import export_step
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..wire import schemas
@@ -40,7 +36,6 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
 
 _MAX_JSON = 1 << 16
-_LOSSLESS = ("json",)  # what the Python client asks for
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
 )
@@ -204,36 +199,23 @@ async def export_fit(
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
-    computations, folder = context.computations, context.store.blobs.temporary
     model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
-    if wanted.format == "merl":
-        headers["Content-Length"] = str(FILE_SIZE)
-        return StreamingResponse(computations.stream(request, merl_parts(model, folder), headers), 200, headers)
     key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
-        content = await computations.run_in_process(
-            request, key, export_step, model, wanted.format, head=headers, place=place
+        made = await context.computations.make_file(
+            request,
+            key,
+            export_step,
+            model,
+            wanted.format,
+            folder=context.store.blobs.temporary,
+            head=headers,
+            place=place,
         )
-    else:
-        report = loaded.report if wanted.component is None else None
-        export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
-        content = await computations.run(request, key, export, headers)
-    if wanted.format in _LOSSLESS:
-        return Response(content, 200, headers)
-    pieces = _pieces(content, folder)
-    await run_in_threadpool(next, pieces)
-    return StreamingResponse(pieces, 200, {**headers, "Content-Length": str(len(content))})
-
-
-def _pieces(content: bytes, folder: Path) -> Iterator[bytes]:
-    """Write the content to a file, so that a slow client takes no memory; yield an empty piece, then it in pieces."""
-    with TemporaryFile(dir=folder) as file:
-        file.write(content)
-        del content
-        file.seek(0)
-        yield b""
-        while piece := file.read(PIECE):
-            yield piece
+        return MadeFileResponse(made.descriptor, made, headers)
+    report = loaded.report if wanted.component is None else None
+    export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
+    return Response(await context.computations.run(request, key, export, headers), 200, headers)
 
 
 async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:

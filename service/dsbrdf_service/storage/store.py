@@ -124,7 +124,7 @@ class Store:
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
         if drawn and not row.on_grid:
-            detail = "The measurement is a table of scattered samples, which has no values between them and no picture."
+            detail = "It is a table of scattered samples, of which there is no picture and no value between them."
             raise ProblemError("not-found", detail)
         return self.blobs.path(sha256)
 

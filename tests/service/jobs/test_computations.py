@@ -184,7 +184,6 @@ async def test_head_computes_nothing(running: Application, key: str, monkeypatch
 
     for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
         with monkeypatch.context() as patch:
-            patch.setattr(fits, "merl_parts", lambda *_: map(compute, "x"))
             for place, name in (
                 (fits, "export_model"),
                 (fits, "export_step"),

@@ -1,27 +1,22 @@
 """Exports hold the fitted model without loss."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import dsbrdf
-from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.data.merl import parse_merl
+from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.output.export import FORMATS, export_model, part_of
-from dsbrdf.output.export.merl import merl_parts
 from dsbrdf.output.serialize import from_json
 from tests.support.models import assert_same_bits
-from tests.support.server import Server
+from tests.support.server import QUICK, Server, assert_problem
 
 pytestmark = pytest.mark.slow
-
-Array = NDArray[np.float64]
 
 
 def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
@@ -59,16 +54,13 @@ def test_formats_of_other_programs_are_those_of_the_library(
     assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
 
 
-def test_merl_table_is_computed_once(model: dsbrdf.DSBRDF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected, computed = encode_merl(model.tabulate()), []
-    grid = dsbrdf.DSBRDF.evaluate_grid
-
-    def counted(self: dsbrdf.DSBRDF, theta_half: Array, *rest: Array) -> Iterator[Array]:
-        computed.extend(theta_half.tolist())
-        return grid(self, theta_half, *rest)
-
-    monkeypatch.setattr(dsbrdf.DSBRDF, "evaluate_grid", counted)
-
-    assert b"".join(merl_parts(model, tmp_path)) == expected
-    assert computed == THETA_HALF.tolist()
-    assert not list(tmp_path.iterdir())
+def test_export_without_room_for_its_file_is_a_problem(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data).json()['id']}/export"
+    (server.data_dir / "tmp").rmdir()
+    assert_problem(server.http.get(path, params={"format": "merl"}), 503, "not-ready")
+    assert server.http.get(path, params={"format": "json"}).status_code == 200
+    (server.data_dir / "tmp").mkdir()
+    whole = server.http.get(path, params={"format": "merl"}, headers={"Range": "bytes=0-11"})
+    assert (whole.status_code, len(whole.content)) == (200, FILE_SIZE)
+    assert not list((server.data_dir / "tmp").iterdir())
