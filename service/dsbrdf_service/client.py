@@ -13,10 +13,9 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from io import BytesIO
 from pathlib import Path
 from threading import Event
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import httpx
 
@@ -32,12 +31,9 @@ from .wire.fit_options import from_wire, to_wire
 from .wire.names import check_name
 
 Source = str | os.PathLike[str] | bytes | Measurement
-Progress = Callable[[float], None]
-Removal = Literal["cancel", "delete"]
 
 _POLL = 20.0  # seconds that one request waits for a fit
 _PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
-_WITHOUT_DOCUMENT = {401: "The service wants a valid API key.", 429: "The API key has made too many requests."}
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -49,27 +45,14 @@ _LIBRARY_ERRORS: dict[str, type[Exception]] = {
 class ServiceError(Exception):
     """The service could not do what was asked, for a reason other than the measurement or the options.
 
-    `problem` is the problem document, or what is known of the fault under the same names.
+    `problem` is the problem document, or what is known of the fault under the same names: its ``status`` is 401 if the
+    service wants another key, 429 if the key has reached a limit. `retry_after` is the time after which it is worth
+    asking again [s]; None if waiting does not help.
     """
 
-    def __init__(self, problem: Mapping[str, Any]) -> None:
+    def __init__(self, problem: Mapping[str, Any], retry_after: float | None = None) -> None:
         super().__init__(problem.get("detail") or problem.get("title") or "the service failed")
-        self.problem = dict(problem)
-
-
-class AccessError(ServiceError):
-    """The service wants an API key, or does not take the one that was sent."""
-
-
-class LimitError(ServiceError):
-    """The key has reached its rate of requests, its unfinished fits or its stored bytes.
-
-    `retry_after` is the time after which it is worth asking again [s]; None if waiting does not help.
-    """
-
-    def __init__(self, problem: Mapping[str, Any], retry_after: float | None) -> None:
-        super().__init__(problem)
-        self.retry_after = retry_after
+        self.problem, self.retry_after = dict(problem), retry_after
 
 
 @dataclass(frozen=True)
@@ -103,8 +86,8 @@ class Client:
     timeout : float
         Longest time without an answer, other than while waiting for a fit [s].
     patience : float
-        A request that the service refuses for now, because of a limit of the key or too much work, is repeated after
-        the time that the service names (``Retry-After``); this is the longest sum of those times [s].
+        A request that the service refuses for now is repeated after the time that the service names; this is the
+        longest sum of those times [s].
     """
 
     def __init__(
@@ -143,7 +126,7 @@ class Client:
         options: FitOptions | None = None,
         *,
         name: str | None = None,
-        progress: Progress | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> FitResult:
         """Fit a measurement; return what `dsbrdf.fit` returns, bit for bit.
 
@@ -202,34 +185,33 @@ class Client:
             page = self._call("GET", str(page.url.join(page.links["next"]["url"])))  # which has a proxy's prefix
             yield from map(_fit, page.json()["items"])
 
-    def delete(self, fit_id: str, *, only: Removal | None = None) -> str:
+    def delete(self, fit_id: str, *, only: Literal["cancel", "delete"] | None = None) -> str:
         """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
 
-        With `only`, ``"cancel"`` or ``"delete"``, the other one raises ServiceError: a fit may end just before.
+        With `only`, the other one raises ServiceError: a fit may end just before.
         """
         return str(self._call("DELETE", f"/v1/fits/{fit_id}", only=only).json()["status"])
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
-        """Make sure that the service has a measurement, and return its sha256; errors as `fit`.
-
-        One that is sent gets the `name`, by default its own.
-        """
-        suffix, own_name, source = "", None, measurement
-        if isinstance(source, str | os.PathLike):
-            suffix, own_name = Path(source).suffix.lower(), Path(source).stem
-            if suffix == ".bsdf":
-                source = read_rgl(source).measurement()
-        if isinstance(source, Measurement):
-            own_name, source = source.name, encode_merl(source)
-        with BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            if self._call("HEAD", f"/v1/measurements/{sha256}", missing=True).status_code == 404:
-                if not name and own_name is not None:
-                    with suppress(InvalidArgumentError):  # one that the service would not take
-                        name = check_name(own_name)
-                media_type = "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"
-                headers = {"Content-Type": media_type, "Content-Length": str(file.seek(0, os.SEEK_END))}
-                self._call("POST", "/v1/measurements", body=file, headers=headers, name=name)
+        """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`."""
+        suffix, own_name = "", None
+        if isinstance(measurement, str | os.PathLike):
+            path = Path(measurement)
+            suffix, own_name = path.suffix.lower(), path.stem
+            measurement = read_rgl(path).measurement() if suffix == ".bsdf" else path.read_bytes()
+        if isinstance(measurement, Measurement):
+            own_name, measurement = measurement.name, encode_merl(measurement)
+        sha256 = hashlib.sha256(measurement).hexdigest()
+        try:
+            self._call("GET", f"/v1/measurements/{sha256}", headers={"Accept": "application/json"})
+        except ServiceError as error:
+            if error.problem.get("status") != 404:
+                raise
+            if not name and own_name is not None:
+                with suppress(InvalidArgumentError):  # one that the service would not take
+                    name = check_name(own_name)
+            headers = {"Content-Type": "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"}
+            self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name)
         return sha256
 
     def measurement(self, sha256: str) -> Measurement:
@@ -240,25 +222,14 @@ class Client:
         """Delete a measurement; its finished fits stay."""
         self._call("DELETE", f"/v1/measurements/{sha256}")
 
-    def _call(
-        self,
-        method: str,
-        url: str,
-        *,
-        body: IO[bytes] | None = None,
-        json: Any = None,
-        headers: Mapping[str, str] | None = None,
-        missing: bool = False,
-        **parameters: str | None,
-    ) -> httpx.Response:
-        """Return a response that is a success, or says that something is `missing`; repeat what is refused for now."""
-        params = {name: value for name, value in parameters.items() if value is not None} or None
+    def _call(self, method: str, url: str, **request: Any) -> httpx.Response:
+        """Return a response that is a success, after repeating what is refused for now; None parameters are left out."""
+        names = request.keys() - {"content", "json", "headers"}
+        params = {name: value for name in names if (value := request.pop(name)) is not None} or None
         left = self._patience
         while True:
-            if body is not None:
-                body.seek(0)
-            answer = self._http.request(method, url, content=body, json=json, headers=headers, params=params)
-            if answer.is_success or (missing and answer.status_code == 404):
+            answer = self._http.request(method, url, params=params, **request)
+            if answer.is_success:
                 return answer
             seconds = answer.headers.get("retry-after", "")
             retry_after = float(seconds) if seconds.isdecimal() else None
@@ -303,13 +274,13 @@ class ClientEngine:
             return self._client.fit(task.path, task.options, progress=progress)
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
-        except AccessError as error:
-            reason = f"{self._url}: {error}; the environment variable DSBRDF_KEY gives the key"
-            raise InvalidArgumentError(reason) from error
         except httpx.ConnectError as error:
             advice = "is a service running there? dsbrdf serve starts one"
             raise ConnectionError(f"nothing answers at {self._url}: {advice} ({error})") from error
         except (ServiceError, httpx.TransportError) as error:
+            if isinstance(error, ServiceError) and error.problem.get("status") == 401:
+                advice = "the environment variable DSBRDF_KEY gives the key"
+                raise InvalidArgumentError(f"{self._url}: {error}; {advice}") from error
             raise ConnectionError(f"{self._url}: {error}") from error
 
 
@@ -321,14 +292,7 @@ def _fit(document: Mapping[str, Any]) -> Fit:
 def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
     try:
         problem = answer.json()
-    except json.JSONDecodeError:  # to a HEAD, from a proxy, or the server before it knew the request
-        status, title = answer.status_code, answer.reason_phrase
-        problem = {"status": status, "title": title, "detail": _WITHOUT_DOCUMENT.get(status, title)}
+    except json.JSONDecodeError:  # from a proxy
+        problem = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
     kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
-    if kind is not None:
-        return kind(problem["detail"])
-    if answer.status_code == 401:
-        return AccessError(problem)
-    if answer.status_code == 429 or problem.get("type") == "urn:dsbrdf:problem:storage-quota":
-        return LimitError(problem, retry_after)
-    return ServiceError(problem)
+    return ServiceError(problem, retry_after) if kind is None else kind(problem["detail"])
