@@ -5,17 +5,18 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitTask, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import result_from_json, save
+from dsbrdf.output.serialize import result_from_json
 from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
@@ -77,9 +78,9 @@ def fit_files(
     if len(files) == 1 and scheduler is None and engine is None:  # here, as another process takes time to start
         file, found = files[0], next(known)
         if found is None:
-            found = _file_fit(file, run_step(compute, FitTask(file.stem, file, options), on_progress))
+            found = _file_fit(file, outputs[0], run_step(compute, FitTask(file.stem, file, options), on_progress))
             on_progress(1.0)
-        yield _written(found, outputs[0])
+        yield found
         return
     count = core_count() if jobs is None else jobs
     if engine is None:
@@ -106,7 +107,7 @@ def fit_files(
             ended, unfinished = wait(unfinished, _PROGRESS_INTERVAL, FIRST_COMPLETED)
             for future in ended:
                 number = numbers[future]
-                done[number] = _written(_file_fit(files[number], future.result()), outputs[number])
+                done[number] = _file_fit(files[number], outputs[number], future.result())
 
 
 def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
@@ -129,20 +130,15 @@ def _wait_until_ready(engine: Engine) -> None:
         time.sleep(0.1)
 
 
-def _file_fit(file: Path, outcome: Outcome) -> FileFit:
+def _file_fit(file: Path, output: Path | None, outcome: Outcome) -> FileFit:
+    """Return the fit of a file, after writing it to its output, if there is one."""
     if isinstance(outcome, Fault):
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    return FileFit(file, result=outcome)
-
-
-def _written(item: FileFit, output: Path | None) -> FileFit:
-    """Write the model to its output, if there are both, and return the result with the output named."""
-    if item.result is None or output is None or item.resumed:
-        return item
-    save(item.result, output)
-    return replace(item, output=output)
+    if output is not None:
+        write_atomically(output, [outcome.text.encode()])
+    return FileFit(file, output, result_from_json(outcome.text))
 
 
 def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None]:

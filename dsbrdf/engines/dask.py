@@ -25,6 +25,7 @@ from dsbrdf.engines.local import complete_report, fit_reduced, reduce_measuremen
 from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FitResult
 from dsbrdf.process_settings import core_count
 from dsbrdf.version import versions
 
@@ -87,7 +88,7 @@ class DaskEngine:
         if isinstance(found, Fault):
             return found
         reduced, seconds = found
-        fitted = self._fit(stopped, on_progress, reduced, task.options)
+        fitted: FitResult | Fault = self._fit(stopped, on_progress, reduced, task.options)
         if isinstance(fitted, Fault):
             return fitted
         completed: Outcome = self._here(stopped, complete_report, fitted, task, reduced.sha256, seconds)
@@ -99,7 +100,7 @@ class DaskEngine:
 
     def _fit(
         self, stopped: Event, on_progress: OnProgress, reduced: Profiles | ScatteredSamples, options: FitOptions
-    ) -> Outcome:
+    ) -> FitResult | Fault:
         """Fit on the cluster; wait as long as there is none, and send the fit again when all its workers are lost."""
         while not stopped.wait(_POLL_INTERVAL):
             client, workers = self._client, self._usable()
@@ -171,11 +172,11 @@ class DaskEngine:
             on_progress(float(event[1]["share"]))
 
 
-def _answer(future: Any) -> Outcome:
+def _answer(future: Any) -> FitResult | Fault:
     from distributed.scheduler import KilledWorker
 
     try:
-        outcome: Outcome = future.result()
+        outcome: FitResult | Fault = future.result()
     except KilledWorker as error:
         count = error.allowed_failures + 1
         message = f"{count} workers of the Dask cluster were lost while they ran this fit."
@@ -201,7 +202,7 @@ async def unusable_because(theirs: dict[str, str]) -> str | None:
     return None
 
 
-def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, limits: FitLimits) -> Outcome:
+def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, limits: FitLimits) -> FitResult | Fault:
     """Fit what is reduced in a child process of the Dask worker that calls this; end it if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
@@ -221,5 +222,5 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
     if memory is not None:  # the fit's share of it: all threads of the worker use it
         share = memory // worker.state.nthreads >> 20
         limits = replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
-    outcome: Outcome = run_in_process(fit_reduced, (reduced, options), limits, on_progress, stopped)
+    outcome: FitResult | Fault = run_in_process(fit_reduced, (reduced, options), limits, on_progress, stopped)
     return outcome

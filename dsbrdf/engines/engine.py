@@ -18,9 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
 from dsbrdf.errors import DSBRDFError
-from dsbrdf.fitting.decomposition import Decomposition
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -52,10 +50,11 @@ class FitTask:
 
 
 @dataclass(frozen=True)
-class DecomposedFit(FitResult):
-    """A fit with the components of its model, which its warnings have needed already."""
+class FitDocument:
+    """A fit that has succeeded: what is stored of it."""
 
-    decomposition: Decomposition
+    text: str  # as `to_json` writes it, with the components
+    metrics: dict[str, float | None]  # by their names in `Metrics`
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Fault:
     message: str  # one sentence
 
 
-Outcome = FitResult | Fault
+Outcome = FitDocument | Fault
 MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 STOPPED = Fault("system", "Stopped", "The fit was stopped because its result is not wanted.")
 

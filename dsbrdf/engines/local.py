@@ -1,19 +1,19 @@
 """What runs in processes of this machine, one a fit: a fit in one step, or in three.
 
-    compute:             file -> result
+    compute:             file -> document
 
     reduce_measurement: file -> profiles, or scattered samples as they are
     fit_reduced:         these -> result, of profiles without metrics, perhaps on another machine
-    complete_report:     that result, same file -> result
+    complete_report:     that result, same file -> document
 
-Both ways give the same result to the last bit, apart from the timings.
+Both ways give the same document to the last bit, apart from the timings.
 """
 
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import asdict, replace
 from threading import Event
 from typing import Any
 
@@ -22,18 +22,19 @@ from dsbrdf.data.measurement_files import open_checked, read_measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.engine import DecomposedFit, Fault, FitLimits, FitTask, OnProgress, Outcome, Threads
+from dsbrdf.engines.engine import Fault, FitDocument, FitLimits, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.engines.worker_process import run_in_process, start_fork_server
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import add_sample_metrics, fit, profiles_for
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.output.serialize import to_json
 
 
-def compute(task: FitTask, on_progress: OnProgress) -> DecomposedFit:
+def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
     """Fit the measurement of a task in one step."""
-    return _decomposed(fit_reduced(_measurement(task), task.options, on_progress))
+    return document_of(fit_reduced(_measurement(task), task.options, on_progress))
 
 
 def reduce_measurement(task: FitTask, _: OnProgress) -> tuple[Profiles | ScatteredSamples, float]:
@@ -60,11 +61,13 @@ def complete_report(result: FitResult, task: FitTask, sha256: str, seconds: floa
     if isinstance(measurement, Measurement):
         timings = result.report.timings | {"profiles": seconds}
         result = add_sample_metrics(replace(result, report=replace(result.report, timings=timings)), measurement)
-    return _decomposed(result)
+    return document_of(result)
 
 
-def _decomposed(result: FitResult) -> DecomposedFit:
-    return DecomposedFit(result.model, result.report, decompose(result.model))
+def document_of(result: FitResult) -> FitDocument:
+    """Return what is stored of a fit."""
+    text = to_json(result.model, result.report, decompose(result.model))
+    return FitDocument(text, asdict(result.report.metrics))
 
 
 def _measurement(task: FitTask) -> Measurement | ScatteredSamples:

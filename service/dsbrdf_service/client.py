@@ -23,7 +23,7 @@ from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measur
 from dsbrdf.data.merl import encode_merl, parse_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
-from dsbrdf.engines.engine import Fault, FitTask, OnProgress, Outcome, Threads
+from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
@@ -149,6 +149,17 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
+        return self.result(self.fit_to_end(measurement, options, name=name, progress=progress).id)
+
+    def fit_to_end(
+        self,
+        measurement: Source,
+        options: FitOptions | None = None,
+        *,
+        name: str | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Fit:
+        """Fit a measurement, as `fit`, and return the state of the fit, whose result the service keeps."""
         fit = self.submit(measurement, options, name=name)
         while not fit.ended:
             if progress is not None:
@@ -161,7 +172,7 @@ class Client:
             raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
         if progress is not None:
             progress(1.0)
-        return self.result(fit.id)
+        return fit
 
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
@@ -175,7 +186,11 @@ class Client:
 
     def result(self, fit_id: str) -> FitResult:
         """Return the model and the report of a fit that has succeeded."""
-        return result_from_json(self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text)
+        return result_from_json(self.document(fit_id))
+
+    def document(self, fit_id: str) -> str:
+        """Return that result as the text of a file that `dsbrdf.load_result` reads."""
+        return self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text
 
     def fits(self, *, name: str | None = None) -> Iterator[Fit]:
         """Yield the service's fits, or those of one name, newest first."""
@@ -223,7 +238,7 @@ class Client:
         self._call("DELETE", f"/v1/measurements/{sha256}")
 
     def _call(self, method: str, url: str, **request: Any) -> httpx.Response:
-        """Return a response that is a success, after repeating what is refused for now; None parameters are left out."""
+        """Return a response that is a success, after repeating what is refused for now; None is no parameter."""
         names = request.keys() - {"content", "json", "headers"}
         params = {name: value for name in names if (value := request.pop(name)) is not None} or None
         left = self._patience
@@ -271,7 +286,8 @@ class ClientEngine:
             on_progress(share)
 
         try:
-            return self._client.fit(task.path, task.options, progress=progress)
+            fit = self._client.fit_to_end(task.path, task.options, progress=progress)
+            return FitDocument(self._client.document(fit.id), fit.metrics or {})
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except httpx.ConnectError as error:

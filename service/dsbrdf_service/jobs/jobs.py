@@ -15,9 +15,7 @@ from typing import Any, TypeVar, TypeVarTuple
 
 from starlette.concurrency import run_in_threadpool
 
-from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Engine, Fault, FitTask, Outcome
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import to_json
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
 
 from ..errors import FitNotFoundError, MeasurementDamagedError
 from ..operations.logging import bind
@@ -226,7 +224,7 @@ class Jobs:
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
                 task = FitTask(str(row.key), path, options, row.measurement)
                 outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
-                if isinstance(outcome, FitResult):
+                if isinstance(outcome, FitDocument):
                     return outcome
             except OSError as error:
                 outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
@@ -241,10 +239,8 @@ class Jobs:
 
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
-        if isinstance(outcome, FitResult):
-            parts = outcome.decomposition if isinstance(outcome, DecomposedFit) else None
-            document = to_json(outcome.model, outcome.report, parts)
-            self._store.complete_fit(row.key, document, asdict(outcome.report.metrics))
+        if isinstance(outcome, FitDocument):
+            self._store.complete_fit(row.key, outcome.text, outcome.metrics)
             logger.info("the fit has succeeded")
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:

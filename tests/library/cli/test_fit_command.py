@@ -202,7 +202,7 @@ def test_full_disk_exits_with_1(plastic_file: Path, tmp_path: Path, monkeypatch:
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(batch, "save", full)
+    monkeypatch.setattr(batch, "write_atomically", full)
     assert "No space left on device" in sentence("fit", plastic_file, "-o", tmp_path, *QUICK, code=1)
 
 

@@ -16,9 +16,8 @@ import pytest
 from dsbrdf import Profiles
 from dsbrdf.engines import dask
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Fault, FitTask
+from dsbrdf.engines.engine import Fault, FitDocument, FitTask
 from dsbrdf.engines.local import complete_report, fit_reduced, reduce_measurement
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.version import Versions, versions
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
@@ -59,12 +58,12 @@ def test_fits_wait_for_the_cluster_and_go_to_a_worker_that_comes_later(
         until(lambda: fault_of(engine), lambda fault: fault == f"The Dask cluster at {address} has no workers.")
         assert not fit.done()
         own_cluster.add_worker()
-        assert isinstance(fit.result(PATIENCE), FitResult)
+        assert isinstance(fit.result(PATIENCE), FitDocument)
         fits = [engine.submit(FitTask("two", plastic_file, MIDDLE), ignore) for _ in range(2)]
         own_cluster.add_worker()
         wait_until(lambda: own_cluster.log().count("Registered to:") == 2, PATIENCE)
         own_cluster.kill_worker(own_cluster.workers[0])
-        assert all(isinstance(fit.result(PATIENCE), FitResult) for fit in fits)
+        assert all(isinstance(fit.result(PATIENCE), FitDocument) for fit in fits)
     finally:
         engine.close()
 
@@ -104,7 +103,7 @@ def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
         own_cluster.kill_worker(own_cluster.workers[-1])
         wait_until(lambda: fault_of(engine) is not None, PATIENCE)
         own_cluster.add_worker()
-        assert isinstance(fit.result(PATIENCE), FitResult)
+        assert isinstance(fit.result(PATIENCE), FitDocument)
     assert shares == sorted(set(shares))
 
 
@@ -121,7 +120,7 @@ def test_worker_without_permission_for_child_processes_is_not_used(
         assert "DASK_DISTRIBUTED__WORKER__DAEMON=false" in fault
         own_cluster.add_worker()
         fit = engine.submit(FitTask("one", plastic_file, QUICK), ignore)
-        assert isinstance(fit.result(PATIENCE), FitResult)
+        assert isinstance(fit.result(PATIENCE), FitDocument)
     finally:
         engine.close()
 
@@ -166,7 +165,7 @@ def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskClust
             fit = engine.submit(FitTask("one", plastic_file, QUICK), ignore)
         finally:
             scheduler.send_signal(signal.SIGCONT)
-        assert isinstance(fit.result(PATIENCE), FitResult)
+        assert isinstance(fit.result(PATIENCE), FitDocument)
 
 
 def test_versions_are_those_of_what_computes() -> None:
@@ -216,7 +215,7 @@ def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file: Path
             assert forked(os.getpid()) == []
             wait_until(lambda: not stage.fitting(), PATIENCE)
         fit = engine.submit(FitTask("two", plastic_file, QUICK), ignore)
-        assert isinstance(fit.result(PATIENCE), FitResult)
+        assert isinstance(fit.result(PATIENCE), FitDocument)
 
 
 @pytest.mark.parametrize("checked", [False, True])

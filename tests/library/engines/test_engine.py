@@ -9,6 +9,7 @@ import sys
 import time
 import warnings
 from concurrent.futures import CancelledError
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
@@ -18,10 +19,10 @@ import pytest
 import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.engines import worker_process as child
-from dsbrdf.engines.engine import Fault, FitLimits, FitTask
+from dsbrdf.engines.engine import Fault, FitDocument, FitLimits, FitTask
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import to_json
+from dsbrdf.output.serialize import result_from_json, to_json
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
@@ -77,12 +78,14 @@ def test_result_equals_that_of_the_library_bit_for_bit(
     path: Path = request.getfixturevalue(f"{data}_file")
     expected, said = fitted_by_library(path, options)
     outcome, shares = run(stage, FitTask("one", path, options))
-    assert isinstance(outcome, FitResult)
-    found, document = (to_json(result.model, result.report) for result in (outcome, expected))
+    assert isinstance(outcome, FitDocument)
+    found, document = outcome.text, to_json(expected.model, expected.report, dsbrdf.decompose(expected))
     assert content(found) == content(document)
-    assert list(outcome.report.timings) == list(expected.report.timings)
-    assert all(seconds > 0 for seconds in outcome.report.timings.values())
-    assert said == [text for text in outcome.report.warnings if " converged: " in text]
+    assert outcome.metrics == asdict(expected.report.metrics)
+    report = result_from_json(found).report
+    assert list(report.timings) == list(expected.report.timings)
+    assert all(seconds > 0 for seconds in report.timings.values())
+    assert said == [text for text in report.warnings if " converged: " in text]
     assert shares == sorted(set(shares))
     assert shares[-1] == 1.0
 
@@ -145,7 +148,7 @@ def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others
         wait_until(lambda: not any(map(alive, victims)), PATIENCE)
         if SOAK:
             assert time.monotonic() - begin < 1.0
-        assert isinstance(engine.submit(FitTask("three", plastic_file, QUICK), ignore).result(PATIENCE), FitResult)
+        assert isinstance(engine.submit(FitTask("three", plastic_file, QUICK), ignore).result(PATIENCE), FitDocument)
         unfinished = [engine.submit(FitTask(name, plastic_file, ENDLESS), ignore) for name in ("four", "five")]
         victims = until_fitting(stage)
     assert all(future.done() for future in unfinished)
@@ -179,7 +182,7 @@ def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) 
 def test_event_loop_waits_for_a_fit_and_cancels_it(plastic_file: Path) -> None:
     async def wait_for_two() -> None:
         fit = await asyncio.wrap_future(engine.submit(FitTask("one", plastic_file, QUICK), ignore))
-        assert isinstance(fit, FitResult)
+        assert isinstance(fit, FitDocument)
         endless = engine.submit(FitTask("two", plastic_file, ENDLESS), ignore)
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(asyncio.wrap_future(endless), 0.2)
@@ -217,7 +220,7 @@ def test_processes_do_not_import_the_main_module_and_none_outlives_a_killed_prog
     )
     with process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "DecomposedFit\n"
+        assert process.stdout.readline() == "FitDocument\n"
         wait_until(lambda: bool(cluster.fitting()), PATIENCE)
         victims = forked(process.pid) + cluster.fitting()
         process.kill()
@@ -229,5 +232,5 @@ def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypat
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
     assert child._context().get_start_method() == "spawn"
     outcome, shares = run(Stage(None), FitTask("one", plastic_file, QUICK))
-    assert isinstance(outcome, FitResult)
+    assert isinstance(outcome, FitDocument)
     assert shares[-1] == 1.0

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import NOT_STARTED, DecomposedFit, Fault, FitTask, Outcome, Threads
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome, Threads
+from dsbrdf.engines.local import document_of
 from dsbrdf_service.errors import FitNotFoundError
 from dsbrdf_service.jobs import jobs as jobs_module
 from dsbrdf_service.jobs.jobs import Jobs
@@ -29,7 +30,7 @@ from tests.support.stores import LOCAL, add
 pytestmark = pytest.mark.anyio
 OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
 _FIT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
-RESULT = DecomposedFit(_FIT.model, _FIT.report, dsbrdf.decompose(_FIT))
+RESULT = document_of(_FIT)
 
 
 class Engine:
@@ -56,7 +57,7 @@ class Engine:
             if isinstance(outcome, Exception):
                 raise outcome
             return outcome
-        return replace(RESULT, report=replace(RESULT.report, warnings=(f"run {number}",)))
+        return document_of(replace(_FIT, report=replace(_FIT.report, warnings=(f"run {number}",))))
 
 
 class _Slow(NamedTuple):
