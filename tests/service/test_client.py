@@ -132,7 +132,8 @@ def test_client_deletes_fits_and_measurements(server: Server, plastic: dsbrdf.Me
         client.delete_measurement(fit.measurement)
         with pytest.raises(ServiceError, match="no measurement"):
             client.measurement(fit.measurement)
-        named = client.submit(plastic, OPTIONS, name="a name of its own")  # of a measurement that is known
+        client.upload(plastic)
+        named = client.submit(plastic, replace(OPTIONS, mask=0.5), name="a name of its own")  # it is known, unnamed
         assert named.name == client.get(named.id).name == "a name of its own"
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
