@@ -2,11 +2,9 @@
 
 import asyncio
 import logging
-import sqlite3
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from functools import partial
 from typing import Any
 
 from anyio import to_thread
@@ -35,14 +33,12 @@ from .operations.readiness import Readiness
 from .routes import about, brdf, figures, fits, measurements, page
 from .routes.dependencies import Context
 from .settings import Settings
-from .storage.database import Database
 from .storage.store import Store
 
 _THREADS = 8  # of which each that has ever worked keeps memory
 _COMPUTATION_SECONDS = 30.0  # that one in a process of its own may take; the longest need some 15
 _NICENESS = 10  # of these processes: answers that are known already go first
 _SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
-_CHANGES_PERIOD = 0.5  # seconds between looks at what other processes have written; one costs some microseconds
 
 logger = logging.getLogger(__name__)
 
@@ -86,7 +82,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         engine = make_engine(settings)
         jobs = Jobs(store, engine, settings, metrics)
         models = ModelCache(store, settings.model_cache)
-        await run_in_threadpool(keys.load, store.database)
+        keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
         views = FitViews(store, models)
@@ -95,9 +91,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await jobs.start()
-        regular = [asyncio.create_task(_follow_changes(store.database, keys, models))]
-        regular.append(asyncio.create_task(_every_minute(trim_memory)))
-        regular.append(asyncio.create_task(_every_minute(partial(keys.write_uses, store.database))))
+        regular = [asyncio.create_task(_every_minute(call)) for call in (trim_memory, keys.write_uses)]
         try:
             yield
         finally:
@@ -107,7 +101,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             await computations.close()
             await jobs.close()
             await asyncio.to_thread(engine.close)
-            await run_in_threadpool(keys.write_uses, store.database)
+            await run_in_threadpool(keys.write_uses)
     finally:
         store.close()
 
@@ -117,22 +111,6 @@ async def _every_minute(call: Callable[[], None]) -> None:
     while True:
         await asyncio.sleep(60.0)
         await asyncio.to_thread(call)
-
-
-async def _follow_changes(database: Database, keys: Keys, models: ModelCache) -> None:
-    """Read the keys again and empty the cache whenever another process has written; until cancelled."""
-    changed = False
-    while True:
-        await asyncio.sleep(_CHANGES_PERIOD)
-        try:
-            # In threads that uploads and evaluations do not use: a key has to be refused under load too.
-            changed = await asyncio.to_thread(database.changed_by_others) or changed
-            if changed:
-                await asyncio.to_thread(keys.load, database)
-                models.forget()
-                changed = False
-        except sqlite3.Error:
-            logger.exception("what other processes have written could not be read; trying again")
 
 
 def make_engine(settings: Settings) -> Engine:

@@ -56,6 +56,14 @@ class ProblemError(DSBRDFServiceError):
         self.headers = dict(headers or {})
 
 
+class InvalidKeyError(ProblemError):
+    """The key of a request is wrong or revoked."""
+
+    def __init__(self) -> None:
+        detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
+        super().__init__("unauthorized", detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})
+
+
 class FitNotFoundError(ProblemError):
     """The caller has no fit with this id."""
 

@@ -90,7 +90,6 @@ class Application:
     def new_key(self) -> str:
         """Return a key that has the fit `FIT`."""
         row, key = add_key(self.store.database, "a key")
-        self.app.state.keys.load(self.store.database)
         model = random_model()
         document = to_json(model, None, dsbrdf.decompose(model))
         written = checksum(None, document.encode())

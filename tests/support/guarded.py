@@ -8,7 +8,6 @@ from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.commands import keys
 from dsbrdf_service.storage.database import Database
 from tests.support.commands import run_main
-from tests.support.processes import wait_until
 from tests.support.server import Server
 
 
@@ -21,17 +20,17 @@ class Guarded:
     bob: dict[str, str]
 
     def new_key(self, name: str = "another", **limits: Any) -> dict[str, str]:
-        """Return the header of a further key, when the service knows it."""
+        """Return the header of a further key."""
         return new_key(self.server, name, **limits)[1]
 
 
 def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
-    """Make a key beside a running service, and use it once; return its id and the header that holds it."""
+    """Make a key beside a running service, and use it at once; return its id and the header that holds it."""
     database = Database(server.data_dir, exclusive=False)
     row, key = add_key(database, name, **limits)
     database.close()
     header = {"Authorization": f"Bearer {key}"}
-    wait_until(lambda: server.http.get("/v1/fits", headers=header).status_code == 200)
+    assert server.http.get("/v1/fits", headers=header).status_code == 200
     return row.id, header
 
 

@@ -10,16 +10,18 @@ something only if it comes from a page of the service itself.
 
 import math
 import re
+import sqlite3
 from collections import Counter
 from time import monotonic
 
+from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from ..errors import ProblemError
+from ..errors import InvalidKeyError, ProblemError
 from ..http.limits import check_head
 from ..http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
-from ..http.problems import problem_response
+from ..http.problems import problem_of, problem_response
 from ..http.request_log import HEALTH, SAFE_METHODS
 from ..settings import Settings
 from ..storage.schema import Caller
@@ -61,8 +63,8 @@ class AuthenticationMiddleware:
         try:
             self._check(scope)
             caller = self._begin(scope)
-        except ProblemError as error:
-            await self._refusal(scope, error)(scope, receive, send)
+        except (ProblemError, sqlite3.Error) as error:  # the latter where keys cannot be read
+            await self._refusal(scope, problem_of(Request(scope), error))(scope, receive, send)
             return
         try:
             await self._app(scope, receive, send)
@@ -124,7 +126,7 @@ class AuthenticationMiddleware:
             # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
             key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
             if key is None:
-                raise invalid_key()
+                raise InvalidKeyError
         else:
             # Another page of the host can set a cookie of this name too, for any path.
             key = next((key for text in keys_in_cookies(headers) if (key := self._keys.find(text))), None)
@@ -175,9 +177,3 @@ def from_another_site(headers: _Headers) -> bool:
     origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]
     sites = [value for name, value in headers if name == b"sec-fetch-site"]
     return not (all(site in (b"same-origin", b"none") for site in sites) and all(origin in hosts for origin in origins))
-
-
-def invalid_key() -> ProblemError:
-    """Return the error for a key that is wrong or revoked."""
-    detail = "The Authorization header holds no valid API key; send one key as 'Authorization: Bearer <key>'."
-    return ProblemError("unauthorized", detail, {"WWW-Authenticate": 'Bearer error="invalid_token"'})

@@ -28,6 +28,11 @@ _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1_000_000
 _BURST_SECONDS = 5.0
 
+_SELECT_ACTIVE = (
+    "SELECT secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?), coalesce(queued_fits, ?), metrics"
+    " FROM keys WHERE revoked IS NULL AND id = ?"
+)
+
 logger = logging.getLogger(__name__)
 
 
@@ -63,10 +68,13 @@ def all_keys(database: Database) -> list[KeyRow]:
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
-    """Revoke a key, what is stored with it stays; return whether there was such a key."""
+    """Revoke a key and cancel its waiting fits, what is stored with it stays; return whether there was such a key."""
+    now = time.time()
     with database.transaction() as db:
+        waiting = "UPDATE fits SET status = 'cancelled', finished = ? WHERE owner = ? AND status = 'accepted'"
+        db.execute(waiting, (now, key_id))
         query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
-        return db.execute(query, (time.time(), key_id)).rowcount > 0
+        return db.execute(query, (now, key_id)).rowcount > 0
 
 
 def has_active_key(folder: Path) -> bool:
@@ -100,64 +108,65 @@ class RateLimit:
         return (1.0 - self._filled) / self.rate
 
 
+@dataclass
+class _Use:
+    """How a key has been used since the service started; times as in `KeyRow`."""
+
+    rate_limit: RateLimit
+    last: float = 0.0
+    written: float = 0.0
+
+
 @dataclass(frozen=True)
 class ActiveKey:
     """A key that is not revoked, and the requests that it may make at the moment."""
 
-    secret_sha256: bytes
     caller: Caller
     rate_limit: RateLimit
 
 
 class Keys:
-    """The active keys in memory, none until they are loaded; `settings` has the limits of keys without their own."""
+    """The active keys of a database, which is asked each time; `settings` has the limits of keys without their own."""
 
     def __init__(self, settings: "Settings") -> None:
-        self._settings = settings
-        self._active: dict[str, ActiveKey] = {}
-        self._used: dict[str, float] = {}  # when, of those that were used since that was written
+        self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
+        self._uses: dict[str, _Use] = {}
 
-    def load(self, database: Database) -> None:
-        """Read the keys again; the requests that a key has made still count."""
-        query = (
-            "SELECT id, secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?),"
-            " coalesce(queued_fits, ?), metrics FROM keys WHERE revoked IS NULL"
-        )
-        usual = self._settings.key_requests_per_second, self._settings.key_stored_mb, self._settings.key_queued_fits
-        active = {}
-        for key_id, digest, rate, stored_mb, queued_fits, metrics in database.rows(query, *usual):
-            known = self._active.get(key_id)
-            rate_limit = known.rate_limit if known is not None and known.rate_limit.rate == rate else RateLimit(rate)
-            caller = Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics))
-            active[key_id] = ActiveKey(bytes.fromhex(digest), caller, rate_limit)
-        self._active = active
+    def open(self, database: Database) -> None:
+        """Set the database; before, there are no keys to ask for."""
+        self._database = database
 
     def find(self, text: bytes) -> ActiveKey | None:
         """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
-        key = self._active.get(parts[1].decode())
-        expected = _NO_SECRET if key is None else key.secret_sha256
+        key_id = parts[1].decode()
+        row = self._database.row_now(_SELECT_ACTIVE, *self._usual, key_id)
+        expected = _NO_SECRET if row is None else bytes.fromhex(row[0])
         right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
-        if key is None or not right:
+        if row is None or not right:
             return None
-        self._used[key.caller.owner] = time.time()
-        return key
-
-    def write_uses(self, database: Database) -> None:
-        """Write when keys were used last, all at once: a write at every request would take longer than most."""
-        used, self._used = self._used, {}
-        rows = [(when, key_id) for key_id, when in tuple(used.items())]
-        if not rows:
-            return
-        try:
-            with database.transaction() as db:
-                db.executemany("UPDATE keys SET used = ? WHERE id = ?", rows)
-        except (sqlite3.Error, OSError) as error:
-            self._used = used | self._used
-            logger.warning("when keys were used could not be written: %s", error)
+        _, rate, stored_mb, queued_fits, metrics = row
+        use = self._uses.setdefault(key_id, _Use(RateLimit(rate)))
+        use.last = time.time()
+        return ActiveKey(Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), use.rate_limit)
 
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""
-        return not caller.owner or caller.owner in self._active
+        query = "SELECT 1 FROM keys WHERE id = ? AND revoked IS NULL"
+        return not caller.owner or self._database.row_now(query, caller.owner) is not None
+
+    def write_uses(self) -> None:
+        """Write when keys were used last, all at once: a write at every request would take longer than most."""
+        due = [(use, use.last, key_id) for key_id, use in tuple(self._uses.items()) if use.last > use.written]
+        if not due:
+            return
+        try:
+            with self._database.transaction() as db:
+                db.executemany("UPDATE keys SET used = ? WHERE id = ?", [(last, key_id) for _, last, key_id in due])
+        except (sqlite3.Error, OSError) as error:
+            logger.warning("when keys were used could not be written: %s", error)
+            return
+        for use, last, _ in due:
+            use.written = last

@@ -222,7 +222,7 @@ async def result_of(future: "Future[T]") -> T:
     try:
         return await asyncio.wrap_future(future)
     except asyncio.CancelledError:
-        await asyncio.wait([asyncio.wrap_future(future)])
+        await asyncio.gather(asyncio.wrap_future(future), return_exceptions=True)
         raise
 
 

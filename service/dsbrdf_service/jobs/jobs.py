@@ -127,8 +127,8 @@ class Jobs:
         running = self._running.get(row.key)
         return 0.0 if running is None else running.progress
 
-    async def watch(self, key: FitKey, *ends: "asyncio.Future[None]") -> AsyncIterator[FitRow]:
-        """Yield the fit's row now and at every change, until it has ended or is deleted, or until one of `ends`."""
+    async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at every change, until it has ended or is deleted."""
         while True:
             running = self._running.get(key)
             changed = None if running is None else running.changed
@@ -140,9 +140,7 @@ class Jobs:
             if row.ended or self._stopping.done():
                 return
             if changed is not None:
-                await asyncio.wait((changed, self._stopping, *ends), return_when=asyncio.FIRST_COMPLETED)
-                if any(end.done() for end in ends):
-                    return
+                await asyncio.wait((changed, self._stopping), return_when=asyncio.FIRST_COMPLETED)
             else:  # the row is ahead of, or behind, this process by one step
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
 

@@ -63,29 +63,33 @@ class ModelCache:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._models: OrderedDict[FitKey, LoadedFit] = OrderedDict()
-        self._deletions = 0
+        self._models: OrderedDict[FitKey, tuple[int, LoadedFit]] = OrderedDict()  # each with the stamp of its result
 
     async def get(self, key: FitKey) -> LoadedFit:
-        """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result."""
-        loaded = self._models.get(key)
-        if loaded is not None:
-            self._models.move_to_end(key)
-            return loaded
-        deletions = self._deletions
+        """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
+
+        The store is asked each time: another process may have deleted the fit, or computed it once more.
+        """
+        stamp = self._store.result_stamp(key)
+        if (kept := self._kept(key, stamp)) is not None:
+            return kept
         loaded = await run_in_threadpool(self._load, key)
-        if deletions != self._deletions:  # perhaps this fit was deleted after it was read
+        if stamp is None:  # its fit has ended meanwhile
             return loaded
-        loaded = self._models.setdefault(key, loaded)  # one that has come together with this request is the same
+        if (kept := self._kept(key, stamp)) is not None:  # it has come together with this request
+            return kept
+        self._models[key] = stamp, loaded
         while len(self._models) > self._size:
             self._models.popitem(last=False)
         return loaded
 
-    def forget(self, *keys: FitKey) -> None:
-        """Drop models whose fits are deleted; without keys all, as any may have been deleted by another process."""
-        self._deletions += 1
-        for key in keys or tuple(self._models):
-            self._models.pop(key, None)
+    def _kept(self, key: FitKey, stamp: int | None) -> LoadedFit | None:
+        """Return the model that is kept for a result."""
+        found, loaded = self._models.get(key, (None, None))
+        if loaded is None or found != stamp:
+            return None
+        self._models.move_to_end(key)
+        return loaded
 
     def _load(self, key: FitKey) -> LoadedFit:
         document = self._store.result(key)

@@ -1,6 +1,5 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
-import asyncio
 from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
@@ -27,8 +26,6 @@ from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
 from ..wire.names import given_name
 from ..wire.schemas import FIT_ID, SHA256
-
-_HEARTBEAT = 1.0  # seconds between looks at whether the key of a request that waits has been revoked
 
 
 @dataclass(frozen=True)
@@ -125,9 +122,3 @@ async def _no_repetition(request: Request) -> None:
 
 
 NO_REPETITION = [Depends(_no_repetition)]
-
-
-async def revocation(keys: Keys, caller: Caller) -> None:
-    """Return when the caller's key has been revoked."""
-    while keys.allows(caller):
-        await asyncio.sleep(_HEARTBEAT)

@@ -14,8 +14,7 @@ from starlette.responses import Response
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, check_shader_options, export_model
 
-from ..access.authentication import invalid_key
-from ..errors import ProblemError
+from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of, receive_body
@@ -29,7 +28,7 @@ from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.model_document import model_document
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
-from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of, revocation
+from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of
 from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
@@ -170,7 +169,6 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     if wanted.only != "delete" and await context.jobs.cancel(fit) is not None:
         return json_reply(schemas.RemovedFit(id=fit.id, status="cancelled"))
     if wanted.only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
-        context.models.forget(fit)
         return json_reply(schemas.RemovedFit(id=fit.id, status="deleted"))
     row = await context.fit_row(fit)
     if row.ended:
@@ -240,24 +238,25 @@ async def follow_fit(
 ) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
     with context.metrics.event_streams.track_inprogress():
-        async with _task_of(revocation(context.keys, caller)) as revoked:
-            async for row in context.jobs.watch(fit, revoked):
-                event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
-                yield ServerSentEvent(data=event, event=row.status)
+        async for row in context.jobs.watch(fit):
+            if not context.keys.allows(caller):
+                return
+            event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
+            yield ServerSentEvent(data=event, event=row.status)
 
 
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
     """Return the fit's row when it has ended or after `seconds`.
 
-    The wait ends early when the client goes, which frees its place, and when its key is revoked.
+    The wait ends early when the client goes, which frees its place. What it waited for is for an active key only.
     """
     if not seconds:
         return await context.fit_row(fit)
-    async with _task_of(departure(request)) as gone, _task_of(revocation(context.keys, caller)) as revoked:
-        row = await context.jobs.wait(fit, seconds, gone, revoked)
-        if revoked.done():
-            raise invalid_key()
-        return row
+    async with _task_of(departure(request)) as gone:
+        row = await context.jobs.wait(fit, seconds, gone)
+    if not context.keys.allows(caller):
+        raise InvalidKeyError
+    return row
 
 
 @asynccontextmanager

@@ -36,7 +36,7 @@ in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
 
 
 class Database:
-    """Two connections that all threads of this process share: one writes, one reads and never waits for the writer.
+    """Connections that all threads of this process share: one writes, others read and never wait for the writer.
 
     The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock, which is on
     the folder itself, as long as it runs; a command goes without, so that a server may run or start.
@@ -59,6 +59,7 @@ class Database:
                     os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
                 self._writer = resources.enter_context(closing(self._connection()))
                 self._reader = resources.enter_context(closing(self._connection()))
+                self._prompt_reader = resources.enter_context(closing(self._connection()))
                 if exclusive:
                     create_tables(self._writer)
                 elif pragma(self._writer, "user_version") != VERSION:
@@ -66,8 +67,8 @@ class Database:
                         create_tables(self._writer)
                 self._writer.execute("PRAGMA journal_mode = WAL")
                 self._writer.execute("PRAGMA synchronous = FULL")
-                self._reader.execute("PRAGMA query_only = ON")
-                self._version = pragma(self._writer, "data_version")
+                for reader in (self._reader, self._prompt_reader):
+                    reader.execute("PRAGMA query_only = ON")
                 self._reader.execute("SELECT 1 FROM sqlite_master").fetchall()  # from now on it has all its files
                 self._files = {path: path.stat() for path in (self._path, *_companions(self._path))}
                 self._resources = resources.pop_all()
@@ -83,6 +84,14 @@ class Database:
         """Return what `query` selects."""
         with self._reader_lock:
             return self._reader.execute(query, values).fetchall()
+
+    def row_now(self, query: str, *values: object) -> tuple[Any, ...] | None:
+        """Return the first row that `query` selects; for the event loop, which waits for nobody else's query.
+
+        A row that is found by an index takes some 10 microseconds.
+        """
+        row: tuple[Any, ...] | None = self._prompt_reader.execute(query, values).fetchone()
+        return row
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -108,12 +117,6 @@ class Database:
                 raise
         finally:
             self._writer_lock.release()
-
-    def changed_by_others(self) -> bool:
-        """Return whether another process has written since this was asked before, or since the database was opened."""
-        with self._writer_lock:
-            before, self._version = self._version, pragma(self._writer, "data_version")
-        return self._version != before
 
     def _connection(self) -> sqlite3.Connection:
         return sqlite3.connect(self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False)

@@ -31,7 +31,7 @@ from .schema import (
     columns,
     pragma,
 )
-from .uploads import Uploads, check_queue, check_storage
+from .uploads import Uploads, check_key, check_queue, check_storage
 
 logger = logging.getLogger(__name__)
 
@@ -87,10 +87,11 @@ class Store:
     ) -> tuple[MeasurementRow, bool]:
         """Store a closed file; the flag says whether it is new to the caller. A known one gets the new name, if any.
 
-        Raises ProblemError if the caller would have stored more than it may.
+        Raises ProblemError if the caller would have stored more than it may, or its key has been revoked.
         """
         sha256 = incoming.sha256
         with self.database.transaction() as db:
+            check_key(db, caller)
             query = f"SELECT 1 FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             new = db.execute(query, (caller.owner, sha256)).fetchone() is None
             if new:
@@ -160,7 +161,8 @@ class Store:
 
         `options` are in their wire form; without a `name`, the fit has that of its measurement.
 
-        Raises MeasurementNotFoundError, or ProblemError if `queue_limit` fits are waiting or a quota is reached.
+        Raises MeasurementNotFoundError, or ProblemError if `queue_limit` fits are waiting, a quota is reached or the
+        caller's key has been revoked.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
@@ -168,6 +170,7 @@ class Store:
         if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
             return found, False
         with self.database.transaction() as db:
+            check_key(db, caller)
             known = _first(db.execute(select, key).fetchall())
             if known is not None and not known.repeatable:
                 (row,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
@@ -223,6 +226,11 @@ class Store:
             detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
             raise ProblemError("fit-without-result", detail)
         return str(document, "utf-8")
+
+    def result_stamp(self, key: FitKey) -> int | None:
+        """Return what tells a fit's result from others, None without one; for the event loop, as `Database.row_now`."""
+        row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
+        return None if row is None else int(row[0])
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""

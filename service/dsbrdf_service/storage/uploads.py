@@ -11,7 +11,7 @@ from anyio import CapacityLimiter, to_thread
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 
-from ..errors import ProblemError
+from ..errors import InvalidKeyError, ProblemError
 from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import IS_UNFINISHED, Caller
@@ -72,6 +72,12 @@ class Uploads:
 def threads_are_busy() -> bool:
     """Return whether all of these threads have work."""
     return not _threads.available_tokens
+
+
+def check_key(db: sqlite3.Connection, caller: Caller) -> None:
+    """Raise InvalidKeyError if the caller's key has been revoked since the request began."""
+    if db.execute("SELECT 1 FROM keys WHERE id = ? AND revoked IS NOT NULL", (caller.owner,)).fetchone():
+        raise InvalidKeyError
 
 
 def check_queue(db: sqlite3.Connection, caller: Caller) -> None:

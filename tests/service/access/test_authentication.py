@@ -16,6 +16,7 @@ import pytest
 from dsbrdf_service.routes import page
 from tests.support.application import application
 from tests.support.guarded import Guarded, keys_command, new_key
+from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server, assert_problem
 
@@ -113,7 +114,7 @@ def test_upload_without_key_is_refused_before_its_body_is_read(guarded: Guarded,
     assert guarded.server.files() == before
 
 
-def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
+def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true", workers="1")
     (key_id, header), (_, other) = (new_key(server, name, metrics=True) for name in ("brief", "lasting"))
     document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
@@ -124,36 +125,33 @@ def test_long_polls_and_streams_end_when_their_key_is_revoked(own_server: Callab
         return fit
 
     def poll() -> httpx.Response:
-        return server.http.get(f"/v1/fits/{fit}?wait=300", headers=header)
-
-    def post() -> httpx.Response:
-        return server.http.post("/v1/fits", json=document, headers={**header, "Prefer": "wait=300"})
+        return server.http.get(f"/v1/fits/{fit}?wait=3", headers=header)
 
     def follow(who: dict[str, str]) -> str:
         with server.http.stream("GET", f"/v1/fits/{fit}/events", headers=who) as answer:
             assert answer.status_code == 200
             return answer.read().decode()  # to an end: a connection that breaks off is an error
 
-    fit = submit(header)
-    assert submit(other) == fit
-    head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
-    head += f"Content-Length: {len(data)}\r\n\r\n"
-    with ThreadPoolExecutor(4) as pool, server.connection(head.encode() + data[:100_000]) as upload:
-        polled, posted, followed = pool.submit(poll), pool.submit(post), pool.submit(follow, header)
-        lasting = pool.submit(follow, other)
-        in_progress = re.compile(r"^dsbrdf_requests_in_progress 6.0$", re.MULTILINE)
+    fit = submit(other)
+    wait_until(lambda: server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] == "running")
+    assert submit(header) == fit  # and it waits
+    new, before = with_value(data, 0.5), server.files()
+    head = f"POST /v1/fits HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
+    head += f"Content-Length: {len(new)}\r\n\r\n"
+    with ThreadPoolExecutor(3) as pool, server.connection(head.encode() + new[:100_000]) as upload:
+        polled, followed, lasting = pool.submit(poll), pool.submit(follow, header), pool.submit(follow, other)
+        in_progress = re.compile(r"^dsbrdf_requests_in_progress 5.0$", re.MULTILINE)
         wait_until(lambda: bool(in_progress.search(server.http.get("/metrics", headers=other).text)))
         assert keys_command("revoke", key_id, "--data-dir", str(server.data_dir)).returncode == 0
+        assert_problem(server.http.get("/v1/fits", headers=header), 401, "unauthorized")  # at once
+        upload.sendall(new[100_000:])
+        assert upload.recv(10_000).startswith(b"HTTP/1.1 401")
+        assert server.files() == before
         assert_problem(polled.result(timeout=60), 401, "unauthorized")
-        assert_problem(posted.result(timeout=60), 401, "unauthorized")
-        assert "event: " in followed.result(timeout=60)
-        # A revoked key is refused from the next request on; one that has begun ends as any other.
-        upload.sendall(data[100_000:])
-        assert upload.recv(10_000).startswith(b"HTTP/1.1 20")
         assert not lasting.done()
-        assert server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] in ("accepted", "running")
-        server.http.delete(f"/v1/fits/{fit}", headers=other)
+        assert server.http.delete(f"/v1/fits/{fit}", headers=other).json()["status"] == "cancelled"
         assert "event: cancelled" in lasting.result(timeout=60)
+        assert "event: running" not in followed.result(timeout=60)  # its turn has come, and it had been cancelled
     assert '"level": "error"' not in server.log.read_text()
 
 

@@ -1,10 +1,11 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
 import asyncio
-import time
+import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -13,10 +14,14 @@ from starlette.types import Message
 from dsbrdf_service.access import keys as keys_module
 from dsbrdf_service.access.authentication import AuthenticationMiddleware
 from dsbrdf_service.access.keys import Keys, RateLimit, add_key, all_keys, revoke_key
+from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.schema import Caller
+from dsbrdf_service.storage.store import Store
 from tests.support.guarded import Guarded, keys_command
 from tests.support.server import ENDLESS, QUICK, assert_problem
+from tests.support.stores import add, receive
 
 
 def test_secrets_are_neither_stored_nor_printed(guarded: Guarded, data: bytes) -> None:
@@ -50,16 +55,14 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
     with closing(Database(tmp_path)) as database:
         row, key = add_key(database, "x")
         active = Keys(Settings())
-        assert active.find(key.encode()) is None  # not loaded
-        active.load(database)
+        active.open(database)
         found = active.find(key.encode())
         assert (found and found.caller.owner) == row.id
         for wrong in (key.replace(row.id, "0" * 12), key[:-1] + "_"):
             assert active.find(wrong.encode()) is None
         revoke_key(database, row.id)
-        active.load(database)
         assert active.find(key.encode()) is None
-    assert [len(part) for pair in compared for part in pair] == [32] * 10
+    assert [len(part) for pair in compared for part in pair] == [32] * 8
 
 
 def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,22 +75,70 @@ def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch
 
 
 def test_last_use_of_a_key_is_written_but_not_at_each_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    database = Database(tmp_path)
-    (used, key), (unused, _) = add_key(database, "a"), add_key(database, "b")
-    keys = Keys(Settings())
-    keys.load(database)
-    assert keys.find(key[:-1].encode() + b"?") is None
-    keys.write_uses(database)
-    assert [row.used for row in all_keys(database)] == [None, None]
-    for _ in range(3):
+    now = 1000.0
+    monkeypatch.setattr(keys_module, "time", SimpleNamespace(time=lambda: now))
+    with closing(Database(tmp_path)) as database:
+        (used, key), (unused, _) = add_key(database, "a"), add_key(database, "b")
+        keys = Keys(Settings())
+        keys.open(database)
+
+        def uses() -> dict[str, float | None]:
+            return {row.id: row.used for row in all_keys(database)}
+
+        assert keys.find(key[:-1].encode() + b"?") is None
+        keys.write_uses()
+        assert uses() == {used.id: None, unused.id: None}
         assert keys.find(key.encode()) is not None
-    keys.write_uses(database)
-    monkeypatch.setattr(database, "transaction", pytest.fail)
-    keys.write_uses(database)  # nothing is left to be written
-    times = {row.id: row.used for row in all_keys(database)}
-    assert times[unused.id] is None
-    assert abs((times[used.id] or 0.0) - time.time()) < 60.0
-    database.close()
+        with monkeypatch.context() as full:
+            full.setattr(database, "transaction", broken)
+            now = 1001.0
+            keys.write_uses()
+            assert keys.find(key.encode()) is not None
+            now = 1002.0
+            keys.write_uses()
+        assert uses()[used.id] is None
+        keys.write_uses()
+        assert uses() == {used.id: 1001.0, unused.id: None}  # the newer of those that could not be written
+        monkeypatch.setattr(database, "transaction", pytest.fail)
+        keys.write_uses()  # nothing is left to be written
+
+
+def broken() -> None:
+    raise sqlite3.OperationalError("database or disk is full")
+
+
+def test_keys_without_limits_of_their_own_have_those_of_the_settings(tmp_path: Path) -> None:
+    settings = Settings(key_requests_per_second=3.0, key_stored_mb=40, key_queued_fits=5)
+    with closing(Database(tmp_path)) as database:
+        (usual, usual_key), (own, own_key) = add_key(database, "a"), add_key(database, "b", stored_mb=6, queued_fits=7)
+        keys = Keys(settings)
+        keys.open(database)
+        found = [keys.find(key.encode()) for key in (usual_key, own_key)]
+    assert [key and key.caller for key in found] == [
+        Caller(usual.id, stored_bytes=40_000_000, queued_fits=5, metrics=False),
+        Caller(own.id, stored_bytes=6_000_000, queued_fits=7, metrics=False),
+    ]
+    assert [key and key.rate_limit.rate for key in found] == [3.0, 3.0]
+
+
+def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path: Path) -> None:
+    with closing(Store(tmp_path)) as store:
+        key, other = (add_key(store.database, name)[0].id for name in ("revoked", "other"))
+        fits = {}
+        for owner in (key, other):
+            sha256 = add(store, b"content", Caller(owner))
+            fits[owner] = [store.add_fit(Caller(owner), sha256, {"n_lobes": n}, 10)[0].key for n in range(3)]
+            store.start_fit(fits[owner][0])
+        incoming = receive(store, b"sent meanwhile")
+        revoke_key(store.database, key)
+        assert [store.fit(fit).status for fit in fits[key]] == ["running", "cancelled", "cancelled"]
+        assert [store.fit(fit).status for fit in fits[other]] == ["running", "accepted", "accepted"]
+        with pytest.raises(InvalidKeyError):
+            store.add_measurement(Caller(key), incoming)
+        assert not store.blobs.path(incoming.sha256).exists()
+        with pytest.raises(InvalidKeyError):
+            store.add_fit(Caller(key), sha256, {"n_lobes": 4}, 10)
+        assert store.add_measurement(Caller(other), incoming)[1]
 
 
 def test_token_bucket_refills_at_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,8 +166,6 @@ def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
     assert "0.02 requests per second" in assert_problem(answer, 429, "rate-limited")
     assert 1 <= int(answer.headers["retry-after"]) <= 50
     assert [guarded.server.http.get("/v1/fits", headers=guarded.bob).status_code for _ in range(20)] == [200] * 20
-    # Keys are read again when another is made, which does not fill the bucket.
-    guarded.new_key("reload")
     assert guarded.server.http.get("/v1/fits", headers=header).status_code == 429
 
 

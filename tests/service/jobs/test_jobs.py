@@ -254,18 +254,18 @@ async def test_queued_fits_alternate_between_owners(place: Race) -> None:
     assert place.engine.begun == [str(key) for key in order]
 
 
-async def test_model_that_is_read_before_its_deletion_is_not_kept(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
+    models = ModelCache(place.store, 8)
     key = await place.submit()
     await place.end(key)
-    slow, models = place.slow_down(monkeypatch, "result", PATIENCE, after=True), ModelCache(place.store, 8)
-    reading = asyncio.create_task(models.get(key))
-    await until(slow.there.is_set)
-    assert place.store.remove_fit(key)
-    models.forget(key)
-    slow.on.set()
-    assert (await reading).model.n_lobes == 1  # it was there when it was asked for
+    first = await models.get(key)
+    assert await models.get(key) is first
+    assert place.store.remove_fit(key)  # as another process does it
     with pytest.raises(FitNotFoundError):
         await models.get(key)
+    await place.end(await place.submit())
+    again = await models.get(key)
+    assert await models.get(key) is again is not first
 
 
 @pytest.mark.parametrize("broken_off", [True, False])
