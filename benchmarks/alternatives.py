@@ -39,7 +39,7 @@ GGX_PLAIN, GGX_LOG = "Lambert + 2 GGX", "Lambert + 2 GGX, log"
 TABLE = "table, as many numbers"
 _TABLE_ROWS = (4, 6, 8, 11, 14, 18, 24, 30)
 _OTHERS = ((0, 2), (0, 1))  # axes of a profile beside theta_diff, and beside theta_half
-_PAPER_KNOTS = tuple(np.radians(np.arange(0.0, 81.0, 5.0)).tolist())
+_PAPER_KNOTS = tuple(range(0, 81, 5))
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def compare(measurement: Measurement, *, with_memory: bool) -> dict[str, Outcome
     outcomes = {DEFAULT: _outcome(measurement, of_options(FitOptions()), with_memory=with_memory)}
     others: dict[str, Method] = {
         LOG: of_options(FitOptions(weighting="log")),
-        SAME_SLICES: of_options(FitOptions(n_lobes=3, ring_lobes=0, knots=_PAPER_KNOTS)),
+        SAME_SLICES: of_options(FitOptions(n_lobes=3, ring_lobes=0, knots_deg=_PAPER_KNOTS)),
         PAPER: of_options(FitOptions(method="paper", n_lobes=3)),
         PAPER_UNMASKED: of_options(FitOptions(method="paper", n_lobes=3, mask=0.0)),
         "Lambert + 1 GGX": of_ggx(1, "plain"),

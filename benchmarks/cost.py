@@ -43,7 +43,7 @@ def seconds(path: Path, options: FitOptions) -> tuple[float, int]:
 def with_knots(count: int) -> FitOptions:
     """Return options for three lobes and the given number of knots, closer towards grazing angles."""
     degrees = np.unique(np.round(89.0 * np.sin(np.linspace(0.0, np.pi / 2, count))))
-    return FitOptions(n_lobes=3, knots=tuple(np.radians(degrees).tolist()))
+    return FitOptions(n_lobes=3, knots_deg=tuple(degrees.astype(int).tolist()))
 
 
 def timed_batch(files: Sequence[Path], processes: int) -> float:

@@ -24,7 +24,7 @@ from dsbrdf.fitting.pipeline import fit
 Array = NDArray[np.float64]
 
 NOISE = 0.01
-CUTOFF = float(np.radians(76.0))
+CUTOFF = 76.0  # degrees
 SMALLEST_SHARE = 0.01
 
 
@@ -36,7 +36,7 @@ def changes_of(measurement: Measurement) -> dict[str, tuple[Measurement, FitOpti
     thinned = measurement.valid.copy()
     thinned[:, 1::2] = False
     return {
-        "cutoff 76 degrees": (measurement, FitOptions(horizon_cutoff=CUTOFF)),
+        "cutoff 76 degrees": (measurement, FitOptions(horizon_cutoff_deg=CUTOFF)),
         "1 % noise": (Measurement.from_values(noisy, measurement.valid, measurement.name), FitOptions()),
         "every second theta_diff": (replace(measurement, valid=thinned), FitOptions()),
     }

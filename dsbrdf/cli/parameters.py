@@ -35,37 +35,31 @@ ComponentName = Annotated[
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
 
-def _radians(kind: Any, tokens: Sequence[Token]) -> float | tuple[float, ...] | None:
-    """Convert an angle, or several with commas, from the degrees of the command line to the radians of the option."""
+def _number_or_none(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | None:
+    """Convert a number, several with commas, or the word "none"."""
     (token,) = tokens
     if token.value == "none":
         return None
     if kind is float:
-        return float(np.radians(convert(float, tokens)))
-    degrees = [convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value)]
-    return tuple(np.radians(degrees).tolist())
-
-
-def _degrees(radians: float | None) -> str | None:
-    """Return an angle as it is shown in the help."""
-    return None if radians is None else f"{np.degrees(radians):g}"
+        return float(convert(float, tokens))
+    return tuple(convert(int, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value))
 
 
 _Count = Annotated[int | Literal["auto"], Whole, Parameter(metavar="N|auto", show_choices=False)]
-_ANGLE = Parameter(converter=_radians, n_tokens=1, show_default=_degrees, metavar="DEGREES")
-_ANGLES = Parameter(converter=_radians, n_tokens=1, show_default=_degrees, metavar="DEGREES,...")
+_ANGLE = Parameter(converter=_number_or_none, n_tokens=1, show_default="{:g}".format, metavar="DEGREES")
+_ANGLES = Parameter(converter=_number_or_none, n_tokens=1, metavar="DEGREES,...")
 
 
 @dataclass(frozen=True)
 class FitFlags(FitOptions):
-    """`FitOptions` with angles in degrees; a field that is not repeated here is an option as it is."""
+    """`FitOptions` as flags; a field that is not repeated here is an option as it is."""
 
-    __doc__ = (FitOptions.__doc__ or "").replace("[rad]", "[degrees]").replace("None", '"none"').replace("`", "")
+    __doc__ = (FitOptions.__doc__ or "").replace("None", '"none"').replace("`", "")
 
     n_lobes: _Count = FitOptions.n_lobes
     ring_lobes: _Count = FitOptions.ring_lobes
-    knots: Annotated[tuple[float, ...] | None, _ANGLES] = FitOptions.knots
-    horizon_cutoff: Annotated[float | None, _ANGLE] = FitOptions.horizon_cutoff
+    knots_deg: Annotated[tuple[int, ...] | None, _ANGLES] = FitOptions.knots_deg
+    horizon_cutoff_deg: Annotated[float | None, _ANGLE] = FitOptions.horizon_cutoff_deg
     robust: Annotated[bool, Parameter(negative="--no-robust")] = FitOptions.robust
     em_iterations: Annotated[int, Whole] = FitOptions.em_iterations
 

@@ -4,24 +4,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import cache, wraps
-from typing import Literal, TypeVar, get_args, get_origin, get_type_hints
+from itertools import pairwise
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from dsbrdf.data.geometry import check_horizon_cutoff
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, THETA_DIFF
+from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.lobe_families import Family
 
 MAX_LOBES = 8
 MAX_RING_LOBES = MAX_LOBES - 1
-MAX_MASK = 10.0
-MAX_EM_ITERATIONS = 10_000
-_RANGES = {"n_lobes": (1, MAX_LOBES), "ring_lobes": (0, MAX_RING_LOBES), "em_iterations": (1, MAX_EM_ITERATIONS)}
+_DECIMALS = 9  # of a degree: takes off what conversions to radians and back add
 # option -> what it can be with the method "paper", and why
 _OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
-    "knots": ((None,), "has its slices every 5 degrees: leave the knots out"),
+    "knots_deg": ((None,), "has its slices every 5 degrees: leave the knots out"),
     "variation": (("full",), 'has values at every slice: use the variation "full"'),
     "lobe": (("hemi_epd",), 'has the lobe "hemi_epd" only'),
     "weighting": ((None, "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
@@ -30,6 +29,35 @@ Weighting = Literal["balanced", "plain", "cosine", "log"]
 """Weights of the samples, see `dsbrdf.fitting.weighting`."""
 
 Options = TypeVar("Options")
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The smallest and largest number that an option, or each of a list, may be; stands in its annotation."""
+
+    least: float
+    most: float
+    above: bool = False  # the least itself is too small
+
+    def allow(self, number: float) -> bool:
+        """Whether a number is within the bounds."""
+        return (self.least < number if self.above else self.least <= number) and number <= self.most
+
+    def __str__(self) -> str:
+        return (
+            f"above {self.least:g} and at most {self.most:g}" if self.above else f"from {self.least:g} to {self.most:g}"
+        )
+
+    def __get_pydantic_json_schema__(
+        self, core_schema: Any, handler: Callable[[Any], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Add the bounds to the schema of the HTTP interface, as pydantic asks."""
+        schema = handler(core_schema)
+        bounds = {"exclusiveMinimum" if self.above else "minimum": self.least, "maximum": self.most}
+        if schema.get("type") != "array":
+            return schema | bounds
+        several = {"minItems": 2, "maxItems": int(self.most - self.least) + 1, "uniqueItems": True}
+        return schema | several | {"items": schema["items"] | bounds}
 
 
 def _suggesting(options: type[Options]) -> type[Options]:
@@ -67,16 +95,16 @@ class FitOptions:
         method "paper" has none.
     lobe : {"hemi_epd", "student"}
         Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
-    knots : tuple of float or None
-        Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing
-        [rad]; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
+    knots_deg : tuple of int or None
+        Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing;
+        None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
     variation : {"full", "parametric"}
         How lobes change with theta_diff. "full" has splines with several knots, with the method "paper" values at every
         slice; "parametric" has 5 coefficients of each channel's amplitude and one shape for all theta_diff: a third of
         the numbers for about a third more error.
-    horizon_cutoff : float or None
-        Samples with a direction further than this from the normal [rad] are left out of the metrics and of the method
-        "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.
+    horizon_cutoff_deg : float or None
+        Samples with a direction further than this from the normal [degrees] are left out of the metrics and of the
+        method "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.
     mask : float or None
         Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
         mask) for "global", 1 for "paper".
@@ -97,53 +125,45 @@ class FitOptions:
         If a choice is unknown or out of range.
     """
 
-    n_lobes: int | Literal["auto"] = "auto"
+    n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = "auto"
     method: Literal["global", "paper"] = "global"
-    ring_lobes: int | Literal["auto"] = "auto"
+    ring_lobes: Annotated[int, Bounds(0, MAX_RING_LOBES)] | Literal["auto"] = "auto"
     lobe: Family = "hemi_epd"
-    knots: tuple[float, ...] | None = None
+    knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = None
     variation: Literal["full", "parametric"] = "full"
-    horizon_cutoff: float | None = DEFAULT_HORIZON_CUTOFF
-    mask: float | None = None
+    horizon_cutoff_deg: Annotated[float, Bounds(0, 90, above=True)] | None = 80.0
+    mask: Annotated[float, Bounds(0, 10)] | None = None
     weighting: Weighting | None = None
     robust: bool = False
-    em_iterations: int = 100
+    em_iterations: Annotated[int, Bounds(1, 10_000)] = 100
     cosine: Literal["in", "out"] | None = None
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).copy().items():
+        for name, (kind, bounds, words) in _declared().items():
+            value = getattr(self, name)
             if isinstance(value, np.generic):  # an option taken from an array means the same
-                object.__setattr__(self, name, value.item())
-        for name in _literals():
-            self._check_choice(name)
+                value = value.item()
+            if value not in words:
+                value = _checked(name, value, kind, bounds, words)
+            object.__setattr__(self, name, value)
         if self.n_lobes != "auto" and self.ring_lobes != "auto" and self.ring_lobes >= self.n_lobes:
             raise InvalidArgumentError(
                 f"ring_lobes must be below n_lobes, at most {self.n_lobes - 1} here, not {self.ring_lobes}: "
                 "a ring lobe is one of the lobes"
             )
-        _check_knots(self.knots)
-        if self.knots is not None:  # a list of knots means the same
-            object.__setattr__(self, "knots", tuple(float(knot) for knot in self.knots))
         for name, (possible, why) in _OF_PAPER.items():
             if self.method == "paper" and getattr(self, name) not in possible:
                 raise InvalidArgumentError(f'the method "paper" {why}')
-        check_horizon_cutoff(self.horizon_cutoff)
-        if self.mask is not None and not 0.0 <= self.mask <= MAX_MASK:
-            raise InvalidArgumentError(f"mask must be a number from 0 to {MAX_MASK:g}, not {self.mask!r}")
-        if not isinstance(self.robust, bool):
-            raise InvalidArgumentError(f"robust must be true or false, not {self.robust!r}")
 
-    def _check_choice(self, name: str) -> None:
-        """Check an option that is a whole number or one of the words of its type."""
-        value, words = getattr(self, name), _literals()[name]
-        if name in _RANGES:
-            smallest, largest = _RANGES[name]
-            whole = isinstance(value, int) and not isinstance(value, bool) and smallest <= value <= largest
-            right = " or ".join([f"an integer from {smallest} to {largest}", *(f'"{word}"' for word in words)])
-        else:
-            whole, right = value is None and getattr(FitOptions, name) is None, f"one of {', '.join(words)}"
-        if not whole and value not in words:
-            raise InvalidArgumentError(f"{name} must be {right}, not {value!r}")
+    @property
+    def horizon_cutoff(self) -> float | None:
+        """The largest angle to the normal [rad]."""
+        return None if self.horizon_cutoff_deg is None else float(np.radians(self.horizon_cutoff_deg))
+
+    @property
+    def knots(self) -> tuple[float, ...] | None:
+        """The knots of the amplitudes [rad]."""
+        return None if self.knots_deg is None else tuple(np.radians(self.knots_deg).tolist())
 
     @property
     def resolved_weighting(self) -> str:
@@ -151,22 +171,48 @@ class FitOptions:
         return self.weighting or ("plain" if self.method == "paper" else "balanced")
 
 
-def _check_knots(knots: tuple[float, ...] | None) -> None:
-    if knots is None:
-        return
-    degrees = np.degrees(np.asarray(knots, dtype=float))
-    whole = np.abs(degrees - np.round(degrees)) < 1e-6
-    increasing = degrees.ndim == 1 and 2 <= degrees.size <= THETA_DIFF.size and bool(np.all(np.diff(degrees) > 0))
-    if not (increasing and np.all(whole) and degrees[0] > -0.5 and degrees[-1] < 89.5):
-        raise InvalidArgumentError("knots must be at least two increasing angles of whole degrees from 0 to 89 degrees")
+def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, words: tuple[str | None, ...]) -> Any:
+    """Return a value as its type; raise InvalidArgumentError if it is none of its option."""
+    if kind is bool:
+        right = "true or false"
+        if isinstance(value, bool):
+            return value
+    elif bounds is None:
+        right = f"one of {', '.join(filter(None, words))}"
+    elif kind is int:
+        right = " or ".join([f"an integer {bounds}", *(f'"{word}"' for word in words)])
+        if isinstance(value, int) and not isinstance(value, bool) and bounds.allow(value):
+            return value
+    elif kind is float:
+        right = f"a number {bounds}"
+        if isinstance(value, int | float) and not isinstance(value, bool) and bounds.allow(round(value, _DECIMALS)):
+            return round(float(value), _DECIMALS)
+    else:
+        right = f"at least two increasing whole numbers {bounds}"
+        if isinstance(value, list | tuple | np.ndarray):
+            items = [item.item() if isinstance(item, np.generic) else item for item in value]
+            if all(type(item) in (int, float) and bounds.allow(item) and item == int(item) for item in items):
+                rising = all(first < second for first, second in pairwise(items))
+                if len(items) > 1 and rising:
+                    return tuple(int(item) for item in items)
+    raise InvalidArgumentError(f"{name} must be {right}, not {str(value)[:60] if kind is tuple else repr(value)[:60]}")
 
 
 @cache
-def _literals() -> dict[str, tuple[str, ...]]:
-    """Words that each option can be whose type has any, or that is a whole number."""
-    words = {}
-    for name, hint in get_type_hints(FitOptions).items():
-        found = [get_args(part) for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-        if found or name in _RANGES:
-            words[name] = found[0] if found else ()
-    return words
+def _declared() -> dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]]:
+    """For each option the type of its numbers, their bounds, and the words that it can be."""
+    found: dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]] = {}
+    for name, hint in get_type_hints(FitOptions, include_extras=True).items():
+        kind: type | None = bool if hint is bool else None
+        bounds: Bounds | None = None
+        words: tuple[str | None, ...] = ()
+        for part in (hint,) if get_origin(hint) in (Annotated, Literal) else get_args(hint):
+            if get_origin(part) is Annotated:
+                inner, bounds = get_args(part)
+                kind = get_origin(inner) or inner
+            elif get_origin(part) is Literal:
+                words = get_args(part)
+            elif part is NoneType:
+                words = (*words, None)
+        found[name] = kind, bounds, words
+    return found

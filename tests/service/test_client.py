@@ -24,7 +24,7 @@ from tests.support.processes import wait_until
 from tests.support.server import Server
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
-OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff=float(np.radians(75)))
+OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff_deg=75)
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measur
                 dsbrdf.parse_merl(content)
             with pytest.raises(dsbrdf.MeasurementFormatError, match=f"^{re.escape(str(expected.value))}$"):
                 client.fit(content)
-        impossible = dsbrdf.FitOptions(method="paper", n_lobes=8, mask=10, horizon_cutoff=0.03)
+        impossible = dsbrdf.FitOptions(method="paper", n_lobes=8, mask=10, horizon_cutoff_deg=1.7)
         with pytest.raises(dsbrdf.FitError) as expected_fit:
             dsbrdf.fit(plastic, impossible)
         with pytest.raises(dsbrdf.FitError, match=f"^{re.escape(str(expected_fit.value))}$"):

@@ -1,14 +1,13 @@
 """A fit that takes minutes, in each way of asking for it: it does not end while a test looks at it."""
 
-import math
 from typing import Any
 
 from dsbrdf import FitOptions
 
 _LOBES, _RINGS = 8, 7  # as many as there may be
-_KNOTS = range(90)  # one every degree
+_KNOTS = tuple(range(90))  # one every degree
 
-OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_RINGS, knots=tuple(map(math.radians, _KNOTS)), robust=True)
+OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_RINGS, knots_deg=_KNOTS, robust=True)
 ON_THE_WIRE: dict[str, Any] = {
     "method": "global",
     "n_lobes": _LOBES,
@@ -16,4 +15,4 @@ ON_THE_WIRE: dict[str, Any] = {
     "knots_deg": [*_KNOTS],
     "robust": True,
 }
-FLAGS = ("--n-lobes", str(_LOBES), "--ring-lobes", str(_RINGS), "--knots", ",".join(map(str, _KNOTS)), "--robust")
+FLAGS = ("--n-lobes", str(_LOBES), "--ring-lobes", str(_RINGS), "--knots-deg", ",".join(map(str, _KNOTS)), "--robust")

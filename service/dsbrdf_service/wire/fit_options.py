@@ -1,11 +1,10 @@
-"""Fit options on the wire: those of the library, with angles in degrees and names that end in ``_deg``.
+"""Fit options on the wire: the fields of `FitOptions` in JSON's types; the library checks them.
 
-The library checks them. The Python client uses this module too: it needs neither FastAPI nor pydantic.
+The Python client uses this module too: it needs neither FastAPI nor pydantic.
 """
 
 import json
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any
@@ -16,32 +15,28 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import FitOptions
 
-_ANGLES = ("horizon_cutoff", "knots")  # radians in the library, degrees on the wire
-_NUMBERS = (*_ANGLES, "mask")  # the library checks the types of the others
-_DECIMALS = 9  # of a degree: takes off what the conversion to radians and back has added
-WIRE_NAMES = {field.name: f"{field.name}_deg" if field.name in _ANGLES else field.name for field in fields(FitOptions)}
-"""Name of an option in the library -> its name on the wire."""
+_NAMES = [field.name for field in fields(FitOptions)]
 _WORDS = {"none": None, "null": None, "true": True, "false": False}
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,30})?(e[+-]?[0-9]{1,4})?")
 
 
 def to_wire(options: FitOptions) -> dict[str, Any]:
-    """Return the options under their wire names, in JSON's types; equal options give equal dicts."""
-    return {wire: _to_degrees(name, getattr(options, name)) for name, wire in WIRE_NAMES.items()}
+    """Return the options in JSON's types; equal options give equal dicts."""
+    values = {name: getattr(options, name) for name in _NAMES}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
-    """Return the options for JSON values under wire names; what is not given is the default.
+    """Return the options for JSON values; what is not given is the default.
 
     Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
-    unknown = [name for name in values if name not in WIRE_NAMES.values()]
+    unknown = [name for name in values if name not in _NAMES]
     if unknown:
         names = ", ".join(repr(name[:60]) for name in unknown[:5])
         plural = "options" if len(unknown) > 1 else "option"
-        raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(WIRE_NAMES.values())}.")
-    given = {name: values[wire] for name, wire in WIRE_NAMES.items() if wire in values}
-    return FitOptions(**{name: _from_json(name, value) for name, value in given.items()})
+        raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(_NAMES)}.")
+    return FitOptions(**{name: _whole(value) for name, value in values.items()})
 
 
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
@@ -60,40 +55,16 @@ def canonical(options: FitOptions) -> dict[str, Any]:
     """Return the wire form with the method's own choices filled in: options that give the same fit become equal."""
     paper = options.method == "paper"
     mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
-    horizon = options.horizon_cutoff is not None and options.horizon_cutoff >= np.pi / 2
-    usual = options.knots is not None and _to_degrees("knots", options.knots) == _USUAL_KNOTS[options.variation]
     filled = replace(
         options,
         ring_lobes=0 if paper else options.ring_lobes,
-        knots=None if usual else options.knots,
-        horizon_cutoff=None if horizon else options.horizon_cutoff,
-        mask=float(mask),
+        knots_deg=None if options.knots_deg == _USUAL_KNOTS[options.variation] else options.knots_deg,
+        horizon_cutoff_deg=None if options.horizon_cutoff_deg == 90.0 else options.horizon_cutoff_deg,
+        mask=mask,
         weighting=options.resolved_weighting,  # type: ignore[arg-type]  # one of the words that it may be
         em_iterations=options.em_iterations if paper else FitOptions.em_iterations,
     )
     return to_wire(filled)
-
-
-def _to_degrees(name: str, value: Any) -> Any:
-    if isinstance(value, (list, tuple)):
-        return [_to_degrees(name, item) for item in value]
-    if name in _ANGLES and isinstance(value, (int, float)):
-        return round(float(np.degrees(value)), _DECIMALS)
-    return value
-
-
-def _from_json(name: str, value: Any) -> Any:
-    """Return the library's value for a JSON value; the library checks all of it but what is a number."""
-    if name in _NUMBERS and value is not None:
-        numbers = value if name == "knots" and isinstance(value, list) else [value]
-        if not all(type(number) in (int, float) and abs(number) <= sys.float_info.max for number in numbers):
-            expected = "a list of numbers" if name == "knots" else "a number"
-            raise InvalidArgumentError(f"{WIRE_NAMES[name]} must be {expected} or none, not {str(value)[:60]!r}.")
-        if name == "mask":
-            return _whole(value)
-        radians = tuple(float(np.radians(round(float(number), _DECIMALS))) for number in numbers)
-        return radians if name == "knots" else radians[0]
-    return _whole(value) if isinstance(value, (int, float, type(None))) else str(value)[:60]
 
 
 def _from_text(text: str) -> Any:
@@ -109,5 +80,5 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-_USUAL_KNOTS = {name: _to_degrees("knots", knots[0].tolist()) for name, knots in KNOTS.items()}
+_USUAL_KNOTS = {name: tuple(np.rint(np.degrees(knots[0])).astype(int).tolist()) for name, knots in KNOTS.items()}
 DEFAULTS = to_wire(FitOptions())

@@ -21,17 +21,16 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import LABELS
 from dsbrdf.fitting.metrics import Metrics
-from dsbrdf.fitting.options import MAX_EM_ITERATIONS, MAX_LOBES, MAX_MASK, MAX_RING_LOBES, FitOptions
+from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.render import LIGHTINGS
 from dsbrdf.output.export import FORMATS, GUIDE, PARTS
 
 from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
-from .fit_options import DEFAULTS, WIRE_NAMES
+from .fit_options import DEFAULTS
 from .model_document import ModelDocument
 from .names import MAX_LENGTH
 from .numbers import check_plain
@@ -67,29 +66,17 @@ class _Input(BaseModel):
         return given
 
 
-_WHOLE_DEGREES = {"type": "integer", "minimum": 0, "maximum": THETA_DIFF.size - 1}
-_BOUNDS: dict[str, dict[str, Any]] = {
-    "n_lobes": {"minimum": 1, "maximum": MAX_LOBES},
-    "ring_lobes": {"minimum": 0, "maximum": MAX_RING_LOBES},
-    "knots": {"items": _WHOLE_DEGREES, "minItems": 2, "maxItems": THETA_DIFF.size, "uniqueItems": True},
-    "horizon_cutoff": {"exclusiveMinimum": 0, "maximum": 90},
-    "mask": {"minimum": 0, "maximum": MAX_MASK},
-    "em_iterations": {"minimum": 1, "maximum": MAX_EM_ITERATIONS},
-}
-
-
 def _options_schema() -> dict[str, Any]:
-    """Return the schema of the options: the types and sentences of the library's dataclass, under their wire names."""
+    """Return the schema of the options: the types, bounds and sentences of the library's dataclass."""
     declared = TypeAdapter(FitOptions).json_schema()["properties"]
     stated = inspect.getdoc(FitOptions) or ""  # indented alike in all versions of Python, as __doc__ is not
     sentences = dict(re.findall(r"^(\w+) : .*\n((?: {4}.*\n)+)", stated, re.MULTILINE))
     properties = {}
-    for name, wire in WIRE_NAMES.items():
+    for name, default in DEFAULTS.items():
         schema = declared[name]
         del schema["title"]
-        (schema["anyOf"][0] if "anyOf" in schema else schema).update(_BOUNDS.get(name, {}))
-        description = " ".join(sentences[name].split()).replace("[rad]", "[degrees]")
-        properties[wire] = {**schema, "default": DEFAULTS[wire], "description": description}
+        description = " ".join(sentences[name].split())
+        properties[name] = {**schema, "default": default, "description": description}
     description = "Options of a fit; what is not given is the default."
     head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}
     return {**head, "properties": properties}

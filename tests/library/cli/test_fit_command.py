@@ -63,19 +63,18 @@ def test_every_option_has_a_flag_with_help() -> None:
     assert "[default: 80]" in text
 
 
-def test_every_angle_option_is_converted_from_degrees() -> None:
-    given = {"horizon_cutoff": "10", "knots": "10,20"}
-    assert {name for name, text in descriptions().items() if "[rad]" in text} == given.keys()
-    words = [f"--{name.replace('_', '-')}={degrees}" for name, degrees in given.items()]
-    assert options_of(*words) == dsbrdf.FitOptions(
-        horizon_cutoff=float(np.radians(10.0)), knots=(float(np.radians(10.0)), float(np.radians(20.0)))
+def test_angles_are_degrees() -> None:
+    assert options_of("--horizon-cutoff-deg=10", "--knots-deg=10,20") == dsbrdf.FitOptions(
+        horizon_cutoff_deg=10, knots_deg=(10, 20)
     )
-    assert options_of("--knots", "none", "--horizon-cutoff", "none") == dsbrdf.FitOptions(horizon_cutoff=None)
+    assert options_of("--knots-deg", "none", "--horizon-cutoff-deg", "none") == dsbrdf.FitOptions(
+        horizon_cutoff_deg=None
+    )
 
 
 def test_flags_reach_the_options() -> None:
-    words = ["--n-lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff", "75"]
-    asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff=float(np.radians(75)))
+    words = ["--n-lobes", "2", "--weighting", "log", "--robust", "--mask", "0.5", "--horizon-cutoff-deg", "75"]
+    asked = dsbrdf.FitOptions(n_lobes=2, weighting="log", robust=True, mask=0.5, horizon_cutoff_deg=75)
     assert options_of(*words) == asked
     assert options_of("--lobe", "student", "--weighting", "none") == dsbrdf.FitOptions(lobe="student")
     assert options_of("--no-robust") == options_of() == dsbrdf.FitOptions()

@@ -46,7 +46,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
 ]
-NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff=0.03)
+NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff_deg=1.7)
 
 
 @pytest.fixture(params=["local", "dask"])
@@ -66,7 +66,7 @@ def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("data", "options"),
     [
-        ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff=1.2)),
+        ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)),
         ("plastic", FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine")),
         ("samples", FitOptions(n_lobes=1)),
     ],

@@ -97,7 +97,7 @@ def test_diffuse_part_has_no_dent_under_the_highlight(paint_model: DSBRDF) -> No
 
 
 def test_components_stay_when_the_data_hardly_change(paint: Measurement, paint_model: DSBRDF) -> None:
-    nearer = dsbrdf.fit(dsbrdf.profiles(paint, horizon_cutoff=np.radians(76.0)), horizon_cutoff=np.radians(76.0))
+    nearer = dsbrdf.fit(dsbrdf.profiles(paint, horizon_cutoff=np.radians(76.0)), horizon_cutoff_deg=76)
     for before, after in zip(decompose(paint_model), decompose(nearer), strict=True):
         assert before.label == after.label
         np.testing.assert_allclose(after.albedo, before.albedo, rtol=0.05)

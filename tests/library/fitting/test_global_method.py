@@ -105,10 +105,10 @@ def test_lobes_stand_from_narrow_to_wide_rings_last_and_shapes_are_shared(plasti
 
 
 def test_knots_and_weighting_are_used(plastic_profiles: Profiles) -> None:
-    knots = tuple(np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 79.0, 89.0]).tolist())
-    plain, log = (fit(plastic_profiles, replace(ONE, knots=knots, weighting=name)) for name in ("plain", "log"))
-    np.testing.assert_allclose(plain.model.theta_diff, knots)
-    assert plain.report.options.knots == knots
+    knots = (0, 20, 40, 55, 65, 72, 79, 89)
+    plain, log = (fit(plastic_profiles, replace(ONE, knots_deg=knots, weighting=name)) for name in ("plain", "log"))
+    np.testing.assert_allclose(plain.model.theta_diff, np.radians(knots))
+    assert plain.report.options.knots_deg == knots
     angles = np.radians([5.0, 60.0]), np.radians(30.0)  # one lobe is too few: something has to be given up
     bright, dark = np.transpose(plain.model.evaluate(*angles) / log.model.evaluate(*angles))[0]
     assert abs(bright - 1.0) + abs(dark - 1.0) > 0.1
@@ -195,7 +195,7 @@ def only(data: Profiles, kept: Array) -> Profiles:
 
 @pytest.mark.parametrize("cutoff", [30.0, None])
 def test_calm_with_another_cutoff(plastic: Measurement, plastic_profiles: Profiles, cutoff: float | None) -> None:
-    options = FitOptions(n_lobes=3, horizon_cutoff=None if cutoff is None else float(np.radians(cutoff)))
+    options = FitOptions(n_lobes=3, horizon_cutoff_deg=cutoff)
     model = fit(profiles_for(plastic, options), options).model
     assert calm_ratio(model, plastic_profiles) < 3.0
     found = relative_errors(sample_errors(model, plastic, options.horizon_cutoff))

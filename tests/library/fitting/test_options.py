@@ -8,8 +8,8 @@ import pytest
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import MAX_RING_LOBES, FitOptions
 
-KNOTS = "knots must be at least two increasing angles of whole degrees from 0 to 89 degrees"
-CUTOFF = "the horizon cutoff must lie above 0 and at most at 90 degrees"
+KNOTS = "knots_deg must be at least two increasing whole numbers from 0 to 89"
+CUTOFF = "horizon_cutoff_deg must be a number above 0 and at most 90"
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
     *(
@@ -29,18 +29,18 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         ({"method": "paper", name: value}, f'the method "paper" {why}')
         for name, value, why in (
             ("ring_lobes", 1, 'has no ring lobes: use ring_lobes 0 or "auto"'),
-            ("knots", (0.0, np.radians(10.0)), "has its slices every 5 degrees: leave the knots out"),
+            ("knots_deg", (0, 10), "has its slices every 5 degrees: leave the knots out"),
             ("weighting", "balanced", 'has no weighting "balanced": use "plain", "cosine" or "log"'),
             ("variation", "parametric", 'has values at every slice: use the variation "full"'),
             ("lobe", "student", 'has the lobe "hemi_epd" only'),
         )
     ),
     *(
-        ({"knots": tuple(np.radians(bad))}, KNOTS)
-        for bad in ([], [10.0], [10.0, 5.0], [10.0, 10.0], [0.0, 0.5], [0.0, 90.0], [-1.0, 10.0], [0.0, np.nan])
+        ({"knots_deg": bad}, f"{KNOTS}, not {bad}")
+        for bad in ([], [10], [10, 5], [10, 10], [0.0, 0.5], [0, 90], [-1, 10], [0.0, np.nan], [0, True], [0, "9"], 5)
     ),
-    *(({"horizon_cutoff": np.radians(bad)}, f"{CUTOFF}, not at {bad:g}") for bad in (0.0, -10.0, 91.0, np.nan)),
-    *(({"mask": bad}, f"mask must be a number from 0 to 10, not {bad!r}") for bad in (-0.1, 10.5, float("nan"))),
+    *(({"horizon_cutoff_deg": bad}, f"{CUTOFF}, not {bad!r}") for bad in (0.0, -10, 91, np.nan, 1e-11, True, "80")),
+    *(({"mask": bad}, f"mask must be a number from 0 to 10, not {bad!r}") for bad in (-0.1, 10.5, float("nan"), "1")),
     *(({"robust": bad}, f"robust must be true or false, not {bad!r}") for bad in (1, "yes", None)),
     *(
         ({"em_iterations": bad}, f"em_iterations must be an integer from 1 to 10000, not {bad!r}")
@@ -63,8 +63,8 @@ def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sente
         *({"n_lobes": n} for n in (1, 8)),
         *({"ring_lobes": n} for n in (0, MAX_RING_LOBES)),
         *({"mask": share} for share in (0.0, 10)),
-        *({"horizon_cutoff": angle} for angle in (None, np.pi / 2)),
-        *({"knots": tuple(np.radians(knots))} for knots in ([0.0, 1.0], np.arange(90.0))),
+        *({"horizon_cutoff_deg": angle} for angle in (None, 90.0)),
+        *({"knots_deg": knots} for knots in ((0, 1), tuple(range(90)))),
         {"lobe": "student", "variation": "parametric", "em_iterations": 10_000},
         {"weighting": "log", "robust": True},
         {"method": "paper", "ring_lobes": 0, "mask": 1.0},
@@ -75,6 +75,13 @@ def test_a_right_choice_is_kept(chosen: dict[str, Any]) -> None:
     options = FitOptions(**chosen)
     assert {name: getattr(options, name) for name in chosen} == chosen
     assert dataclasses.replace(options) == options
+
+
+def test_angles_are_radians_where_the_fit_computes() -> None:
+    options = FitOptions(knots_deg=[0.0, 30, np.int64(89)], horizon_cutoff_deg=np.float32(45))  # type: ignore[arg-type]
+    assert options.knots_deg == (0, 30, 89)
+    assert options.knots == pytest.approx((0.0, np.pi / 6, np.radians(89.0)), rel=1e-15)
+    assert options.horizon_cutoff == pytest.approx(np.pi / 4, rel=1e-15)
 
 
 def test_the_default_is_the_automatic_global_fit() -> None:

@@ -57,7 +57,7 @@ def one_lobe(plastic: Measurement) -> FitResult:
 
 def test_one_known_lobe_is_recovered_to_the_last_digits() -> None:
     truth = known_model((3.0, 0.3, 50.0, -0.3))
-    result = fit(model_measurement(truth), paper(n_lobes=1, horizon_cutoff=None))
+    result = fit(model_measurement(truth), paper(n_lobes=1, horizon_cutoff_deg=None))
     assert worst_by_slice(result.model, truth).max() < 1e-10
     assert result.report.metrics.relative_rms == pytest.approx(0.0, abs=1e-12)
 
@@ -66,20 +66,20 @@ def test_three_known_lobes_are_recovered_to_one_per_cent() -> None:
     truth = known_model((4.0, 0.1, 5000.0, 0.2), (1.0, 0.1, 60.0, -0.1), (0.3, 0.1, 1.0, 0.2))
     data = profiles(model_measurement(truth), horizon_cutoff=None)
     # The usual stopping rule is reached before the lobes near grazing have come to rest.
-    usual = fit(data, paper(horizon_cutoff=None, mask=0.0, em_iterations=150)).model
+    usual = fit(data, paper(horizon_cutoff_deg=None, mask=0.0, em_iterations=150)).model
     assert worst_by_slice(usual, truth)[:10].max() < 0.01
 
 
 def test_delta_term_is_what_the_lobes_leave_at_the_centre() -> None:
     truth = known_model((3.0, 0.0, 50.0, 0.0), delta=7.0)
     data = profiles(model_measurement(truth), horizon_cutoff=None)
-    result = fit(data, paper(n_lobes=1, horizon_cutoff=None))
+    result = fit(data, paper(n_lobes=1, horizon_cutoff_deg=None))
     np.testing.assert_allclose(result.model.delta, 7.0, rtol=1e-9)
     centre = THETA_HALF < np.radians(1.0)
     rows = np.round(np.degrees(PAPER_SLICES)).astype(int)
     noisy = data.mean.copy()
     noisy[:, :, centre] *= np.linspace(0.8, 1.6, centre.sum())
-    model = fit(dataclasses.replace(data, mean=noisy), paper(n_lobes=1, horizon_cutoff=None)).model
+    model = fit(dataclasses.replace(data, mean=noisy), paper(n_lobes=1, horizon_cutoff_deg=None)).model
     lobes = np.expm1(model.kappa * np.cos(THETA_HALF[centre]) ** model.gamma)
     # A node stands for the solid angle up to the middles between it and its neighbours, and to 1 degree.
     ends = [0.0, *(0.5 * (THETA_HALF[:9] + THETA_HALF[1:10]))[: centre.sum() - 1].tolist(), float(np.radians(1.0))]
@@ -104,9 +104,9 @@ def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: Fit
     nearest = fitted.model
     assert nearest.kappa[:, 16:].tolist() == np.repeat(nearest.kappa[:, 15:16], 2, axis=1).tolist()
     assert nearest.gamma[:, 16:].tolist() == np.repeat(nearest.gamma[:, 15:16], 2, axis=1).tolist()
-    everything = fit(plastic, paper(n_lobes=1, horizon_cutoff=None))
+    everything = fit(plastic, paper(n_lobes=1, horizon_cutoff_deg=None))
     assert np.all(everything.report.knots.fitted)
-    assert everything.report.options.horizon_cutoff is None
+    assert everything.report.options.horizon_cutoff_deg is None
 
 
 @UNCONVERGED
@@ -136,9 +136,11 @@ def test_centre_is_not_used_for_the_lobes_and_the_delta_term_is_never_negative(
         assert found.delta.min() > 5e3 if value else not found.delta.any()
 
 
-@pytest.mark.parametrize(("name", "asked"), [("weighting", "cosine"), ("horizon_cutoff", None), ("robust", True)])
+@pytest.mark.parametrize(("name", "asked"), [("weighting", "cosine"), ("horizon_cutoff_deg", None), ("robust", True)])
 def test_profiles_must_have_been_made_with_the_same_options(plastic_profiles: Profiles, name: str, asked: Any) -> None:
-    with pytest.raises(InvalidArgumentError, match=f"made with {name} .*, the options ask for {asked!r}"):
+    with pytest.raises(
+        InvalidArgumentError, match=f"made with {name.removesuffix('_deg')} .*, the options ask for {asked!r}"
+    ):
         fit(plastic_profiles, paper(**{name: asked}))
 
 
@@ -185,7 +187,7 @@ def test_material_that_reflects_red_only() -> None:
     truth = known_model((3.0, 0.0, 50.0, 0.0))
     values = model_measurement(truth).values
     values[1:] = np.where(values[1:] > 0, 0.0, values[1:])
-    result = fit(Measurement.from_values(values), paper(n_lobes=2, horizon_cutoff=None))
+    result = fit(Measurement.from_values(values), paper(n_lobes=2, horizon_cutoff_deg=None))
     grid = result.model.evaluate(THETA_HALF, THETA_DIFF[:, None])
     assert np.abs(grid[..., 1:]).max() < 1e-8
     assert result.report.metrics.relative_rms == pytest.approx(0.0, abs=0.02)
@@ -208,4 +210,4 @@ def test_few_data_are_fitted_where_they_are_and_too_few_are_an_error_with_a_reme
         fit(few, paper())
     assert fit(few, paper(n_lobes=1)).model.n_lobes == 1
     with pytest.raises(FitError, match="leave no slice with enough valid samples"):
-        fit(plastic, paper(horizon_cutoff=float(np.radians(1.0))))
+        fit(plastic, paper(horizon_cutoff_deg=1))

@@ -52,8 +52,11 @@ def test_invalid_query_is_named(server: Server, fitted: str, target: str, words:
         ({"nlobes": 3}, ["Unknown option 'nlobes'", "n_lobes", "horizon_cutoff_deg"]),
         ({"n_lobes": "many"}, ['n_lobes must be an integer from 1 to 8 or "auto"', "many"]),
         ({"method": "magic"}, ["method must be one of", "paper", "magic"]),
-        ({"horizon_cutoff_deg": "wide"}, ["horizon_cutoff_deg must be a number or none", "wide"]),
-        ({"method": "global", "knots_deg": "0,x"}, ["knots_deg must be a list of numbers or none"]),
+        ({"horizon_cutoff_deg": "wide"}, ["horizon_cutoff_deg must be a number above 0 and at most 90", "wide"]),
+        (
+            {"method": "global", "knots_deg": "0,x"},
+            ["knots_deg must be at least two increasing whole numbers from 0 to 89"],
+        ),
         ({"robust": "perhaps"}, ["robust must be true or false", "perhaps"]),
     ],
 )
