@@ -270,7 +270,10 @@ def test_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
     port, (read, write) = free_port(), os.pipe()
     command = [sys.executable, "-m", "dsbrdf_service", "--port", str(port), "--data-dir", str(tmp_path / "data")]
     environment = {**os.environ, "DSBRDF_ACCESS_LOG": "true"}
-    with subprocess.Popen(["sh", "-c", 'exec "$@" 1>&-', "sh", *command], stderr=write, env=environment) as process:
+    with (
+        subprocess.Popen(["sh", "-c", 'exec "$@" 1>&-', "sh", *command], stderr=write, env=environment) as process,
+        closing(SimpleNamespace(close=process.kill)),
+    ):
         os.close(write)
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as client:
 
