@@ -1,15 +1,16 @@
-"""Specular spike, specular lobe and diffuse part of a model: readable lobes, and what share of the model is whose.
+"""Specular spike, specular lobe and diffuse part of a model: physical layers, and what share of the model is whose.
 
-The lobes of an accurate model lean on each other and cannot be told apart into components. The `guide`'s can: it is
-fitted to the model's own values, so that any model has a decomposition. With the guide's lobes g_j, their sum g, and
-s_j = g_j / g, the components of a model f are
+The lobes of an accurate model lean on each other and cannot be told apart into components. Physical layers can: some
+structures of them are fitted to the model's own values and weighed by their evidence (`dsbrdf.fitting.layer_fit`), so
+that any model has a decomposition. In a structure with the diffuse light d of g, the sum of all layers, the diffuse
+part of a model f is
 
-    diffuse = min(f, g_d (1 + (f / g - 1) w)),      specular_j = (f - diffuse) g_j / (g - g_d),
+    min(f, d (1 + (f / g - 1) w)),      w = (d / g)**3 q / (1 + q),      q = (tan(theta_half) / tan(8 degrees))**4.
 
-with w = s_d**3 q / (1 + q) and q = (tan(theta_half) / tan(8 degrees))**4. Where the highlight rules, s_d = 0 and the
-diffuse part is the guide's, smooth; where the diffuse part rules, s_d = 1, it is all of f; but about the mirror
-direction, where q is small, what the guide misses is a halo of the highlight. The components sum to f, and none is
-negative. A component is there only if it has light.
+Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
+mirror direction, where q is small, what the layers miss is a halo of the highlight. What is left is the highlights',
+by the light of their layers. The mean over the structures, by weight, is what a component has: components sum to f,
+none is negative, and nothing hangs on a threshold. A component is there only if it has light.
 """
 
 from __future__ import annotations
@@ -24,59 +25,49 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.guide import FAMILY, SPIKE_HALF_WIDTH, TYPICAL_ANGLES, fit_guide, guide_data
-from dsbrdf.fitting.structure import mixture_model
+from dsbrdf.fitting.component_ranges import ComponentRanges, component_ranges
+from dsbrdf.fitting.layer_data import layer_data
+from dsbrdf.fitting.layer_fit import fit_structures, structure_weights
+from dsbrdf.fitting.layer_shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.albedo import directional_albedo, half_vector_rule
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import half_width
+from dsbrdf.model.layers import LayeredModel, Points, RetroLayer, SheenLayer, SpecularLayer, grid_points
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
-LABELS = ("specular_spike", "specular_lobe", "diffuse")
-"""Components, from narrow to wide."""
-_TRANSITION = 3  # power of the diffuse part's share with which it takes what the guide misses
-HALO = float(np.tan(np.radians(8.0))) ** 2
-"""tan(theta_half)**2 up to which most of what the guide misses is the highlight's."""
-_NO_LIGHT = 1e-3  # of the light at an angle
+_LEAST_WEIGHT = 0.01  # of a structure that is kept
+_NO_LIGHT = 5e-3  # of the light at an angle
 _LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])
-_TINY = 1e-300
-
-
-@dataclass(frozen=True)
-class LobeParameters:
-    """The readable lobe of a component at angles theta_diff of shape (...).
-
-    The tail is the exponent kappa: 2 is GGX, smaller ones have longer tails, 10 is nearly Gaussian. The elongation 0 is
-    round about the half vector, 1 is stretched by 1 / cos(theta_diff), as highlights at grazing angles are.
-    """
-
-    height: Array  # red, green and blue at theta_half = 0 [1/sr], (..., 3)
-    half_width: Array  # theta_half of half the height, where phi_diff stretches it neither way [rad]
-    tail: Array
-    elongation: Array
+_WORTH_A_WORD = 0.02  # of the light, of sheen and of light back towards the source
+_OPEN = 0.15  # width of a range of the diffuse share above which the split is open
+_HEIRS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
+"""Places of the components that take what a component without light has, the first of them that is there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Component(ReflectanceModel):
-    """One component: its share of the values of a model, and a lobe that a person can read.
+    """One component: its share of the values of a model, and the parameters of its brightest layer.
 
     Attributes
     ----------
     label : str
         One of `LABELS`.
-    lobe, whole : DSBRDF, Decomposition
-        The component's own lobe in the guide, its values if the guide were exact; and what it is a part of.
+    ranges : ComponentRanges
+        Where its figures lie with 90 % probability.
+    whole : Decomposition
+        What it is a part of.
     """
 
     label: str
-    lobe: DSBRDF
+    ranges: ComponentRanges
     whole: Decomposition
 
     def __repr__(self) -> str:
-        return f"<Component: {self.label}, half width {np.degrees(self.half_width):.1f} degrees>"
+        width = "" if self.half_width is None else f", half width {np.degrees(self.half_width):.1f} degrees"
+        return f"<Component: {self.label}, {self.light_share:.0%} of the light{width}>"
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
@@ -87,17 +78,34 @@ class Component(ReflectanceModel):
         for parts in self.whole.split_grid(theta_half, theta_diff, phi_diff):
             yield parts[self._index]
 
-    def parameters_at(self, theta_diff: ArrayLike) -> LobeParameters:
-        """Height, half width, tail and elongation of the component's own lobe at angles theta_diff (...) [rad]."""
-        at = self.lobe.parameters_at(theta_diff)
-        kappa, gamma = at["kappa"][..., 0, 0], at["gamma"][..., 0, 0]
-        return LobeParameters(
-            at["amplitude"][..., 0], half_width(kappa, gamma, FAMILY), kappa, at["elongation"][..., 0]
-        )
-
     def directional_albedo(self, theta_out: ArrayLike) -> Array:
         """Share of the light from each direction theta_out (...) [rad] that the component reflects, shape (..., 3)."""
         return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out))
+
+    @property
+    def layers(self) -> LayeredModel:
+        """The component's own layers, in the most probable structure that has some."""
+        found = self._structure
+        own = (layer for layer, label in zip(found.model.layers, found.labels, strict=True) if label == self.label)
+        return LayeredModel(tuple(own))
+
+    def height(self, theta_diff: ArrayLike) -> Array:
+        """Values of the component's own layers at theta_half = 0 and angles theta_diff (...) [rad], (..., 3) [1/sr]."""
+        theta_diff = check_angle("theta_diff", theta_diff)
+        flat = theta_diff.ravel()
+        values = self.layers.evaluate_unmasked(np.zeros(flat.size), flat, np.full(flat.size, np.pi / 2))
+        return values.reshape(*theta_diff.shape, 3)
+
+    @property
+    def structure(self) -> str:
+        """The most probable structure that has the component, in words, such as "dielectric over diffuse"."""
+        return self._structure.name
+
+    @property
+    def layer(self) -> SpecularLayer | RetroLayer | None:
+        """The brightest layer of a specular component, in the most probable structure that has one; None if diffuse."""
+        layer = self._structure.brightest(self.label)
+        return layer if isinstance(layer, (SpecularLayer, RetroLayer)) and self.label != "diffuse" else None
 
     @property
     def albedo(self) -> Array:
@@ -105,23 +113,23 @@ class Component(ReflectanceModel):
         return self.whole.albedos[self._index]
 
     @property
+    def light_share(self) -> float:
+        """Share of all light, channels added, that the component reflects at normal incidence."""
+        return float(self.albedo.sum() / self.whole.albedos.sum())
+
+    @property
     def color(self) -> Array:
         """The albedo over its largest channel, RGB, shape (3,)."""
         return np.asarray(self.albedo / (self.albedo.max() or 1.0))
 
     @property
-    def half_width(self) -> float:
-        """Half width of the component's own lobe [rad]: the median over theta_diff from 0 to 60 degrees."""
-        return float(np.median(self.parameters_at(TYPICAL_ANGLES).half_width))
+    def half_width(self) -> float | None:
+        """Angle theta_half at which the slopes of the layer are half as frequent as at 0 [rad]; None if diffuse."""
+        return None if self.layer is None else self.layer.half_width
 
     @property
-    def clarity(self) -> float:
-        """How clear the split is: the share that the component has of all light where it shines itself, 0 to 1.
-
-        Near 1 nothing else shines there; at 0.5 as much light of other components does, and a small change of the
-        measurement can move light from one to the other.
-        """
-        return float(self.whole.clarities[self._index])
+    def _structure(self) -> WeightedLayers:
+        return next(s for s in self.whole.structures if self.label in s.labels)
 
     @property
     def _index(self) -> int:
@@ -138,15 +146,18 @@ class Decomposition:
     ----------
     model : DSBRDF
         What was decomposed.
-    guide : DSBRDF
-        The components' own lobes together, in the order of the labels: a model of 35 numbers a lobe.
+    structures : tuple of WeightedLayers
+        Structures of layers that explain the model, the most probable one first; the weights sum to 1.
     labels : tuple of str
         Of the components that have light, in the order of `LABELS`.
+    ranges : tuple of ComponentRanges
+        Of each component.
     """
 
     model: DSBRDF
-    guide: DSBRDF
+    structures: tuple[WeightedLayers, ...]
     labels: tuple[str, ...]
+    ranges: tuple[ComponentRanges, ...]
 
     def __repr__(self) -> str:
         return f"<Decomposition: {', '.join(self.labels) or 'no light'}>"
@@ -180,66 +191,79 @@ class Decomposition:
         """What is reflected into all directions; None if it has no light."""
         return self._find("diffuse")
 
+    @property
+    def structure(self) -> str:
+        """The most probable structure in words, such as "dielectric over diffuse"; "no light" if there is none."""
+        return self.structures[0].name if self.structures else "no light"
+
+    @property
+    def layers(self) -> LayeredModel:
+        """The layers of the most probable structure: a small model that looks much like the material."""
+        return self.structures[0].model if self.structures else LayeredModel(())
+
     @cached_property
     def albedos(self) -> Array:
         """Directional albedo of each component at normal incidence, shape (K, 3)."""
-        return np.asarray(np.einsum("n,knc->kc", _NORMAL.weight, self._at_normal))
+        values = self.model.evaluate_unmasked(NORMAL.angle, NORMAL.angle, np.zeros(NORMAL.angle.size))
+        return np.asarray(self._split(values.T, NORMAL.points) @ NORMAL.weight)
 
-    @cached_property
-    def clarities(self) -> Array:
-        """Clarity of each component, see `Component.clarity`, shape (K,)."""
-        light = self._at_normal.sum(axis=2)
-        share = light / (light.sum(axis=0) + _TINY)
-        return np.asarray(((share * light) @ _NORMAL.weight) / (light @ _NORMAL.weight + _TINY))
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences about a split that is open, and about light that no component stands for."""
+        return (*self._open_split(), *self._other_light())
 
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of all components (K, n, 3) for angles (n,) that are not checked [1/sr]."""
-        angles = theta_half, theta_diff, phi_diff
-        guides = [component.lobe.evaluate_unmasked(*angles) for component in self]
-        return self._shares(self.model.evaluate_unmasked(*angles), guides, theta_half[:, np.newaxis])
+        values = self.model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
+        return self._split(values.T, Points.at(theta_half, theta_diff, phi_diff)).transpose(0, 2, 1)
 
     def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values of all components (K, 3, D, P) at each theta_half (H,), as `DSBRDF.evaluate_grid`."""
         axes = theta_half, theta_diff, phi_diff
-        lobes = (component.lobe.evaluate_grid(*axes) for component in self)
-        for angle, values, *guides in zip(theta_half, self.model.evaluate_grid(*axes), *lobes, strict=True):
-            yield self._shares(values, guides, angle)
+        for points, values in zip(grid_points(*axes), self.model.evaluate_grid(*axes), strict=True):
+            yield self._split(values.reshape(3, -1), points).reshape(-1, *values.shape)
 
-    def _shares(self, values: Array, guides: list[Array], theta_half: Array) -> Array:
-        """Divide values (...) among the components by their guides' lobes (...) each, shape (K, ...)."""
-        if len(guides) < 2:
-            return values[np.newaxis][: len(guides)]
-        parts = np.stack(guides)
-        if self.labels[-1] == "diffuse":
-            total = parts.sum(axis=0) + _TINY
-            taken = (parts[-1] / total) ** _TRANSITION * (1.0 - 1.0 / (1.0 + (np.tan(theta_half) ** 2 / HALO) ** 2))
-            parts[-1] = np.minimum(values, parts[-1] * (1.0 + (values / total - 1.0) * taken))
-            specular, rest = parts[:-1], values - parts[-1]
+    def _split(self, values: Array, points: Points) -> Array:
+        """Divide values (3, N) at points among the components, shape (K, 3, N)."""
+        if len(self.labels) < 2:
+            return values[np.newaxis][: len(self.labels)]
+        parts = sum(structure.weight * structure.split(values, points) for structure in self.structures)
+        for place, label in enumerate(LABELS):
+            if label not in self.labels:
+                heir = next(heir for heir in _HEIRS[label] if LABELS[heir] in self.labels)
+                parts[heir] += parts[place]
+        return np.asarray(parts[[LABELS.index(label) for label in self.labels]])
+
+    def _open_split(self) -> Iterator[str]:
+        if self.diffuse is None and self.labels:
+            low, high = 0.0, 1.0 - sum(part.ranges.light_share[0] for part in self)
+        elif self.diffuse is not None:
+            low, high = self.diffuse.ranges.light_share
         else:
-            specular, rest = parts, values
-        if len(specular) == 1:
-            specular[0] = rest
-            return parts
-        narrow = specular[0] / (specular.sum(axis=0) + _TINY)
-        specular[0] = rest * narrow
-        specular[1] = rest - specular[0]
-        return parts
+            return
+        if high - low > _OPEN:
+            names = ", ".join(f"{s.name} {s.weight:.0%}" for s in self.structures[:3])
+            yield (
+                f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to {high:.0%} of "
+                f"the light. Probable structures: {names}."
+            )
+
+    def _other_light(self) -> Iterator[str]:
+        kinds = (
+            (RetroLayer, "goes back towards its source; it is counted with the specular lobe"),
+            (SheenLayer, "is sheen, as of fibres at grazing angles; it is counted as diffuse"),
+        )
+        for kind, what in kinds:
+            share = sum(structure.weight * structure.light_of(kind) for structure in self.structures)
+            if share > _WORTH_A_WORD:
+                yield f"About {share:.0%} of the light {what}."
 
     def _find(self, label: str) -> Component | None:
         return self[label] if label in self.labels else None
 
     @cached_property
     def _components(self) -> tuple[Component, ...]:
-        lobes = (self.guide.select((index,), with_delta=False) for index in range(len(self.labels)))
-        return tuple(Component(label, lobe, self) for label, lobe in zip(self.labels, lobes, strict=True))
-
-    @cached_property
-    def _at_normal(self) -> Array:
-        """Values of all components at the nodes of `_NORMAL`, shape (K, n, 3)."""
-        return self.split_unmasked(_NORMAL.theta_half, _NORMAL.theta_diff, _NORMAL.phi_diff)
-
-
-_NORMAL = half_vector_rule(0.0)
+        return tuple(Component(label, found, self) for label, found in zip(self.labels, self.ranges, strict=True))
 
 
 def decompose(model: DSBRDF | FitResult) -> Decomposition:
@@ -261,19 +285,25 @@ def decompose(model: DSBRDF | FitResult) -> Decomposition:
 @lru_cache(maxsize=32)
 @one_blas_thread
 def _decompose(model: DSBRDF) -> Decomposition:
-    data = guide_data(model)
-    if data.signal == 0.0:
-        return Decomposition(model, model.select((), with_delta=False), ())
-    guide = fit_guide(data)
-    narrowest, *others = guide.half_widths
-    labels = LABELS if len(others) == 2 else (LABELS[0 if narrowest < SPIKE_HALF_WIDTH else 1], LABELS[2])
-    lobes = mixture_model(guide.mixture)
-    lit = [k for k, light in enumerate(_light(lobes).T) if light.max() > _NO_LIGHT]
-    return Decomposition(model, lobes.select(tuple(lit), with_delta=False), tuple(labels[k] for k in lit))
+    data = layer_data(model)
+    if data is None:
+        return Decomposition(model, (), (), ())
+    found = fit_structures(data)
+    kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _LEAST_WEIGHT]
+    structures = tuple(
+        WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)
+        for one, weight in zip(kept, structure_weights(kept), strict=True)
+    )
+    light = np.max([_light(model, structures, angle) for angle in _LIGHT_ANGLES.tolist()], axis=0)
+    labels = tuple(label for label, share in zip(LABELS, light, strict=True) if share > _NO_LIGHT)
+    return Decomposition(model, structures, labels, component_ranges(model, found, labels))
 
 
-def _light(model: DSBRDF) -> Array:
-    """Share of each lobe in the light at some angles, shape (angles, K)."""
-    lobes = [model.select((k,), with_delta=False) for k in range(model.n_lobes)]
-    light = np.stack([lobe.albedo(_LIGHT_ANGLES).sum(axis=-1) for lobe in lobes], axis=1)
-    return np.asarray(light / (light.sum(axis=1, keepdims=True) + _TINY))
+def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], theta_out: float) -> Array:
+    """Share of each of `LABELS` in the light at an angle [rad], shape (3,)."""
+    rule = half_vector_rule(theta_out)
+    angles = rule.theta_half, rule.theta_diff, rule.phi_diff
+    values, points = model.evaluate_unmasked(*angles).T, Points.at(*angles)
+    parts = sum(one.weight * one.split(values, points) for one in structures)
+    light = np.sum(np.asarray(parts) @ rule.weight, axis=1)
+    return np.asarray(light / max(float(light.sum()), 1e-300))

@@ -1,6 +1,6 @@
 """Growing a mixture lobe by lobe, by matching pursuit, as long as the next lobe is worth its numbers.
 
-After a single lobe come those of the `guide`: one highlight and one diffuse lobe. For the next one, lobes of many
+After a single lobe come those of the `first_lobes`: one highlight and one diffuse lobe. For the next one, lobes of many
 widths, centers and elongations, about the normal or rings, are projected on the residual, with the amplitudes of the
 others free to answer (orthogonal matching pursuit), and the one that explains most is fitted together with all others;
 while lobes are few, the best near the normal and the best far from it are both tried.
@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.fitting.guide import fit_single_highlight
+from dsbrdf.fitting.first_lobes import fit_first_lobes
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
@@ -43,7 +43,7 @@ _ELONGATIONS = (0.0, 1.0)
 _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
-_BETTER = 0.9  # of the squared error with the lobes of the guide
+_BETTER = 0.9  # of the squared error with the first lobes
 _FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _FIRST_TWO, _LAST_TWO = 2, 5  # numbers of lobes between which a near and a far one are tried
 _FAR = 20.0 * _DEGREE
@@ -114,7 +114,7 @@ def grow(
 def _with_next_lobe(
     fitted: FitData, held_out: FitData, mixture: Mixture, curves: dict["_Candidate", Array], goal: float
 ) -> Mixture:
-    """Add a lobe and fit all; in the place of a single lobe, those of the guide unless two others are better."""
+    """Add a lobe and fit all; in the place of a single lobe, the first lobes unless two others are better."""
     starts = _starts(fitted, mixture, curves)
     found, start = min(((_fit(fitted, start), start) for start in starts), key=lambda pair: _error(fitted, pair[0]))
     if _error(held_out, found) > goal:
@@ -122,7 +122,7 @@ def _with_next_lobe(
     few_columns = fitted.theta_half.shape[-1] < _FEWEST_COLUMNS
     if mixture.structure.rings != (False,) or few_columns or all(candidate.is_ring for candidate in curves):
         return found
-    readable = _fit(fitted, _guide_lobes(fitted, mixture.structure))
+    readable = _fit(fitted, _first_lobes(fitted, mixture.structure))
     return found if _error(fitted, found) < _BETTER * _error(fitted, readable) else readable
 
 
@@ -137,10 +137,10 @@ def _fit(data: FitData, start: Mixture) -> Mixture:
     return _minimize(data, start, _ITERATIONS)
 
 
-def _guide_lobes(data: FitData, like: Structure) -> Mixture:
-    """The lobes of a guide with one highlight, on the knots and of the family of a structure."""
-    guide = fit_single_highlight(data).mixture
-    old, unknowns = replace(guide.structure, bounds_of=(), theta_half=like.theta_half), guide.unknowns
+def _first_lobes(data: FitData, like: Structure) -> Mixture:
+    """The first lobes, on the knots and of the family of a structure."""
+    first = fit_first_lobes(data)
+    old, unknowns = replace(first.structure, bounds_of=(), theta_half=like.theta_half), first.unknowns
     if like.family != old.family:
         amplitude, shape, elongation = old.split(unknowns)
         k = old.n_lobes

@@ -20,8 +20,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
 _LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
-_UNCLEAR = 0.15  # share of a component in the light where it shines; 5 of the materials have less
-_SHARE_THAT_MATTERS = 0.05  # of the light; hardly anybody sees where a fainter component belongs
 _LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
 _LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
 _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
@@ -58,20 +56,7 @@ def fit_warnings(
             f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
             "images can become too bright."
         )
-    parts = decompose(model)
-    total = sum(component.albedo.sum() for component in parts) or 1.0
-    uncertain = [
-        (component.clarity, component.label.replace("_", " "), component.albedo.sum() / total)
-        for component in parts
-        if component.clarity < _UNCLEAR and component.albedo.sum() > _SHARE_THAT_MATTERS * total
-    ]
-    if uncertain:
-        clarity, name, share = min(uncertain)
-        yield (
-            f"The split into components is uncertain: where the {name} shines, which has {share:.0%} of the light, "
-            f"only {clarity:.0%} of all light is its own, so that another model of the same quality may split it "
-            "otherwise."
-        )
+    yield from decompose(model).remarks
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:

@@ -1,7 +1,7 @@
 """What materials are usually like, for measurements with few samples or with samples in one plane only.
 
-`guides` are the readable lobes (see `dsbrdf.fitting.guide`) of 71 measured materials: 70 numbers each, whose mean and
-covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other. To samples
+`guides` are the first lobes (see `dsbrdf.fitting.first_lobes`) of 71 measured materials: 70 numbers each, whose mean
+and covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other. To samples
 these lobes are fitted with the relative error `_MISFIT` that they have on whole measurements, against that prior; how
 bright a material is, the prior leaves open.
 
@@ -20,7 +20,7 @@ from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.data.merl_validation import LARGEST_VALUE
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.guide import guide_structure
+from dsbrdf.fitting.first_lobes import first_structure
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Prior, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -52,7 +52,7 @@ def usual_material(samples: ScatteredSamples) -> tuple[DSBRDF, float]:
     Returns the model, and its cost for each sample, of squared relative errors and of the prior, in units of the usual.
     """
     known, data = guides(), _relative_rows(samples)
-    structure = guide_structure()
+    structure = first_structure()
     prior = _prior(known, structure, data.signal)
     problem = MixtureProblem(data, structure, (0.0, 0.0, 0.0), prior)
     starts = np.array([_at_level_of(problem, unknowns) for unknowns in known])

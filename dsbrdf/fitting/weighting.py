@@ -79,9 +79,9 @@ def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
     return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
 
 
-def seen_weight(lit: Array, mean: Array, typical: float) -> Array:
+def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
     """Weights of errors as a screen shows them, of those of radiance, the mean over phi_diff and a typical value."""
-    return np.asarray(lit / (mean + _DARK * typical + 1e-12) ** SEEN_POWER)
+    return np.asarray(lit / (mean + _DARK * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:

@@ -22,14 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import check_directions
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.evaluation import Evaluator
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
-from dsbrdf.model.reflectance import ReflectanceModel, check_angle
-from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
+from dsbrdf.model.reflectance import RenderableModel, check_angle
 from dsbrdf.model.splines import n_control_values
 
 if TYPE_CHECKING:
@@ -44,7 +41,7 @@ _LARGEST_ELONGATION = 10.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DSBRDF(ReflectanceModel):
+class DSBRDF(RenderableModel):
     """A fitted model of an isotropic BRDF.
 
     Attributes
@@ -255,76 +252,10 @@ class DSBRDF(ReflectanceModel):
         delta = self.delta if with_delta else np.zeros_like(self.delta)
         return DSBRDF(**(self._state() | chosen | {"delta": delta}))
 
-    def albedo(self, theta_out: ArrayLike) -> Array:
-        """Directional albedo: share of the light from each direction that is reflected, by quadrature.
-
-        Parameters
-        ----------
-        theta_out : array_like, shape (...)
-            Angle of the direction to the normal, 0 to pi/2 [rad].
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
-        """
-        kinks = self.theta_diff if self.interpolation == "linear" else np.zeros(0)
-        return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out), kinks)
-
-    def sample(self, omega_out: ArrayLike, rng: np.random.Generator) -> Samples:
-        """Draw a direction omega_in for each omega_out, roughly in proportion to ``f cos(theta_in)``.
-
-        Parameters
-        ----------
-        omega_out : array_like, shape (..., 3)
-            Unit vectors above the horizon; the same one n times is ``np.broadcast_to(omega_out, (n, 3))``.
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        Samples
-            Directions, their density and their weights; see `dsbrdf.model.sampling`.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If a direction is not a unit vector above the horizon.
-        """
-        towards = check_directions("omega_out", omega_out)
-        flat = towards.reshape(-1, 3)
-        omega_in = self.sampler.sample(flat, rng)
-        pdf = self.sampler.pdf(omega_in, flat)
-        cosine = omega_in[:, 2] / np.where(pdf > 0.0, pdf, np.inf)
-        weight = self.evaluate_directions(omega_in, flat) * cosine[:, None]
-        return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
-
-    def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """Density with which `sample` draws omega_in for omega_out.
-
-        Parameters
-        ----------
-        omega_in, omega_out : array_like, shape (..., 3)
-            Unit vectors, the normal being (0, 0, 1); they broadcast together.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the share of
-            the samples that are above the horizon.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If a direction is not a unit vector.
-        """
-        first = check_directions("omega_in", omega_in, below_horizon=True)
-        first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
-        return self.sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
-
-    @cached_property
-    def sampler(self) -> DirectionSampler:
-        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
-        return direction_sampler(self.evaluate_unmasked)
+    @property
+    def kinks(self) -> Array:
+        """Angles theta_diff at which values have a kink (n,) [rad]."""
+        return self.theta_diff if self.interpolation == "linear" else np.zeros(0)
 
     def _delta_at(self, theta_diff: Array) -> Array:
         return np.stack([np.interp(theta_diff, self.theta_diff, row) for row in self.delta], axis=-1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,8 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import check_directions, checked_angles, half_difference, incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 
 _HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
 
@@ -82,6 +85,85 @@ class ReflectanceModel(ABC):
             grid[:, row, :, :QUARTER] = values
             grid[:, row, :, QUARTER:] = values[:, :, -2:0:-1]
         return grid
+
+
+class RenderableModel(ReflectanceModel):
+    """A whole material: its directional albedo, and directions drawn in proportion to what it reflects."""
+
+    @property
+    def kinks(self) -> Array:
+        """Angles theta_diff at which values have a kink (n,) [rad]."""
+        return np.zeros(0)
+
+    def albedo(self, theta_out: ArrayLike) -> Array:
+        """Directional albedo: share of the light from each direction that is reflected, by quadrature.
+
+        Parameters
+        ----------
+        theta_out : array_like, shape (...)
+            Angle of the direction to the normal, 0 to pi/2 [rad].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
+        """
+        return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out), self.kinks)
+
+    def sample(self, omega_out: ArrayLike, rng: np.random.Generator) -> Samples:
+        """Draw a direction omega_in for each omega_out, roughly in proportion to ``f cos(theta_in)``.
+
+        Parameters
+        ----------
+        omega_out : array_like, shape (..., 3)
+            Unit vectors above the horizon; the same one n times is ``np.broadcast_to(omega_out, (n, 3))``.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        Samples
+            Directions, their density and their weights; see `dsbrdf.model.sampling`.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector above the horizon.
+        """
+        towards = check_directions("omega_out", omega_out)
+        flat = towards.reshape(-1, 3)
+        omega_in = self.sampler.sample(flat, rng)
+        pdf = self.sampler.pdf(omega_in, flat)
+        cosine = omega_in[:, 2] / np.where(pdf > 0.0, pdf, np.inf)
+        weight = self.evaluate_directions(omega_in, flat) * cosine[:, None]
+        return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
+
+    def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
+        """Density with which `sample` draws omega_in for omega_out.
+
+        Parameters
+        ----------
+        omega_in, omega_out : array_like, shape (..., 3)
+            Unit vectors, the normal being (0, 0, 1); they broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the share of
+            the samples that are above the horizon.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If a direction is not a unit vector.
+        """
+        first = check_directions("omega_in", omega_in, below_horizon=True)
+        first, second = np.broadcast_arrays(first, check_directions("omega_out", omega_out, below_horizon=True))
+        return self.sampler.pdf(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
+
+    @cached_property
+    def sampler(self) -> DirectionSampler:
+        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
+        return direction_sampler(self.evaluate_unmasked)
 
 
 def check_angle(name: str, angle: ArrayLike) -> Array:

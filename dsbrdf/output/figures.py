@@ -20,7 +20,8 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.extras import require
-from dsbrdf.fitting.decomposition import LABELS, LobeParameters, decompose
+from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import SphereComparison, cut_out
 
@@ -94,7 +95,7 @@ def overview_figure(
     theta_diff : sequence of float, optional
         The slices [rad]; each is drawn at the nearest row of the measurement.
     channel : {"red", "green", "blue"}, optional
-        Of row (b), which shows the components with their own lobes, and their sum.
+        Of row (b), which shows the components with their own layers, and their sum.
     model_lobes : bool, optional
         Whether row (b) shows the lobes of the model instead.
     spheres : SphereComparison, optional
@@ -154,53 +155,61 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
 
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
-    """Height in red, green and blue, half width, tail and elongation over theta_diff: the components' own lobes.
+    """Height of the components in red, green and blue over theta_diff, and their directional albedo.
 
-    With `model_lobes`, those of the model instead, with kappa as the tail, and the green channel's shape where each
-    channel has its own. The title is such as the name of the material.
+    With `model_lobes`, instead the height, half width, kappa and elongation of the model's lobes, and the green
+    channel's shape where each channel has its own. The title is such as the name of the material.
     """
-    figure = _empty_figure(title, 2, height=1.7 * _ROW)
-    heights, widths, tails, elongations = figure.subplots(2, 2).flat
-    degrees = np.degrees(_ANGLES)
-    for number, (label, colour, at) in enumerate(_model_lobes(model) if model_lobes else _own_lobes(model)):
+    return _lobes_figure(model, title) if model_lobes else _components_figure(model, title)
+
+
+def _components_figure(model: DSBRDF, title: str) -> Figure:
+    figure = _empty_figure(title, 2, height=_ROW)
+    heights, albedos = figure.subplots(1, 2)
+    degrees, seen = np.degrees(_ANGLES), np.linspace(0.0, 80.0, 17)
+    for number, part in enumerate(decompose(model)):
         style = _STYLES[number % len(_STYLES)]
-        for values, channel_colour in zip(at.height.T, CHANNEL_COLOURS, strict=True):
+        reflected = part.directional_albedo(np.radians(seen))
+        for ax, angles, values in ((heights, degrees, part.height(_ANGLES)), (albedos, seen, reflected)):
+            for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
+                ax.plot(angles, curve, style, color=channel_colour, linewidth=1.2)
+        heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
+    heights.set(yscale="log", title="height at theta_half = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
+    albedos.set(title="directional albedo", xlabel=r"$\theta_\mathrm{out}$ [degrees]")
+    albedos.set_ylim(bottom=0.0)
+    for ax in (heights, albedos):
+        ax.set(xlim=(0, 90))
+        ax.title.set_fontsize(9)
+        _set_ticks(ax)
+    _draw_legend(figure, [heights], 4, "outside lower center")
+    return figure
+
+
+def _lobes_figure(model: DSBRDF, title: str) -> Figure:
+    figure = _empty_figure(title, 2, height=1.7 * _ROW)
+    heights, widths, kappas, elongations = figure.subplots(2, 2).flat
+    degrees = np.degrees(_ANGLES)
+    amplitude, at = model.parameters_at(_ANGLES)["amplitude"], lobes_in_channel(model, _ANGLES, 1)
+    for lobe, is_ring in enumerate(model.is_ring):
+        style, colour = _STYLES[lobe % len(_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
+        label = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
+        for values, channel_colour in zip(amplitude[..., lobe].T, CHANNEL_COLOURS, strict=True):
             heights.plot(degrees, values, style, color=channel_colour, linewidth=1.2)
-        for ax, values in ((widths, np.degrees(at.half_width)), (tails, at.tail), (elongations, at.elongation)):
-            ax.plot(degrees, values, style, color=colour, linewidth=1.2, label=label)
+        shapes = (np.degrees(at["half_width"]), at["kappa"], at["elongation"])
+        for ax, values in zip((widths, kappas, elongations), shapes, strict=True):
+            ax.plot(degrees, values[:, lobe], style, color=colour, linewidth=1.2, label=label)
     heights.set(yscale="log", title="height in red, green and blue [1/sr]")
     widths.set(yscale="log", title="half width [degrees]")
-    tails.set(title="kappa" if model_lobes else "tail, 2 for GGX, less for longer ones")
+    kappas.set(title="kappa")
     elongations.set(title="elongation, 0 for a round lobe")
-    _include(tails, 0.0, 2.5)
+    _include(kappas, 0.0, 2.5)
     _include(elongations, -0.25, 1.25)
-    for ax in (heights, widths, tails, elongations):
+    for ax in (heights, widths, kappas, elongations):
         ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
         ax.title.set_fontsize(9)
         _set_ticks(ax)
     _draw_legend(figure, [widths], 4, "outside lower center")
     return figure
-
-
-def _own_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
-    """Label, colour and own lobe of each component."""
-    return [
-        (part.label.replace("_", " "), COMPONENT_COLOURS[part.label], part.parameters_at(_ANGLES))
-        for part in decompose(model)
-    ]
-
-
-def _model_lobes(model: DSBRDF) -> list[tuple[str, str, LobeParameters]]:
-    """Label, colour and parameters of each lobe of a model."""
-    heights, at = model.parameters_at(_ANGLES)["amplitude"], lobes_in_channel(model, _ANGLES, 1)
-    return [
-        (
-            f"{'ring lobe' if is_ring else 'lobe'} {k}",
-            LOBE_COLOURS[k % len(LOBE_COLOURS)],
-            LobeParameters(heights[..., k], at["half_width"][:, k], at["kappa"][:, k], at["elongation"][:, k]),
-        )
-        for k, is_ring in enumerate(model.is_ring)
-    ]
 
 
 def _include(ax: Axes, low: float, high: float) -> None:
@@ -258,7 +267,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
 
 
 def _parts_name(model_lobes: bool) -> str:
-    return "lobes of the model" if model_lobes else "components of the fit (dashed: their own lobes)"
+    return "lobes of the model" if model_lobes else "components of the fit (dashed: their own layers)"
 
 
 def _parts_row(
@@ -282,12 +291,13 @@ def _parts_row(
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
-    """Components of a model, and below each, dashed, its own lobe."""
+    """Components of a model, and below each, dashed, its own layers."""
     parts: list[_Part] = []
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
-        label = f"{name}, half width {np.degrees(component.half_width):.2g}°"
-        parts += [(component.lobe, colour, "--", ""), (component, colour, "-", label)]
+        width = component.half_width
+        label = name if width is None else f"{name}, half width {np.degrees(width):.2g}°"
+        parts += [(component.layers, colour, "--", ""), (component, colour, "-", label)]
     return parts
 
 

@@ -31,7 +31,7 @@ _THUMBNAIL = 96  # pixels
 
 
 def plot_model(model: DSBRDF) -> Figure:
-    """Draw the parameters of the components' own lobes over theta_diff."""
+    """Draw the height and the directional albedo of the components."""
     return parameters_figure(model)
 
 
@@ -52,7 +52,7 @@ def measurement_html(measurement: Measurement) -> str:
 
 
 def model_html(model: DSBRDF) -> str:
-    """Return a lit sphere of a model beside the half width and albedo of its components."""
+    """Return a lit sphere of a model beside the light, albedo and half width of its components."""
     return _card(model, _model_table(model))
 
 
@@ -72,8 +72,8 @@ def _model_table(model: DSBRDF) -> str:
     rows = {"model": f"{lobes_phrase(model)}, {model.n_numbers} numbers"}
     for component in decompose(model):
         albedo = ", ".join(f"{value:.4f}" for value in component.albedo)
-        width = np.degrees(component.half_width)
-        rows[component.label.replace("_", " ")] = f"half width {width:.1f}°, albedo {albedo}"
+        width = "" if component.half_width is None else f", half width {np.degrees(component.half_width):.1f}°"
+        rows[component.label.replace("_", " ")] = f"{component.light_share:.0%} of the light, albedo {albedo}{width}"
     return _table(rows)
 
 

@@ -1,4 +1,4 @@
-"""The result of a fit as text and as JSON: metrics, components with their own lobes, and the model's lobes.
+"""The result of a fit as text and as JSON: metrics, components with their layers, and the model's lobes.
 
 The JSON has the same form as in the HTTP service. Angles are in degrees, because this is for display and for HTTP; the
 rest of the library uses radians.
@@ -24,9 +24,15 @@ from dsbrdf.model.lobes import half_width
 from dsbrdf.output.serialize import to_json
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""theta_diff of the values of components' own lobes in JSON [degrees]."""
+"""theta_diff of the heights of components in JSON [degrees]."""
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 """theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
+_SHOWN_PARAMETERS = (
+    ("alpha", "alpha", ""),
+    ("half width", "half_width_deg", "°"),
+    ("kappa", "kappa", ""),
+    ("F90", "f90", ""),
+)
 # Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
 _VERDICTS = (
     (45.0, "hardly to be told apart"),
@@ -44,39 +50,53 @@ def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: half width, tail, clarity and albedo."""
+    """Return a table with a line for each component: share of the light with its range, half width, albedo."""
     if not components:
         return ["The model has no light, and so no components."]
-    lines = [f"{'component':<14}{'half width':>10}{'tail':>6}{'clarity':>8}{'albedo r, g, b':>21}"]
+    lines = [f"{'component':<14}{'light':>6}{'90 % range':>14}{'half width':>12}{'albedo r, g, b':>23}"]
     for component in components:
-        albedo = "".join(f"{value:>7.4f}" for value in component["albedo"])
-        cells = (
-            f"{component['half_width_deg']:>9.2f}°{_usual_tail(component['lobe']):>6.2f}{component['clarity']:>8.2f}"
+        low, high = component["ranges"]["light_share"]
+        width = component["half_width_deg"]
+        cells = f"{component['light_share']:>6.0%}{f'{low:.0%} to {high:.0%}':>14}"
+        cells += f"{'' if width is None else f'{width:.2f}°':>12}  " + "".join(
+            f"{value:>7.4f}" for value in component["albedo"]
         )
-        lines.append(f"{component['label']:<14}{cells}{albedo}")
+        lines.append(f"{component['label']:<14}{cells}")
     return lines
 
 
-def _usual_tail(lobe: Mapping[str, Any]) -> float:
-    """Return the median over theta_diff from 0 to 60 degrees, as the half width of a component is."""
-    angles = zip(lobe["theta_diff_deg"], lobe["tail"], strict=True)
-    return float(np.median([tail for angle, tail in angles if angle <= 60.0]))
+def component_layers_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what is known of each component's layer, with ranges, and its height at `SHOWN_THETA_DIFF`."""
+    lines: list[str] = []
+    for component in components:
+        lines.append(f"{component['label']} ({component['structure']})")
+        ranges = component["ranges"]
+        for name, key, unit in _SHOWN_PARAMETERS:
+            if component[key] is not None:
+                lines.append(f"  {name:<12}{_with_range(component[key], ranges.get(key), unit)}")
+        if component["f0"] is not None:
+            for channel, value, spread in zip(CHANNELS, component["f0"], ranges["f0"], strict=True):
+                lines.append(f"  {f'F0 {channel}':<12}{_with_range(value, spread, '')}")
+    return lines + _heights_table(components)
 
 
-def component_lobes_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table of the own lobe of each component: its values at `SHOWN_THETA_DIFF`."""
+def _with_range(value: float, spread: Sequence[float] | None, unit: str) -> str:
+    """Return a value, and the range in which it lies with 90 % probability."""
+    text = f"{value:.3g}{unit}"
+    return text if spread is None else f"{text:<9}({spread[0]:.3g}{unit} to {spread[1]:.3g}{unit})"
+
+
+def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the heights of the components' own layers at `SHOWN_THETA_DIFF`."""
     if not components:
         return []
-    lines = _angles_head("own lobes [1/sr]")
+    lines = _angles_head("height at theta_half = 0 [1/sr]")
     for component in components:
-        lobe, lead = component["lobe"], component["label"]
+        lobe = component["lobe"]
         shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
-        heights = zip(*lobe["height"], strict=True)
-        rows = [(f"height {channel}", values, "") for channel, values in zip(CHANNELS, heights, strict=True)]
-        rows += [("half width", lobe["half_width_deg"], "°"), ("tail", lobe["tail"], "")]
-        rows.append(("elongation", lobe["elongation"], ""))
-        lines.append(lead)
-        lines += [_row(name, [values[index] for index in shown], unit) for name, values, unit in rows]
+        lines.append(component["label"])
+        for channel, values in zip(CHANNELS, zip(*lobe["height"], strict=True), strict=True):
+            lines.append(_row(channel, [values[index] for index in shown], ""))
     return lines
 
 
@@ -159,9 +179,9 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> list[str]:
-    """Return the components of a model and their own lobes, then, if asked for, the model's lobes in one channel."""
+    """Return the components of a model and their layers, then, if asked for, the model's lobes in one channel."""
     components = component_documents(model)
-    lines = [*components_table(components), "", *component_lobes_table(components)]
+    lines = [*components_table(components), "", *component_layers_table(components)]
     return [*lines, "", *parameters_table(model, channel=channel)] if lobes else lines
 
 
@@ -207,18 +227,21 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
 
 
 def component_document(component: Component) -> dict[str, Any]:
-    """Return one component as JSON content; its own lobe as values at `LOBE_THETA_DIFF`."""
-    at = component.parameters_at(np.radians(LOBE_THETA_DIFF))
-    lobe = {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": at.height.tolist()}
-    lobe |= {"half_width_deg": np.degrees(at.half_width).tolist(), "tail": at.tail.tolist()}
-    lobe["elongation"] = at.elongation.tolist()
+    """Return one component as JSON content: light, physical parameters with ranges, heights at `LOBE_THETA_DIFF`."""
+    layer, ranges = component.layer, asdict(component.ranges)
+    widths = ranges.pop("half_width")
+    parameters = {name: getattr(layer, name, None) for name in ("alpha", "kappa", "f0", "f90")}
+    height = component.height(np.radians(LOBE_THETA_DIFF))
     return {
         "label": component.label,
-        "lobe": lobe,
+        "structure": component.structure,
+        "light_share": component.light_share,
         "albedo": component.albedo.tolist(),
         "color": component.color.tolist(),
-        "half_width_deg": float(np.degrees(component.half_width)),
-        "clarity": component.clarity,
+        "half_width_deg": None if component.half_width is None else float(np.degrees(component.half_width)),
+        **parameters,
+        "lobe": {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": height.tolist()},
+        "ranges": ranges | {"half_width_deg": None if widths is None else np.degrees(widths).tolist()},
     }
 
 

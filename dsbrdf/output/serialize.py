@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -22,11 +22,14 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.decomposition import LABELS, Decomposition
+from dsbrdf.fitting.component_ranges import ComponentRanges
+from dsbrdf.fitting.decomposition import Decomposition
+from dsbrdf.fitting.layer_shares import LABELS, WeightedLayers
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
+from dsbrdf.model.layers import LayeredModel
 
-FORMAT = "dsbrdf"
+FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
 VERSION = 2
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 """Attributes of a model that are arrays."""
@@ -114,9 +117,9 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
     """Return a model and its report as JSON text.
 
     It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, so that
-    they need not be found again, it has ``"components": {"labels": [...], "guide": {...}}``, which
-    `decomposition_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store, such
-    as NaN.
+    they need not be found again, it has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``,
+    which `decomposition_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store,
+    such as NaN.
     """
     document = {
         "format": FORMAT,
@@ -125,7 +128,11 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
         "report": None if report is None else report.to_dict(),
     }
     if components is not None:
-        document["components"] = {"labels": components.labels, "guide": model_to_dict(components.guide)}
+        document["components"] = {
+            "labels": components.labels,
+            "structures": [asdict(structure) for structure in components.structures],
+            "ranges": [asdict(ranges) for ranges in components.ranges],
+        }
     return _dump(document)
 
 
@@ -145,18 +152,46 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
     return model_from_dict(model), None if report is None else report_from_dict(report)
 
 
+@dataclass(frozen=True)
+class _Components:
+    """What is stored of a decomposition beside its model."""
+
+    labels: tuple[str, ...]
+    structures: tuple[WeightedLayers, ...]
+    ranges: tuple[ComponentRanges, ...]
+
+
 def decomposition_from_json(text: str) -> Decomposition:
     """Return a model and its components, which `to_json` was given.
 
-    Raises ModelFormatError as `from_json`, and if there are not as many components in the text as the guide has lobes.
+    Raises ModelFormatError as `from_json`, and if the text has no components or they do not belong together.
     """
     model, _ = from_json(text)
-    match _parse(text).get("components"):
-        case {"labels": list(labels), "guide": guide}:
-            lobes = model_from_dict(guide)
-            if labels == [label for label in LABELS if label in labels] and len(labels) == lobes.n_lobes:
-                return Decomposition(model, lobes, tuple(labels))
-    raise ModelFormatError("The stored model has no components with a lobe for each.")
+    stored: _Components = _typed(_Components, _parse(text).get("components"), "components")
+    in_order = stored.labels == tuple(label for label in LABELS if label in stored.labels)
+    if not in_order or len(stored.ranges) != len(stored.labels):
+        raise ModelFormatError("The stored model has no components in order, with ranges for each.")
+    if any(len(one.is_diffuse) != len(one.model.layers) for one in stored.structures):
+        raise ModelFormatError("The stored components do not say of each layer whether it is diffuse.")
+    return Decomposition(model, stored.structures, stored.labels, stored.ranges)
+
+
+def layers_to_json(layers: LayeredModel) -> str:
+    """Return a layered model as JSON text: ``{"format": "dsbrdf-layers", "version": 2, "layers": [...]}``."""
+    return _dump({"format": LAYERS_FORMAT, "version": VERSION, **asdict(layers)})
+
+
+def layers_from_json(text: str) -> LayeredModel:
+    """Return the layered model of a JSON text, the inverse of `layers_to_json`.
+
+    Raises ModelFormatError if the text is damaged, of another kind, or of another version.
+    """
+    document = _parse(text)
+    if not isinstance(document, dict):
+        raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
+    _check_version(document.get("format"), document.get("version"), LAYERS_FORMAT)
+    layers: LayeredModel = _typed(LayeredModel, {"layers": document.get("layers")}, "layered model")
+    return layers
 
 
 def result_from_json(text: str) -> FitResult:
@@ -197,9 +232,9 @@ def _result(model: DSBRDF, report: FitReport | None) -> FitResult:
     return FitResult(model, report)
 
 
-def _check_version(name: object, version: object) -> None:
-    if name != FORMAT:
-        raise ModelFormatError(f"The data is not a stored model: its format is not {FORMAT!r}.")
+def _check_version(name: object, version: object, wanted: str = FORMAT) -> None:
+    if name != wanted:
+        raise ModelFormatError(f"The data is not a stored model: its format is not {wanted!r}.")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
     if version != VERSION:
@@ -266,6 +301,8 @@ def _typed(kind: Any, value: Any, place: str) -> Any:
 def _fits(kind: Any, value: Any) -> bool:
     """Whether a JSON value can be of a kind, what it contains apart."""
     origin = get_origin(kind)
+    if is_dataclass(kind) and isinstance(kind, type):
+        return isinstance(value, Mapping) and set(value) == set(_hints(kind))
     if origin is Literal:
         return isinstance(value, str) and value in get_args(kind)
     if origin is tuple:

@@ -9,18 +9,20 @@ from typing import Any, Literal
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.decomposition import LABELS, Component, decompose
+from dsbrdf.fitting.decomposition import Component, decompose
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import parameters_csv
 from dsbrdf.output.serialize import to_json
 
-GUIDE = "guide"
+LAYERS = "layers"
 """Name of all components' own lobes together."""
-PARTS = (*LABELS, GUIDE)
+PARTS = (*LABELS, LAYERS)
 """Names of parts of a model."""
 
 
@@ -99,14 +101,14 @@ FORMATS = {
 """Name -> format; a new one has a row here, and a file of its own."""
 
 
-def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component:
-    """Return a model's component, its guide or, for None, the model itself.
+def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component | LayeredModel:
+    """Return a model's component, its layers or, for None, the model itself.
 
     Raises InvalidArgumentError if the model has no such component.
     """
     if part is None:
         return model
-    return decompose(model).guide if part == GUIDE else decompose(model)[part]
+    return decompose(model).layers if part == LAYERS else decompose(model)[part]
 
 
 def export_model(
@@ -147,7 +149,7 @@ def check_holds_component(file_format: str) -> None:
         able = [name for name, kind in FORMATS.items() if not kind.holds_lobes]
         raise InvalidArgumentError(
             f"{file_format} cannot hold a component, whose values are a share of the model's: take {one_of(able)}, or "
-            "export the guide, which is the components' own lobes together"
+            "export the layers, a small model that has all components"
         )
 
 

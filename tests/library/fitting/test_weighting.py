@@ -6,10 +6,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from dsbrdf.fitting.guide import guide_data
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles, Profiles
-from dsbrdf.fitting.guide import guide_data
 from dsbrdf.fitting.options import Weighting
 from dsbrdf.fitting.weighting import bin_weights
 from tests.support.known_models import single_lobe
