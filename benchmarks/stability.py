@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import LABELS, decompose
+from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 

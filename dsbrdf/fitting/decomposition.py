@@ -5,12 +5,13 @@ structures of them are fitted to the model's own values and weighed by their evi
 that any model has a decomposition. In a structure with the diffuse light d of g, the sum of all layers, the diffuse
 part of a model f is
 
-    min(f, d (1 + (f / g - 1) w)),      w = (d / g)**3 q / (1 + q),      q = (tan(theta_half) / tan(8 degrees))**4.
+    min(f, d (1 + (f / g - 1) w)),      w = (d / g)**3 (f < g ? 1 : q / (1 + q)),
+    q = (tan(theta_half) / tan(8 degrees))**4.
 
 Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
-mirror direction, where q is small, what the layers miss is a halo of the highlight. What is left is the highlights',
-by the light of their layers. The mean over the structures, by weight, is what a component has: components sum to f,
-none is negative, and nothing hangs on a threshold. A component is there only if it has light.
+mirror direction, where q is small, light that the layers lack is a halo of the highlight. What is left is the
+highlights', by the light of their layers. A component has the mean over the structures, by weight: components sum to
+f, none is negative, and the split hangs on no threshold. A component is there only if it has light.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
 _LEAST_WEIGHT = 0.01  # of a structure that is kept
-_NO_LIGHT = 5e-3  # of the light at an angle
+_NO_LIGHT = 2e-3  # of the light at an angle
+_FAINT, _PROBABLE = 0.02, 0.5  # share of the light at an angle, weight of the structures
 _LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])
 _WORTH_A_WORD = 0.02  # of the light, of sheen and of light back towards the source
 _OPEN = 0.15  # width of a range of the diffuse share above which the split is open
@@ -235,14 +237,14 @@ class Decomposition:
         return np.asarray(parts[[LABELS.index(label) for label in self.labels]])
 
     def _open_split(self) -> Iterator[str]:
-        if self.diffuse is None and self.labels:
-            low, high = 0.0, 1.0 - sum(part.ranges.light_share[0] for part in self)
-        elif self.diffuse is not None:
-            low, high = self.diffuse.ranges.light_share
-        else:
+        if not self.labels:
             return
-        if high - low > _OPEN:
-            names = ", ".join(f"{s.name} {s.weight:.0%}" for s in self.structures[:3])
+        low, high = 0.0, 1.0 - sum(part.ranges.light_share[0] for part in self)
+        if self.diffuse is not None:
+            low, high = self.diffuse.ranges.light_share
+        is_doubtful = self.diffuse is not None and low < _NO_LIGHT and self.diffuse.light_share > _FAINT
+        if high - low > _OPEN or is_doubtful:
+            names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
             yield (
                 f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to {high:.0%} of "
                 f"the light. Probable structures: {names}."
@@ -295,8 +297,16 @@ def _decompose(model: DSBRDF) -> Decomposition:
         for one, weight in zip(kept, structure_weights(kept), strict=True)
     )
     light = np.max([_light(model, structures, angle) for angle in _LIGHT_ANGLES.tolist()], axis=0)
-    labels = tuple(label for label, share in zip(LABELS, light, strict=True) if share > _NO_LIGHT)
+    labels = tuple(
+        label for label, share in zip(LABELS, light.tolist(), strict=True) if _is_there(label, share, structures)
+    )
     return Decomposition(model, structures, labels, component_ranges(model, found, labels))
+
+
+def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
+    """Whether a component with a share of the light is there: a faint one must be probable too."""
+    probability = sum(structure.weight for structure in structures if label in structure.labels)
+    return share > (_NO_LIGHT if probability > _PROBABLE else _FAINT)
 
 
 def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], theta_out: float) -> Array:

@@ -70,9 +70,9 @@ class WeightedLayers:
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
         specular = narrow + wide
         total = specular + diffuse + _TINY
-        beyond = (points.squared_tangent / HALO) ** 2
-        taken = (diffuse / total) ** _TRANSITION * beyond / (1.0 + beyond)
-        ground = np.minimum(values, diffuse * (1.0 + (values / total - 1.0) * taken)) if (place < 2).any() else values
+        beyond, missed = (points.squared_tangent / HALO) ** 2, values / total - 1.0
+        taken = (diffuse / total) ** _TRANSITION * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
+        ground = np.minimum(values, diffuse * (1.0 + missed * taken)) if (place < 2).any() else values
         rest = values - ground
         spike = rest * (narrow / (specular + _TINY))
         return np.stack([spike, rest - spike, ground])

@@ -182,7 +182,7 @@ STRUCTURES = (
     LayerStructure("diffuse", (_GROUND,)),
     LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
     LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0),
-    LayerStructure("fibres", (_FIBRES, _YARN), 4.0),
+    LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
     LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE),
     LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE),
     LayerStructure("metal", (_METAL,), 0.0, _ONE),

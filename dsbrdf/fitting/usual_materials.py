@@ -1,9 +1,9 @@
 """What materials are usually like, for measurements with few samples or with samples in one plane only.
 
 `guides` are the first lobes (see `dsbrdf.fitting.first_lobes`) of 71 measured materials: 70 numbers each, whose mean
-and covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other. To samples
-these lobes are fitted with the relative error `_MISFIT` that they have on whole measurements, against that prior; how
-bright a material is, the prior leaves open.
+and covariance tell how heights, widths, tails and elongations usually go with theta_diff and with each other. To
+samples these lobes are fitted with the relative error `_MISFIT` that they have on whole measurements, against that
+prior; how bright a material is, the prior leaves open.
 
 The fit of the samples then gets `N_PAIRS` values of this usual material more, each counting `_WEIGHT` of a sample:
 where there are samples they outweigh them, elsewhere nothing else says what the material is like.

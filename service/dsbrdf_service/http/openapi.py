@@ -54,17 +54,27 @@ _MEASUREMENT: dict[str, Any] = {
 _MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
 _COMPONENT: dict[str, Any] = {
     "label": "diffuse",
+    "structure": "dielectric over diffuse",
+    "light_share": 0.82,
+    "albedo": [0.33, 0.15, 0.09],
+    "color": [1.0, 0.455, 0.273],
+    "half_width_deg": None,
+    "alpha": None,
+    "kappa": None,
+    "f0": None,
+    "f90": None,
     "lobe": {
         "theta_diff_deg": [0, 30, 60, 75],
         "height": [[0.11, 0.05, 0.03], [0.11, 0.05, 0.03], [0.1, 0.04, 0.03], [0.08, 0.03, 0.02]],
-        "half_width_deg": [74.0, 74.0, 73.0, 72.0],
-        "tail": [1.1, 1.1, 1.1, 1.1],
-        "elongation": [0.0, 0.0, 0.0, 0.0],
     },
-    "albedo": [0.33, 0.15, 0.09],
-    "color": [1.0, 0.455, 0.273],
-    "half_width_deg": 74.0,
-    "clarity": 0.93,
+    "ranges": {
+        "light_share": [0.8, 0.84],
+        "albedo": [[0.32, 0.34], [0.14, 0.16], [0.08, 0.1]],
+        "color": [[1.0, 1.0], [0.45, 0.46], [0.27, 0.28]],
+        "half_width_deg": None,
+        "alpha": None,
+        "f0": None,
+    },
 }
 _SUMMARY: dict[str, Any] = {
     "id": EXAMPLE_FIT,

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from dsbrdf import DSBRDF, Component, Decomposition, FitReport
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.report_text import component_document

@@ -15,7 +15,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..access.authentication import CALLER_NAME

@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import MAX_LOBES
 from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.model.reflectance import ReflectanceModel

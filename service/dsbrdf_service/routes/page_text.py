@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.image_metrics import displayed
 
@@ -14,18 +14,19 @@ from ..storage.schema import FitRow
 from ..wire.fit_options import DEFAULTS, canonical
 
 FIGURES = {
-    "parameters": ("Height, half width, tail and elongation of each component's own lobe over theta_diff", 555),
+    "parameters": ("Height over theta_diff and directional albedo of each component", 326),
     "residual": ("Difference of fit and measurement over theta_half and theta_diff", 326),
 }
 """Figures that the page of a fit shows: what is in them, and for 1056 pixels of width the height to keep free."""
 COMPONENT_MEANINGS = {
+    "light": "Its share of all light at normal incidence; in brackets, where the share lies with 90 % probability.",
     "colour": "Red, green and blue of the albedo, over the largest.",
-    "half width": "θ_half at which its lobe has half the height; the median for θ_diff from 0° to 60°.",
-    "tail": "How steeply its lobe falls outside: 2 as GGX does, a smaller number more slowly, 10 nearly as a Gaussian.",
-    "height in 1/sr": "Of its lobe, at normal incidence.",
     "albedo": "Share of light at normal incidence that it reflects.",
-    "clarity": "Its share of all light where it shines. Near 1 nothing else shines there; at 0.5 other components "
-    "shine there as much, and a small change of the measurement can move light from one to the other.",
+    "alpha": "Roughness of its surface, that of GGX.",
+    "half width": "θ_half at which slopes of its surface are half as frequent as at 0.",
+    "tail": "Exponent κ: 2 as GGX, a smaller number falls more slowly, a large one is Beckmann's distribution.",
+    "F0": "Reflectance of its surface at normal incidence.",
+    "height in 1/sr": "Value in the middle of its layers, at normal incidence.",
 }
 """Numbers of a component that the pages show, and what they mean."""
 
@@ -49,15 +50,18 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[dict[str, str]
 
 def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the pages show of a component's document: its name, its colour on a screen, and numbers as text."""
-    lobe, color = component["lobe"], component["color"]  # the lobe's first angle is normal incidence
+    color, (low, high) = component["color"], component["ranges"]["light_share"]
     numbers = {
+        "light": [f"{component['light_share']:.0%} ({low:.0%} to {high:.0%})"],
         "colour": _written(color, ".2f"),
-        "half width": [f"{component['half_width_deg']:.3g}°"],
-        "tail": _written(lobe["tail"][:1], ".2g"),
-        "height in 1/sr": _written(lobe["height"][0], ".3g"),
         "albedo": _written(component["albedo"], ".3f"),
-        "clarity": _written([component["clarity"]], ".2f"),
+        "height in 1/sr": _written(component["lobe"]["height"][0], ".3g"),  # the first angle is normal incidence
     }
+    if component["half_width_deg"] is not None:
+        numbers["half width"] = [f"{component['half_width_deg']:.3g}°"]
+    for title, name, form in (("alpha", "alpha", ".3g"), ("tail", "kappa", ".2g"), ("F0", "f0", ".3g")):
+        if component[name] is not None:
+            numbers[title] = _written(np.atleast_1d(component[name]).tolist(), form)
     swatch = "#" + bytes(np.rint(255.0 * displayed(np.array(color))).astype(np.uint8).tolist()).hex()
     label = component["label"]
     name, place = label.replace("_", " "), LABELS.index(label)

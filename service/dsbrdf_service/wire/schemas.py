@@ -22,7 +22,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import LABELS
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.render import LIGHTINGS
@@ -173,34 +173,47 @@ class FitFault(BaseModel):
 
 
 class ComponentLobe(BaseModel):
-    """A component's own lobe: its values at some angles, one entry in each list for each angle."""
+    """The height of a component's own layers at some angles, one entry in each list for each angle."""
 
     theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
     height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
-    half_width_deg: Annotated[list[float], Field(description="theta_half of half the height, without elongation.")]
-    tail: Annotated[list[float], Field(description="Exponent kappa: 2 is GGX, smaller is longer, 10 nearly Gaussian.")]
-    elongation: Annotated[
-        list[float], Field(description="0 is round about the half vector, 1 stretched by 1 / cos(theta_diff).")
-    ]
+
+
+_Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+_RgbRange = Annotated[list[_Range], Field(min_length=3, max_length=3)]
+
+
+class ComponentRangesDocument(BaseModel):
+    """Low and high end of a component's figures: each lies between them with a probability of 90 %."""
+
+    light_share: _Range
+    albedo: _RgbRange
+    color: _RgbRange
+    half_width_deg: _Range | None
+    alpha: _Range | None
+    f0: _RgbRange | None
 
 
 class ComponentDocument(BaseModel):
-    """One component of a fit that has light; the values of all components add up to the fit's."""
+    """One component of a fit that has light; the values of all components add up to the fit's.
+
+    Its parameters are those of its brightest layer; a diffuse component has none.
+    """
 
     label: _Label
-    lobe: ComponentLobe
+    structure: Annotated[str, Field(description="The most probable structure of layers that has the component.")]
+    light_share: Annotated[Share, Field(description="Share of all light that it reflects, at normal incidence.")]
     albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
     color: Annotated[Rgb, Field(description="The albedo over its largest channel.")]
     half_width_deg: Annotated[
-        float, Field(description="Half width at half maximum of its lobe, median over theta_diff from 0 to 60 degrees.")
+        float | None, Field(description="theta_half at which slopes of facets are half as frequent as at 0.")
     ]
-    clarity: Annotated[
-        Share,
-        Field(
-            description="The share that it has of all light where it shines: near 1, nothing else shines there; at "
-            "0.5, other components shine as brightly, and the split is uncertain."
-        ),
-    ]
+    alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
+    kappa: Annotated[float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")]
+    f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
+    f90: Annotated[float | None, Field(description="The same at grazing incidence.")]
+    lobe: ComponentLobe
+    ranges: ComponentRangesDocument
 
 
 class ComponentList(BaseModel):

@@ -20,6 +20,7 @@ from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json, load
 from tests.support.command_line import FEW_LOBES, document, printed, run
@@ -80,14 +81,19 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
     items = document("decompose", model_file, "--json")["items"]
     lines = printed("decompose", model_file).splitlines()
     for item, component in zip(items, decompose(load(model_file)), strict=True):
-        assert (item["label"], item["clarity"]) == (component.label, component.clarity)
+        assert (item["label"], item["structure"]) == (component.label, component.structure)
+        assert item["light_share"] == pytest.approx(component.light_share)
+        assert item["ranges"]["light_share"] == list(component.ranges.light_share)
         assert (item["albedo"], item["color"]) == (component.albedo.tolist(), component.color.tolist())
-        assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
+        if component.half_width is None or not isinstance(component.layer, SpecularLayer):
+            assert [item[name] for name in ("half_width_deg", "alpha", "kappa", "f0", "f90")] == [None] * 5
+        else:
+            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
+            assert (item["alpha"], item["f0"]) == (component.layer.alpha, list(component.layer.f0))
+            assert f"  alpha       {component.layer.alpha:<9.3g}(" in "\n".join(lines)
         lobe = item["lobe"]
         angles = np.radians(lobe["theta_diff_deg"])
-        np.testing.assert_allclose(lobe["height"], component.lobe.evaluate(0.0, angles), rtol=1e-9)
-        half = component.lobe.evaluate(np.radians(lobe["half_width_deg"][0]), 0.0)
-        np.testing.assert_allclose(half, np.array(lobe["height"][0]) / 2.0, rtol=1e-9)
+        np.testing.assert_allclose(lobe["height"], component.layers.evaluate(0.0, angles), rtol=1e-9)
         shown = [lobe["height"][lobe["theta_diff_deg"].index(angle)] for angle in (0, 30, 60, 80)]
         own = lines.index(component.label)
         rows = [[float(word) for word in line.split()[-4:]] for line in lines[own + 1 : own + 4]]
@@ -135,7 +141,9 @@ def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_f
     for component in decompose(result):
         line = next(line for line in shown if line.startswith(component.label))
         assert [f"{value:.4f}" for value in component.albedo] == line.split()[-3:]
-        assert f"{np.degrees(component.half_width):.2f}°" in line
+        assert f"{component.light_share:.0%}" in line
+        if component.half_width is not None:
+            assert f"{np.degrees(component.half_width):.2f}°" in line
     answer = document("show", model_file, "--json")
     assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["model"]["amplitude"] == result.model.amplitude.tolist()

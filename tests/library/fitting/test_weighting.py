@@ -6,13 +6,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from dsbrdf.fitting.guide import guide_data
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles, Profiles
 from dsbrdf.fitting.options import Weighting
 from dsbrdf.fitting.weighting import bin_weights
-from tests.support.known_models import single_lobe
 
 CUTOFF = float(np.radians(80.0))
 BINS: list[tuple[int, int, int]] = [(0, 40, 3), (30, 20, 0), (60, 30, 8), (70, 25, 4), (75, 12, 2)]
@@ -87,13 +85,3 @@ def test_material_without_phi_diff_has_finite_weights(folded: FoldedProfiles) ->
     black = replace(folded, mean=np.zeros_like(folded.mean))
     for data, weighting in itertools.product((flat, black), get_args(Weighting)):
         assert np.isfinite(bin_weights(data, weighting, CUTOFF)).all()
-
-
-def test_trust_of_the_guide_falls_as_that_of_a_fit() -> None:
-    """With the eighth power beyond 80 degrees; in the dark, weights are that, cosines and solid angles."""
-    data = guide_data(single_lobe(1.0, 0.0, 0.0))
-    angles, weight = data.theta_diff, data.weight[0, :, 0, 0]  # at theta_half = 0, where both directions are theta_diff
-    ends = np.concatenate([[0.0], 0.5 * (angles[1:] + angles[:-1]), [np.pi / 2]])
-    trust = weight / (np.diff(ends) * np.cos(angles) ** 2 * (np.sin(2.0 * angles) + 0.1))
-    expected = np.minimum(np.cos(angles) / np.cos(CUTOFF), 1.0) ** 8
-    np.testing.assert_allclose(trust / trust[0], expected, rtol=1e-6)

@@ -112,19 +112,19 @@ def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measur
         assert np.interp(theta_half, angles, values) == pytest.approx(expected, rel=5e-3)
 
 
-def test_parameters_figure_draws_the_own_lobe_of_each_component() -> None:
-    heights, widths, tails, elongations = parameters_figure(PAINT, title="paint").axes
+def test_parameters_figure_draws_height_and_albedo_of_each_component() -> None:
+    heights, albedos = parameters_figure(PAINT, title="paint").axes
     components = list(decompose(PAINT))
-    assert [line.get_label() for line in widths.lines] == [part.label.replace("_", " ") for part in components]
+    labels = [str(line.get_label()) for line in heights.lines if not str(line.get_label()).startswith("_")]
+    assert labels == [part.label.replace("_", " ") for part in components]
+    curves = [line for line in heights.lines if str(line.get_label()).startswith("_")]
     for number, component in enumerate(components):
-        at = np.radians(np.asarray(widths.lines[number].get_xdata(), float))
-        lobe = component.lobe.evaluate(0.0, at)  # theta_half = 0: the lobe's height
-        drawn = [y_of(line) for line in heights.lines[3 * number : 3 * number + 3]]
-        np.testing.assert_allclose(drawn, lobe.T, rtol=1e-9)
-        at_half = np.radians(y_of(widths.lines[number])[0])
-        np.testing.assert_allclose(component.lobe.evaluate(at_half, 0.0), lobe[0] / 2.0)  # no elongation at 0
-        np.testing.assert_allclose(y_of(tails.lines[number]), component.parameters_at(at).tail)
-        np.testing.assert_allclose(y_of(elongations.lines[number]), component.parameters_at(at).elongation)
+        at = np.radians(np.asarray(curves[3 * number].get_xdata(), float))
+        drawn = [y_of(line) for line in curves[3 * number : 3 * number + 3]]
+        np.testing.assert_allclose(drawn, component.layers.evaluate(0.0, at).T, rtol=1e-9)
+        seen = np.radians(np.asarray(albedos.lines[3 * number].get_xdata(), float))
+        drawn = [y_of(line) for line in albedos.lines[3 * number : 3 * number + 3]]
+        np.testing.assert_allclose(drawn, component.directional_albedo(seen).T, rtol=1e-9)
 
 
 def test_parameters_figure_draws_the_lobes_of_the_model_on_request() -> None:
@@ -144,18 +144,18 @@ def test_drawn_parts_sum_to_the_fit_in_the_channel_asked_for(overview: Figure, l
         ((_, total),) = lines_of(ax, "fit")
         np.testing.assert_array_equal(total, lines_of(overview.axes[0], f"{channel}, fit")[0][1])
         named = [str(line.get_label()) for line in ax.lines]
-        parts = [label for label in named if "half width" in label or label == "delta term"]
+        parts = [label for label in named if "half width" in label or label in ("delta term", "diffuse")]
         assert len(parts) == len(set(parts)) == count
         values = [values for label in parts for _, values in lines_of(ax, label)]
         np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
 
 
-def test_own_lobes_are_drawn_dashed_below_the_components(plastic_profiles: Profiles) -> None:
+def test_own_layers_are_drawn_dashed_below_the_components(plastic_profiles: Profiles) -> None:
     ax = lobes_figure(plastic_profiles, PAINT).axes[0]
     dashed = [line for line in ax.lines if line.get_linestyle() == "--"]
     for line, component in zip(dashed, decompose(PAINT), strict=True):
         angles = np.radians(np.abs(np.asarray(line.get_xdata(), float))).clip(max=np.pi / 2)
-        np.testing.assert_allclose(y_of(line), component.lobe.evaluate(angles, 0.0)[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(y_of(line), component.layers.evaluate(angles, 0.0)[:, 0], rtol=1e-9)
         (named,) = [other for other in ax.lines if str(other.get_label()).startswith(component.label.replace("_", " "))]
         assert named.get_color() == line.get_color()
 

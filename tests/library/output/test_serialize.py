@@ -20,6 +20,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.serialize import (
     decomposition_from_json,
     from_json,
+    layers_from_json,
+    layers_to_json,
     load,
     load_result,
     model_from_dict,
@@ -54,13 +56,14 @@ def test_components_are_read_back_bit_for_bit(report: FitReport) -> None:
     text = to_json(model, report, found)
     read = decomposition_from_json(text)
     assert read.labels == found.labels
-    assert_same_bits(read.guide, found.guide)
+    assert (read.structures[0].model, read.ranges) == (found.layers, found.ranges)
+    np.testing.assert_array_equal(read.albedos, found.albedos)
     assert_same_bits(read.model, model)
     assert from_json(text)[1] == report
 
 
 @pytest.mark.parametrize(
-    "change", [{"labels": ["diffuse"]}, {"labels": ["gloss"]}, {"labels": None}, {"guide": []}, {"guide": None}]
+    "change", [{"labels": ["diffuse"]}, {"labels": ["gloss"]}, {"labels": None}, {"structures": None}, {"ranges": []}]
 )
 def test_damaged_components_are_refused(change: dict[str, object]) -> None:
     model = random_model()
@@ -68,8 +71,16 @@ def test_damaged_components_are_refused(change: dict[str, object]) -> None:
     document["components"] |= change
     with pytest.raises(ModelFormatError):
         decomposition_from_json(json.dumps(document))
-    with pytest.raises(ModelFormatError, match="no components"):
+    with pytest.raises(ModelFormatError, match="stored components"):
         decomposition_from_json(to_json(model))
+
+
+def test_layers_are_read_back_and_other_texts_refused() -> None:
+    layers = decompose(random_model()).layers
+    assert layers_from_json(layers_to_json(layers)) == layers
+    for text in ("[]", "{}", to_json(random_model()), layers_to_json(layers).replace("alpha", "beta")):
+        with pytest.raises(ModelFormatError):
+            layers_from_json(text)
 
 
 def test_encoding_is_deterministic(model: DSBRDF, report: FitReport) -> None:

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.fitting.decomposition import LABELS
-from dsbrdf.output.serialize import decomposition_from_json, from_json, to_json
+from dsbrdf.fitting.layer_shares import LABELS
+from dsbrdf.output.serialize import decomposition_from_json, from_json, layers_from_json, to_json
 from dsbrdf_service.errors import ProblemError
 from dsbrdf_service.jobs.results import LoadedFit
-from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
@@ -34,23 +33,22 @@ def test_components_are_those_of_the_library_and_lead_the_fits_document(
     for item, component in zip(items, decomposition, strict=True):
         np.testing.assert_allclose(item["albedo"], component.directional_albedo(0.0), rtol=1e-9)
         np.testing.assert_allclose(item["color"], component.albedo / component.albedo.max(), rtol=1e-12)
-        assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
-        assert item["clarity"] == pytest.approx(component.clarity, rel=1e-12)
+        assert item["structure"] == component.structure
+        low, high = item["ranges"]["light_share"]
+        assert low <= item["light_share"] <= high
+        if component.half_width is None:
+            assert item["half_width_deg"] is item["alpha"] is None
+        else:
+            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
+            assert item["alpha"] == getattr(component.layer, "alpha", None)
 
 
-def test_a_components_lobe_is_read_as_values_at_the_stated_angles(
+def test_the_height_of_a_component_is_its_own_layers_at_the_stated_angles(
     model: dsbrdf.DSBRDF, items: list[dict[str, Any]]
 ) -> None:
     for item, component in zip(items, dsbrdf.decompose(model), strict=True):
-        lobe = item["lobe"]
-        theta_diff, elongation = np.radians(lobe["theta_diff_deg"]), np.array(lobe["elongation"])
-        assert {len(values) for values in lobe.values()} == {theta_diff.size}
-        np.testing.assert_allclose(lobe["height"], component.lobe.evaluate(0.0, theta_diff), rtol=1e-9)
-        stretch = np.cos(theta_diff) ** elongation
-        neither_way = np.arccos(np.sqrt(stretch / (1.0 + stretch)))  # phi_diff where the elongation does not show
-        half_width = np.radians(lobe["half_width_deg"])
-        at_half = component.lobe.evaluate_unmasked(half_width, theta_diff, neither_way)
-        np.testing.assert_allclose(at_half, 0.5 * np.array(lobe["height"]), rtol=1e-3)  # held near the horizon
+        theta_diff = np.radians(item["lobe"]["theta_diff_deg"])
+        np.testing.assert_allclose(item["lobe"]["height"], component.layers.evaluate(0.0, theta_diff), rtol=1e-9)
 
 
 def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
@@ -107,13 +105,10 @@ def test_the_own_parameters_of_a_model_say_what_they_are(server: Server, fitted:
         np.testing.assert_allclose(restored.evaluate(theta_half, theta_diff), expected, rtol=1e-8)
 
 
-def test_the_guide_is_exported_as_a_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    answer = server.http.get(f"/v1/fits/{fitted}/export", params={"format": "json", "component": "guide"})
-    guide, report = from_json(answer.text)
-    assert_same_bits(guide, dsbrdf.decompose(model).guide)
-    assert report is None
-    assert guide.n_lobes == len(dsbrdf.decompose(model).labels)
-    assert "-guide.json" in answer.headers["content-disposition"]
+def test_the_layers_are_exported_as_a_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params={"format": "json", "component": "layers"})
+    assert layers_from_json(answer.text) == dsbrdf.decompose(model).layers
+    assert "-layers.json" in answer.headers["content-disposition"]
 
 
 def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:

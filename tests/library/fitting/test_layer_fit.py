@@ -1,0 +1,84 @@
+"""Structures are found again from values of their own layers, and parameters as they were put in."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from dsbrdf.fitting.layer_data import layer_data
+from dsbrdf.fitting.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
+from dsbrdf.fitting.layer_structures import STRUCTURES
+from dsbrdf.model.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+
+GROUND = DiffuseLayer((0.4, 0.15, 0.05), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+COAT = SpecularLayer((0.04, 0.04, 0.04), 0.9, 0.02, 2.0, (0.0, 0.0), 0.5, 0.0)
+PLASTIC = SpecularLayer((0.045, 0.045, 0.045), 0.9, 0.2, 2.0, (0.0, 0.0), 0.5, 0.0)
+GOLD = SpecularLayer((0.95, 0.75, 0.35), 1.0, 0.15, 2.0, (0.0, 0.0), 0.5, 0.0)
+UNDER = SpecularLayer((0.95, 0.75, 0.35), 1.0, 0.25, 2.0, (0.0, 0.0), 0.5, 1.0)
+MATERIALS: dict[str, tuple[Layer, ...]] = {
+    "diffuse": (GROUND,),
+    "diffuse with sheen": (GROUND, SheenLayer((0.3, 0.3, 0.3), (2.0, 3.0))),
+    "diffuse with retro-reflection": (RetroLayer((0.2, 0.2, 0.2), 0.1), GROUND),
+    "dielectric over diffuse": (PLASTIC, GROUND),
+    "metal": (GOLD,),
+    "coat over metal": (COAT, UNDER),
+}
+
+
+def fitted(*layers: Layer) -> list[FittedStructure]:
+    data = layer_data(LayeredModel(layers))
+    assert data is not None
+    return fit_structures(data)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_structure_of_known_layers_is_found(name: str) -> None:
+    found = fitted(*MATERIALS[name])
+    assert found[0].structure.name == name
+    assert structure_weights(found)[0] > 0.5
+    assert found[0].error < 0.01
+
+
+def test_parameters_come_out_as_they_were_put_in() -> None:
+    (layer,) = fitted(GOLD)[0].model.layers
+    assert isinstance(layer, SpecularLayer)
+    np.testing.assert_allclose(layer.f0, GOLD.f0, rtol=0.02)
+    assert layer.alpha == pytest.approx(GOLD.alpha, rel=0.01)
+    assert layer.kappa == pytest.approx(2.0, rel=0.02)
+
+
+def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
+    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    assert data is not None
+    structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
+    (found,) = fit_structures(data, [structure])
+
+    def cost(x: np.ndarray) -> float:
+        values = structure.model(x).layer_values(data.points).sum(axis=0)
+        error = np.sum((values * data.root_weight - data.weighted) ** 2)
+        off = structure.root @ (x - structure.mean)
+        return float(50.0 * np.log(error + 0.02**2) + structure.freedom @ np.log1p(off**2 / structure.freedom))
+
+    here = cost(found.unknowns)
+    better = minimize(cost, found.unknowns, method="L-BFGS-B", bounds=list(zip(*structure.bounds, strict=True)))
+    assert here - better.fun < 0.2
+    sign, determinant = np.linalg.slogdet(found.normal_equations)
+    assert sign > 0
+    assert found.evidence == pytest.approx(here + determinant - structure.log_determinant + structure.price, abs=1e-6)
+
+
+def test_draws_spread_as_the_normal_equations_say() -> None:
+    found = fitted(PLASTIC, GROUND)[0]
+    drawn = found.draw(np.random.default_rng(0), 2000)
+    alphas = np.log([layer.alpha for model in drawn for layer in model.layers if isinstance(layer, SpecularLayer)])
+    expected = np.sqrt(2.0 * np.linalg.inv(found.normal_equations)[6, 6])
+    assert alphas.std() == pytest.approx(expected, rel=0.1)
+
+
+def test_weights_of_the_data_are_shares_of_the_signal() -> None:
+    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    assert isinstance(data, LayerData)
+    assert np.sum(data.weighted**2) == pytest.approx(1.0)
+
+
+def test_a_model_without_light_has_no_data() -> None:
+    assert layer_data(LayeredModel(())) is None
