@@ -54,7 +54,7 @@ def print_known() -> None:
         specular = sum(found.values(), np.zeros(3))
         albedo_errors.append(abs(diffuse.sum() / true_diffuse_albedo(ground).sum() - 1.0))
         colour_errors.append(float(np.abs(specular / (specular.max() or 1.0) - 1.0).max()))
-        widths = ", ".join(f"{np.degrees(part.half_width):.1f}" for part in parts)
+        widths = ", ".join(f"{np.degrees(part.half_width):.1f}" for part in parts if part.half_width is not None)
         errors = f"diffuse {albedo_errors[-1]:6.1%}, colour of the highlight {colour_errors[-1]:.3f}"
         print(f"{name:5} roughness {roughness:4g}: {errors}, half widths {widths}", flush=True)
     smooth = np.tile(np.array(ROUGHNESSES) <= SMOOTH, len(GROUNDS))

@@ -1,8 +1,7 @@
 """How uncertain the components are: the spread of their figures over probable layers.
 
-Layers are drawn from every structure, by its weight, and within a structure from the normal equations of its fit. The
-structures' weights are taken more nearly equal than those of the mean: that one structure explains the values a little
-better than another is no proof of it, because no structure is quite true.
+Layers are drawn from every structure that explains the values, by its weight, and within a structure from the normal
+equations of its fit.
 """
 
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.fitting.layer_fit import FittedStructure
+from dsbrdf.fitting.layer_fit import FittedStructure, structure_weights
 from dsbrdf.fitting.layer_shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.layers import SpecularLayer
@@ -19,8 +18,6 @@ from dsbrdf.model.layers import SpecularLayer
 PROBABILITY = 0.9
 """With which a figure lies in its range."""
 _DRAWS = 24  # from each structure
-_TEMPERATURE = 12.0  # evidence by which the weight of a structure falls to 1 / e
-_LEAST_WEIGHT = 0.02
 
 
 @dataclass(frozen=True)
@@ -50,12 +47,9 @@ def component_ranges(
     """Ranges of the components with these labels, from structures fitted to a model, the best first."""
     generator = np.random.default_rng(7)
     values = model.evaluate_unmasked(NORMAL.angle, NORMAL.angle, np.zeros(NORMAL.angle.size)).T
-    evidence = np.array([one.evidence for one in found])
-    weights = np.exp((evidence.min() - evidence) / _TEMPERATURE)
     drawn = [
         WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
-        for one, weight in zip(found, weights, strict=True)
-        if weight > _LEAST_WEIGHT
+        for one, weight in zip(found, structure_weights(found), strict=True)
         for layers in (one.model, *one.draw(generator, _DRAWS))
     ]
     albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])  # (draws, labels, channels)

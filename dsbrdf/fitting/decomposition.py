@@ -44,7 +44,7 @@ _NO_LIGHT = 2e-3  # of the light at an angle
 _FAINT, _PROBABLE = 0.02, 0.5  # share of the light at an angle, weight of the structures
 _LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])
 _WORTH_A_WORD = 0.02  # of the light, of sheen and of light back towards the source
-_OPEN = 0.15  # width of a range of the diffuse share above which the split is open
+_OPEN = 0.2  # width of a range of the diffuse share above which the split is open
 _HEIRS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
 """Places of the components that take what a component without light has, the first of them that is there."""
 
@@ -229,7 +229,7 @@ class Decomposition:
         """Divide values (3, N) at points among the components, shape (K, 3, N)."""
         if len(self.labels) < 2:
             return values[np.newaxis][: len(self.labels)]
-        parts = sum(structure.weight * structure.split(values, points) for structure in self.structures)
+        parts = np.sum([one.weight * one.split(values, points) for one in self.structures], axis=0)
         for place, label in enumerate(LABELS):
             if label not in self.labels:
                 heir = next(heir for heir in _HEIRS[label] if LABELS[heir] in self.labels)
@@ -300,7 +300,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     labels = tuple(
         label for label, share in zip(LABELS, light.tolist(), strict=True) if _is_there(label, share, structures)
     )
-    return Decomposition(model, structures, labels, component_ranges(model, found, labels))
+    return Decomposition(model, structures, labels, component_ranges(model, kept, labels))
 
 
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
@@ -314,6 +314,6 @@ def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], theta_out: flo
     rule = half_vector_rule(theta_out)
     angles = rule.theta_half, rule.theta_diff, rule.phi_diff
     values, points = model.evaluate_unmasked(*angles).T, Points.at(*angles)
-    parts = sum(one.weight * one.split(values, points) for one in structures)
-    light = np.sum(np.asarray(parts) @ rule.weight, axis=1)
+    parts = np.sum([one.weight * one.split(values, points) for one in structures], axis=0)
+    light = np.sum(parts @ rule.weight, axis=1)
     return np.asarray(light / max(float(light.sum()), 1e-300))

@@ -31,7 +31,8 @@ class NormalRule(NamedTuple):
 def _normal_rule() -> NormalRule:
     rule = half_vector_rule(0.0)
     angle, place = np.unique(rule.theta_half, return_inverse=True)
-    return NormalRule(angle, np.bincount(place, rule.weight), Points.at(angle, angle, np.zeros(angle.size)))
+    weight = np.asarray(np.bincount(place, rule.weight), dtype=np.float64)
+    return NormalRule(angle, weight, Points.at(angle, angle, np.zeros(angle.size)))
 
 
 NORMAL = _normal_rule()

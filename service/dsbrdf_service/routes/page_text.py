@@ -50,18 +50,17 @@ def metrics_in_words(metrics: Mapping[str, float | None]) -> list[dict[str, str]
 
 def component_facts(component: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the pages show of a component's document: its name, its colour on a screen, and numbers as text."""
-    color, (low, high) = component["color"], component["ranges"]["light_share"]
+    color, (low, high), width = component["color"], component["ranges"]["light_share"], component["half_width_deg"]
     numbers = {
         "light": [f"{component['light_share']:.0%} ({low:.0%} to {high:.0%})"],
         "colour": _written(color, ".2f"),
         "albedo": _written(component["albedo"], ".3f"),
+        "alpha": _known([component["alpha"]], ".3g"),
+        "half width": ["–"] if width is None else [f"{width:.3g}°"],
+        "tail": _known([component["kappa"]], ".2g"),
+        "F0": _known(component["f0"] or [None], ".3g"),
         "height in 1/sr": _written(component["lobe"]["height"][0], ".3g"),  # the first angle is normal incidence
     }
-    if component["half_width_deg"] is not None:
-        numbers["half width"] = [f"{component['half_width_deg']:.3g}°"]
-    for title, name, form in (("alpha", "alpha", ".3g"), ("tail", "kappa", ".2g"), ("F0", "f0", ".3g")):
-        if component[name] is not None:
-            numbers[title] = _written(np.atleast_1d(component[name]).tolist(), form)
     swatch = "#" + bytes(np.rint(255.0 * displayed(np.array(color))).astype(np.uint8).tolist()).hex()
     label = component["label"]
     name, place = label.replace("_", " "), LABELS.index(label)
@@ -73,6 +72,11 @@ def options_in_words(options: Mapping[str, Any]) -> str:
     usual = canonical(FitOptions(method=options["method"])) | {"method": DEFAULTS["method"]}
     given = {name: options[name] for name in ("method", *options) if options[name] != usual[name]}
     return ", ".join(f"{name} = {_word(value)}" for name, value in given.items()) or "default options"
+
+
+def _known(values: Sequence[float | None], form: str) -> list[str]:
+    """Return numbers, or a dash for one that a diffuse component does not have."""
+    return ["–" if value is None else format(value, form) for value in values]
 
 
 def _written(values: Sequence[float], form: str) -> list[str]:

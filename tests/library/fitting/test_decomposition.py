@@ -137,7 +137,7 @@ def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRD
     assert ranges.alpha[0] < ROUGHNESS < ranges.alpha[1]
     assert ranges.f0 is not None
     assert all(low < value < high for value, (low, high) in zip(COAT, ranges.f0, strict=True))
-    assert diffuse.layer is diffuse.half_width is diffuse.ranges.alpha is None
+    assert (diffuse.layer, diffuse.half_width, diffuse.ranges.alpha) == (None, None, None)
     for component in parts:
         low, high = component.ranges.light_share
         assert low <= component.light_share <= high < low + 0.1

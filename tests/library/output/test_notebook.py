@@ -37,8 +37,9 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
     assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in html
     for component in dsbrdf.decompose(two_lobe_fit):
         red, green, blue = component.albedo
-        width = np.degrees(component.half_width)
-        assert f"half width {width:.1f}°, albedo {red:.4f}, {green:.4f}, {blue:.4f}</td>" in html
+        light = f"{component.light_share:.0%} of the light, albedo {red:.4f}, {green:.4f}, {blue:.4f}"
+        width = component.half_width
+        assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in html
     assert "<li>less than &lt;1 %&gt;</li>" in html
     assert warned.report._repr_html_() in html
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
