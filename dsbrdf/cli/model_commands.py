@@ -50,11 +50,10 @@ from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure, parameters_figure
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
-from dsbrdf.output.serialize import save
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
-GuideFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
+LayersFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
 Format = Annotated[
     str | None,
@@ -63,7 +62,7 @@ Format = Annotated[
         metavar="FORMAT",
         choices=tuple(FORMATS),
         show_choices=False,
-        help=f"By default that of the file's suffix. {_FORMAT_HELP}. Each can hold the guide, those with values "
+        help=f"By default that of the file's suffix. {_FORMAT_HELP}. Each can hold the layers, those with values "
         "also one component.",
     ),
 ]
@@ -123,19 +122,19 @@ def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", 
         print(*result_text(model, FitResult(stored, report), lobes=lobes, channel=channel), sep="\n")
 
 
-def print_components(model: ModelFile, /, *, output: GuideFile = None, json: Json = False) -> None:
-    """Print the components of a model and their own lobes.
+def print_components(model: ModelFile, /, *, output: LayersFile = None, json: Json = False) -> None:
+    """Print the components of a model and their layers.
 
     Parameters
     ----------
     output
-        Save the guide, which is the components' own lobes together, as a model: .json.
+        Save the layers of all components, a small model that looks much like the material: .json, or as dsbrdf export.
     """
     stored, _ = read_model(model)
     if output is not None:
-        save(decompose(stored).guide, output)
+        write_atomically(output, [export_model(decompose(stored).layers, format_of(output))])
         if not json:
-            print_written(output, "the guide, the components' own lobes together")
+            print_written(output, "the layers of all components")
     if json:
         print_json({"items": component_documents(stored)})
     else:

@@ -21,6 +21,7 @@ from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
 
@@ -30,7 +31,7 @@ RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
 ComponentName = Annotated[
     str | None,
-    Parameter(choices=PARTS, help="One component, or the guide (all components' own lobes), instead of the model."),
+    Parameter(choices=PARTS, help="One component, or the layers of all components, instead of the model."),
 ]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
@@ -189,7 +190,7 @@ def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
         return read_model_file(path)
 
 
-def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | Component:
+def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | LayeredModel | Component:
     """Return a part of the model in a file, see `part_of`; an error names the file."""
     with named_in_errors(path):
         return part_of(model, part)

@@ -214,6 +214,10 @@ class Decomposition:
         """Sentences about a split that is open, and about light that no component stands for."""
         return (*self._open_split(), *self._other_light())
 
+    def receiver(self, label: str) -> str:
+        """Label of the component that has what the layers with a label reflect: its own, or the heir of one without."""
+        return next(one for one in (label, *(LABELS[heir] for heir in _HEIRS[label])) if one in self.labels)
+
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of all components (K, n, 3) for angles (n,) that are not checked [1/sr]."""
         values = self.model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
@@ -232,8 +236,7 @@ class Decomposition:
         parts = np.sum([one.weight * one.split(values, points) for one in self.structures], axis=0)
         for place, label in enumerate(LABELS):
             if label not in self.labels:
-                heir = next(heir for heir in _HEIRS[label] if LABELS[heir] in self.labels)
-                parts[heir] += parts[place]
+                parts[LABELS.index(self.receiver(label))] += parts[place]
         return np.asarray(parts[[LABELS.index(label) for label in self.labels]])
 
     def _open_split(self) -> Iterator[str]:

@@ -37,9 +37,9 @@ Color: TypeAlias = tuple[float, float, float]
 
 COAT_F0 = 0.04
 """Reflectance at normal incidence of the clear coat that light passes on its way to a layer below."""
-_LEAST_COSINE = 0.02  # masking and transmittance have steep ends at the horizon, where nobody measures
-_LARGEST_TANGENT = 1e4  # squared
-_LEAST_RISE, _LEAST_SINE = 1e-3, 3e-2  # of sheen: the logarithm of nothing has no value
+LEAST_COSINE = 0.02  # masking and transmittance have steep ends at the horizon, where nobody measures
+LARGEST_TANGENT = 1e4  # squared
+LEAST_RISE, LEAST_SINE = 1e-3, 3e-2  # of sheen: the logarithm of nothing has no value
 
 
 class Points(NamedTuple):
@@ -61,8 +61,8 @@ class Points(NamedTuple):
         """Points of angles (N,) [rad]."""
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
-        cos_in, cos_out = np.maximum(level - swing, _LEAST_COSINE), np.maximum(level + swing, _LEAST_COSINE)
-        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, _LARGEST_TANGENT)
+        cos_in, cos_out = np.maximum(level - swing, LEAST_COSINE), np.maximum(level + swing, LEAST_COSINE)
+        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, LARGEST_TANGENT)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
         to_in, to_out, schlick = (1.0 - cos_in) ** 5, (1.0 - cos_out) ** 5, rise**5
         # sin(theta_in) sin(theta_out) cos(phi_in - phi_out), over the larger cosine where it is positive
@@ -85,7 +85,7 @@ class Points(NamedTuple):
             passed=passed + 2.0 * np.log(1.0 - COAT_F0),
             rise=np.stack([rise, rise**2]),
             ground=np.stack(ground),
-            fibres=np.log(np.stack([np.maximum(rise, _LEAST_RISE), np.maximum(sin_half, _LEAST_SINE)])),
+            fibres=np.log(np.stack([np.maximum(rise, LEAST_RISE), np.maximum(sin_half, LEAST_SINE)])),
             squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)
             / (cos_in + cos_out) ** 2,
         )
@@ -136,7 +136,7 @@ class SpecularLayer:
     @property
     def half_width(self) -> float:
         """Angle theta_half at which the slopes of facets are half as frequent as at 0 [rad]."""
-        return float(np.arctan(self.alpha * np.sqrt(_tail_norm(self.kappa)[0] * (2.0 ** (1.0 / self.kappa) - 1.0))))
+        return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.kappa)[0] * (2.0 ** (1.0 / self.kappa) - 1.0))))
 
     @property
     def unknowns(self) -> Array:
@@ -178,7 +178,7 @@ class _Surface:
         self._together = points.cos_out * self._seen_in + points.cos_in * self._seen_out
         self._apart = (points.cos_in + self._seen_in) * (points.cos_out + self._seen_out)
         self._by_masking = np.log(2.0 * self._together / self._apart)
-        self._norm, self._norm_slope = _tail_norm(kappa)
+        self._norm, self._norm_slope = tail_norm(kappa)
         self._slope = points.squared_tangent / (self._norm * square)
         self._tail = np.log1p(self._slope)
 
@@ -198,7 +198,7 @@ class _Surface:
         return by_alpha, self._kappa * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
 
 
-def _tail_norm(kappa: float) -> tuple[float, float]:
+def tail_norm(kappa: float) -> tuple[float, float]:
     """G and its derivative: kappa - 1, which norms D, positive where tails are too long for one."""
     x = 8.0 * (kappa - 1.125)
     return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))

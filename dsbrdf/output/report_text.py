@@ -20,6 +20,7 @@ from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobes import half_width
 from dsbrdf.output.serialize import to_json
 
@@ -262,4 +263,21 @@ def parameters_csv(model: DSBRDF) -> str:
                 table.append(np.degrees(values) if name.endswith("_deg") else values)
             lead = f"{lobe},{channel},"
             lines += [lead + ",".join(f"{value:.9g}" for value in row) for row in np.stack(table, axis=1).tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def layers_csv(layers: LayeredModel) -> str:
+    """Return a table of names and of one row for each number of each layer; `dsbrdf.model.layers` says what they are.
+
+    Of colours there is one for each channel, such as ``f0_red``; of other lists one for each place, from ``rise_1`` on.
+    """
+    lines = ["layer,kind,parameter,value"]
+    for number, layer in enumerate(layers.layers):
+        lead = f"{number},{type(layer).__name__.removesuffix('Layer').lower()}"
+        for name, value in vars(layer).items():
+            if isinstance(value, float):
+                lines.append(f"{lead},{name},{value:.9g}")
+            else:
+                places = CHANNELS if name in ("f0", "albedo", "color") else range(1, len(value) + 1)
+                lines += [f"{lead},{name}_{place},{one:.9g}" for place, one in zip(places, value, strict=True)]
     return "\n".join(lines) + "\n"

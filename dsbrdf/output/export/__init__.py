@@ -17,11 +17,11 @@ from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.rgl import rgl_bsdf
-from dsbrdf.output.report_text import parameters_csv
-from dsbrdf.output.serialize import to_json
+from dsbrdf.output.report_text import layers_csv, parameters_csv
+from dsbrdf.output.serialize import layers_to_json, to_json
 
 LAYERS = "layers"
-"""Name of all components' own lobes together."""
+"""Name of the layers of all components together, a small model."""
 PARTS = (*LABELS, LAYERS)
 """Names of parts of a model."""
 
@@ -33,8 +33,8 @@ class ExportFormat:
     purpose: str  # in a few words, for command line, HTTP reference and page
     suffix: str  # of the file's name, without the dot
     media_type: str  # for HTTP
-    encode: Callable[[Any, FitReport | None], bytes | str]  # content for a model or a component, and its report
-    holds_lobes: bool = False  # of a model, not values, which a component has too
+    encode: Callable[[Any, FitReport | None], bytes | str]  # content for a model, layers or a component, and its report
+    holds_parameters: bool = False  # of lobes or layers, not values, which a component has too
     time: Literal["short", "medium", "long"] = "short"  # at most some 50 ms, about a second, or longer
 
 
@@ -55,10 +55,14 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
 """
 
 
+def _json(model: DSBRDF | LayeredModel, report: FitReport | None) -> str:
+    return layers_to_json(model) if isinstance(model, LayeredModel) else to_json(model, report)
+
+
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
-        "the model and its report, without loss", "json", "application/json", to_json, holds_lobes=True
+        "the model and its report, without loss", "json", "application/json", _json, holds_parameters=True
     ),
     "merl": ExportFormat(
         "a table of values in the MERL format, 35 MB",
@@ -78,8 +82,8 @@ FORMATS = {
         "a table of the parameters",
         "csv",
         "text/csv; charset=utf-8",
-        lambda model, _: parameters_csv(model),
-        holds_lobes=True,
+        lambda model, _: layers_csv(model) if isinstance(model, LayeredModel) else parameters_csv(model),
+        holds_parameters=True,
     ),
     "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY, lambda source, _: rgl_bsdf(source), time="medium"),
     "bsdf-spectral": ExportFormat(
@@ -94,7 +98,7 @@ FORMATS = {
         "mtlx",
         "application/xml",
         lambda model, _: materialx_document(model),
-        holds_lobes=True,
+        holds_parameters=True,
         time="long",
     ),
 }
@@ -112,14 +116,14 @@ def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component | LayeredMode
 
 
 def export_model(
-    source: DSBRDF | Component,
+    source: DSBRDF | LayeredModel | Component,
     file_format: str,
     report: FitReport | None = None,
     *,
     name: str | None = None,
     sampling: bool = False,
 ) -> bytes:
-    """Return the content of a file with a model or a component, `file_format` being one of `FORMATS`.
+    """Return the content of a file with a model, layers or a component, `file_format` being one of `FORMATS`.
 
     Only ``json`` stores the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`.
     Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
@@ -145,8 +149,8 @@ def check_shader_options(file_format: str, name: str | None, *, sampling: bool) 
 
 def check_holds_component(file_format: str) -> None:
     """Raise InvalidArgumentError if a format cannot hold a component."""
-    if FORMATS[file_format].holds_lobes:
-        able = [name for name, kind in FORMATS.items() if not kind.holds_lobes]
+    if FORMATS[file_format].holds_parameters:
+        able = [name for name, kind in FORMATS.items() if not kind.holds_parameters]
         raise InvalidArgumentError(
             f"{file_format} cannot hold a component, whose values are a share of the model's: take {one_of(able)}, or "
             "export the layers, a small model that has all components"
@@ -154,18 +158,18 @@ def check_holds_component(file_format: str) -> None:
 
 
 def export(
-    source: DSBRDF | Component | FitResult,
+    source: DSBRDF | LayeredModel | Component | FitResult,
     path: str | os.PathLike[str],
     file_format: str | None = None,
     *,
     name: str | None = None,
     sampling: bool = False,
 ) -> None:
-    """Write a model or a component to a file for another program, completely or not at all.
+    """Write a model, its layers or a component to a file for another program, completely or not at all.
 
     Parameters
     ----------
-    source : DSBRDF, Component or FitResult
+    source : DSBRDF, LayeredModel, Component or FitResult
     path : path-like
         Its suffix determines the format: ``.json``, ``.binary`` (MERL), ``.glsl``, ``.brdf``, ``.csv``,
         ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).

@@ -9,14 +9,7 @@ difference of the directions, the polynomials are in Bernstein's form, in which 
 ``expm1``, ``tan`` and ``atan``, for which a shader's own functions are too coarse, are spelled out; the last two are
 the rational reductions and polynomials of Cephes.
 
-A component's function evaluates the model and the readable lobes once and divides the model as
-`dsbrdf.fitting.decomposition` does, with the formula turned so that hardly a difference of nearly equal numbers is
-left: with s the diffuse share of the readable lobes, their sum g, and a = q / (1 + q),
-
-    diffuse = min(f, g_d (1 - a s**3) + f a s**4),
-    specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s).
-
-The shares come from the logarithms of the lobes, relative to the largest: far from the highlight all may underflow.
+Layers, and the division of a model among its components, are in `dsbrdf.output.export.glsl_layers`.
 
 Formulas and names of the sampling are those of `dsbrdf.model.sampling`.
 """
@@ -28,12 +21,15 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import HALO, LABELS, Component
+from dsbrdf.fitting.decomposition import Component
+from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES, DirectionSampler, direction_sampler
-from dsbrdf.output.export.single_precision import bernstein_pieces
+from dsbrdf.output.export.glsl_layers import layered_function, shares_function
+from dsbrdf.output.export.single_precision import bernstein_pieces, filled, literal
 from dsbrdf.version import __version__
 
 NAME = "dsbrdf"
@@ -51,14 +47,15 @@ _WORDS = (
 )
 
 
-def glsl_function(source: DSBRDF | Component, name: str = NAME, *, sampling: bool = False) -> str:
+def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *, sampling: bool = False) -> str:
     """Return GLSL source with ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``.
 
     Parameters
     ----------
-    source : DSBRDF or Component
-        The source for a component also has ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: all
-        components of its model, times the weights ``shown`` of specular spike, specular lobe and diffuse.
+    source : DSBRDF, LayeredModel or Component
+        The layers of a `LayeredModel` become a function of some 60 lines that is meant to be read. The source for a
+        component also has ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: all components of its
+        model, times the weights ``shown`` of specular spike, specular lobe and diffuse.
     name : str, optional
         Takes the place of ``dsbrdf``. Every name in the source begins with it, so that a program can hold several.
     sampling : bool, optional
@@ -82,29 +79,23 @@ def glsl_function(source: DSBRDF | Component, name: str = NAME, *, sampling: boo
             f"underscores between them, and be no word of GLSL, unlike {name!r}"
         )
     parts = [_HEADER, _HEADER_OF_SAMPLING if sampling else "", _FRAME]
-    if isinstance(source, DSBRDF):
-        parts += [_PRECISION, _MATH, _model_function(source), _WHOLE]
+    if isinstance(source, LayeredModel):
+        parts = [_HEADER_OF_SAMPLING if sampling else "", layered_function(source), _ANGLE if sampling else ""]
+    elif isinstance(source, DSBRDF):
+        parts += [_PRECISION, _MATH, _ANGLE, _ANGLES, _model_function(source), _WHOLE]
     else:
         weights = ", ".join(f"{float(label == source.label)}" for label in LABELS)
-        parts += [_HEADER_OF_COMPONENT.replace("LABEL", source.label.replace("_", " ")), _PRECISION, _MATH]
-        parts += [_model_function(source.whole.model), _shares(source), _ONE_COMPONENT.replace("WEIGHTS", weights)]
+        parts += [_HEADER_OF_COMPONENT.replace("LABEL", source.label.replace("_", " ")), _PRECISION, _MATH, _ANGLE]
+        parts += [_ANGLES, _model_function(source.whole.model), shares_function(source)]
+        parts.append(_ONE_COMPONENT.replace("WEIGHTS", weights))
     if sampling:
-        sampler = source.sampler if isinstance(source, DSBRDF) else direction_sampler(source.evaluate_unmasked)
+        sampler = direction_sampler(source.evaluate_unmasked) if isinstance(source, Component) else source.sampler
         parts.append(_sampling_functions(sampler))
     return f"// Written by dsbrdf {__version__}.\n" + "".join(parts).replace("dsbrdf", name)
 
 
-def _shares(component: Component) -> str:
-    """Return ``dsbrdf_shown``; the readable lobes are Student's t over slopes, and their rows logarithms."""
-    labels = component.whole.labels
-    rows, count = _parameter_rows(component.whole.guide, "dsbrdf_guide")
-    places = f"int[{len(labels)}]({', '.join(str(LABELS.index(label)) for label in labels)})"
-    text = _SHARES.replace("COUNT", str(count)).replace("PLACES", places).replace("LOBES", str(len(labels)))
-    return _constant("HALO", HALO) + rows + text
-
-
 def _sampling_functions(sampler: DirectionSampler) -> str:
-    """Return ``vec3 dsbrdf_sample(vec3, vec3)`` and ``float dsbrdf_pdf(vec3, vec3)``; see `dsbrdf_angle` of `_MATH`."""
+    """Return ``vec3 dsbrdf_sample(vec3, vec3)`` and ``float dsbrdf_pdf(vec3, vec3)``; they need `_ANGLE`."""
     share = np.diff(sampler.cumulative, axis=1, prepend=0.0)[:, :-1]
     parts = np.stack([sampler.along, sampler.across, share], axis=-1)
     text = _SAMPLING.replace("PARTS", str(parts.shape[1])).replace("LAST", str(ANGLES.size - 1))
@@ -112,7 +103,7 @@ def _sampling_functions(sampler: DirectionSampler) -> str:
 
 
 def _model_function(model: DSBRDF) -> str:
-    """Return ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, and what it needs beyond `_MATH`."""
+    """Return ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, and what it needs beyond `_ANGLES`."""
     exp, height = ("exp", "exp") if model.interpolation == "spline" else ("", "dsbrdf_expm1")
     lobes, shapes = model.n_lobes, model.kappa.shape[0]
     rows, count = _parameter_rows(model, "dsbrdf")
@@ -131,7 +122,7 @@ def _model_function(model: DSBRDF) -> str:
         "ELONGATION": (3 + 2 * shapes) * lobes,
         "ALL": "value" if shapes == 3 else "value.xxx",
     }
-    return rows + _filled(text, words)
+    return rows + filled(text, words)
 
 
 def _parameter_rows(model: DSBRDF, table: str) -> tuple[str, int]:
@@ -146,35 +137,23 @@ def _parameter_rows(model: DSBRDF, table: str) -> tuple[str, int]:
     order = [parts[0], parts[1], parts[2], parts[4]]
     order += [part for part, used in ((parts[3], model.center.any()), (parts[5], model.delta.any())) if used]
     coefficients = np.concatenate(order)
-    later = " + ".join(f"int(held >= {_number(at)})" for at in breaks[1:-1].tolist()) or "0"
-    ends = {"FIRST": _number(breaks[0]), "LAST": _number(breaks[-1]), "LATER": later}
-    functions = _filled(_ROWS, ends | {"PIECES": breaks.size - 1, "COUNT": len(coefficients)})
+    later = " + ".join(f"int(held >= {literal(at)})" for at in breaks[1:-1].tolist()) or "0"
+    ends = {"FIRST": literal(breaks[0]), "LAST": literal(breaks[-1]), "LATER": later}
+    functions = filled(_ROWS, ends | {"PIECES": breaks.size - 1, "COUNT": len(coefficients)})
     constants = _array("float", "dsbrdf_table_BREAKS", breaks[:, np.newaxis])
     constants += _array("vec4", "dsbrdf_table_TERMS", coefficients.reshape(-1, 4))
     return (constants + functions).replace("dsbrdf_table", table), len(coefficients)
 
 
-def _filled(text: str, words: dict[str, str | int]) -> str:
-    for word, value in words.items():
-        text = text.replace(word, str(value))
-    return text
-
-
 def _array(kind: str, name: str, values: Array) -> str:
     """Return a constant array of numbers or vectors (n, k)."""
-    items = (f"{kind}({', '.join(map(_number, row))})" for row in values.tolist())
+    items = (f"{kind}({', '.join(map(literal, row))})" for row in values.tolist())
     return f"const {kind} {name}[{len(values)}] = {kind}[{len(values)}](\n  " + ",\n  ".join(items) + ");\n"
 
 
 def _constant(name: str, value: float) -> str:
     """Return a constant number."""
-    return f"const float dsbrdf_{name} = {_number(value)};\n"
-
-
-def _number(value: float) -> str:
-    """Return a number in single precision."""
-    text = repr(float(np.float32(value))) if abs(value) > 1e-37 else "0.0"
-    return text if "." in text or "e" in text else text + ".0"
+    return f"const float dsbrdf_{name} = {literal(value)};\n"
 
 
 _HEADER = """\
@@ -254,6 +233,10 @@ float dsbrdf_tan(float x) {
   return sign(x) * (a > 0.7853981634 ? 1.0 / max(t, 1e-12) : t);
 }
 
+"""
+)
+
+_ANGLE = """\
 // Angle of the point (x, y), both zero or positive and not both zero.
 float dsbrdf_angle(float y, float x) {
   float low = min(x, y), high = max(x, y);
@@ -264,6 +247,9 @@ float dsbrdf_angle(float y, float x) {
   return y > x ? 1.5707963268 - angle : angle;
 }
 
+"""
+
+_ANGLES = """\
 struct dsbrdf_Angles {
   float theta_diff;
   float squared;   // tan(theta_half)^2
@@ -300,7 +286,6 @@ float dsbrdf_stretched(dsbrdf_Angles angles, float elongation) {
 }
 
 """
-)
 
 _ROWS = """
 void dsbrdf_table_rows(float theta_diff, out float rows[COUNT]) {
@@ -355,36 +340,6 @@ vec3 dsbrdf(vec3 omega_in, vec3 omega_out) {
   if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
   return dsbrdf_model(dsbrdf_angles(omega_in, omega_out));
 }
-"""
-
-_SHARES = """\
-vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
-  if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
-  dsbrdf_Angles angles = dsbrdf_angles(omega_in, omega_out);
-  vec3 whole = dsbrdf_model(angles);
-  // Logarithms of the readable lobes; that of a lobe that is not there is never the largest.
-  vec3 guide[3] = vec3[3](vec3(-1e30), vec3(-1e30), vec3(-1e30));
-  float rows[COUNT];
-  dsbrdf_guide_rows(angles.theta_diff, rows);
-  for (int lobe = 0; lobe < LOBES; ++lobe) {
-    float kappa = exp(rows[3 * LOBES + lobe]), gamma = exp(rows[4 * LOBES + lobe]);
-    vec3 height = vec3(rows[lobe], rows[LOBES + lobe], rows[2 * LOBES + lobe]);
-    guide[PLACES[lobe]] = height - kappa * dsbrdf_log1p(gamma * dsbrdf_stretched(angles, rows[5 * LOBES + lobe]));
-  }
-  vec3 top = max(guide[0], max(guide[1], guide[2]));
-  vec3 spike = exp(guide[0] - top), wide = exp(guide[1] - top), diffuse = exp(guide[2] - top);
-  vec3 specular = spike + wide, total = specular + diffuse;
-
-  float q = angles.squared / dsbrdf_HALO, halo = 1.0 / (1.0 + q * q);
-  vec3 s = diffuse / total, taken = (1.0 - halo) * s * s * s;
-  vec3 own = min(whole, exp(guide[2]) * (1.0 - taken) + whole * taken * s);
-  vec3 missed = whole - total * exp(top);
-  vec3 highlight = whole + missed * (1.0 - halo) * s * (1.0 + s * (1.0 + s));
-  vec3 rest = max(specular / total * highlight + missed * halo * s, 0.0);
-  vec3 divided = rest / max(specular, 1e-30);
-  return shown.x * divided * spike + shown.y * divided * wide + shown.z * own;
-}
-
 """
 
 _ONE_COMPONENT = """\

@@ -13,6 +13,19 @@ from dsbrdf.model.splines import pieces_of
 _LARGEST = 3e38  # in single precision
 
 
+def literal(value: float) -> str:
+    """Return a number in single precision as shaders write it."""
+    text = str(np.float32(value)) if abs(value) > 1e-37 else "0.0"
+    return text if "." in text or "e" in text else text + ".0"
+
+
+def filled(text: str, words: dict[str, str | int]) -> str:
+    """Return a template with its words in capitals replaced."""
+    for word, value in words.items():
+        text = text.replace(word, str(value))
+    return text
+
+
 def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
     """Return the breaks (P + 1,) and coefficients (R, P, 4) of a model's parameters over theta_diff.
 

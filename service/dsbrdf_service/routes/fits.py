@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.export import FORMATS, GUIDE, check_holds_component, check_shader_options, export_model
+from dsbrdf.output.export import FORMATS, LAYERS, check_holds_component, check_shader_options, export_model
 
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
@@ -188,16 +188,16 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
 async def export_fit(
     request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
 ) -> Response:
-    """Return the model, one component, or the components' own lobes together, for another program."""
+    """Return the model, one component, or the layers of all components, for another program."""
     loaded = await context.models.get(fit)
     check_shader_options(wanted.format, wanted.name, sampling=wanted.sampling)
-    if wanted.component not in (None, GUIDE):
+    if wanted.component not in (None, LAYERS):
         check_holds_component(wanted.format)
     row = await context.fit_row(fit)
     name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
-    model = loaded.decomposition.guide if wanted.component == GUIDE else loaded.part(wanted.component)
+    model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         made = await context.computations.make_file(

@@ -26,7 +26,7 @@ from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.render import LIGHTINGS
-from dsbrdf.output.export import FORMATS, GUIDE, PARTS
+from dsbrdf.output.export import FORMATS, LAYERS, PARTS
 
 from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
@@ -342,7 +342,7 @@ class Export(_Input):
         Literal[*PARTS] | None,  # type: ignore[valid-type]
         Field(
             description="One component instead of the whole fit, in a format that holds values or a shader; or "
-            f"`{GUIDE}`, the components' own lobes together as a small model, in any format."
+            f"`{LAYERS}`, the layers of all components as a small model, in any format."
         ),
     ] = None
     name: Annotated[

@@ -186,7 +186,7 @@ MISTAKES = {
     "decompose empty.json": "dsbrdf: empty.json: ",
     "decompose deep.json": "dsbrdf: deep.json: ",
     "decompose none.json": "dsbrdf: none.json: No such file or directory\n",
-    "decompose model.json -o guide.txt": "must end in .json,",
+    "decompose model.json -o layers.txt": "must end in one of .json,",
     "export paint.json --format gltf -o a.glb": "dsbrdf export: --format: must be json or merl",
     "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .binary, .glsl,",
     "export model.json --format json -o none/model.json": "dsbrdf: none/model.json: No such file or directory\n",
@@ -201,7 +201,7 @@ MISTAKES = {
     "eval model.json --theta-half 1 2 --theta-diff 1 2 3": "cannot be combined",
     "eval model.json --theta-half 1 --omega-in 0,0,1": "either --theta-half and --theta-diff, --theta-in and",
     "eval model.json --omega-in 0,1 --omega-out 0,0,1": "a direction must be three numbers x,y,z, not '0,1'",
-    f"{POINT} --component shiny": "--component: must be specular_spike or specular_lobe or diffuse or guide",
+    f"{POINT} --component shiny": "--component: must be specular_spike or specular_lobe or diffuse or layers",
     f"{POINT} --component specular_spike": ABSENT,
     # pictures
     "plot paint.json -o paint.jpg": "dsbrdf: paint.jpg: the figure's file must end in .png, .svg or .pdf",

@@ -22,7 +22,7 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import from_json, load
+from dsbrdf.output.serialize import from_json, layers_from_json, load
 from tests.support.command_line import FEW_LOBES, document, printed, run
 from tests.support.random_models import random_model
 
@@ -100,11 +100,14 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
         np.testing.assert_allclose(rows, np.transpose(shown), rtol=1e-3)
 
 
-def test_decompose_saves_the_guide(model_file: Path, tmp_path: Path) -> None:
-    saved, exported = tmp_path / "guide.json", tmp_path / "exported.json"
+def test_decompose_saves_the_layers(model_file: Path, tmp_path: Path) -> None:
+    saved, exported = tmp_path / "layers.json", tmp_path / "exported.json"
     run("decompose", model_file, "-o", saved)
-    run("export", model_file, "--component", "guide", "-o", exported)
-    assert load(saved) == load(exported) == decompose(load(model_file)).guide
+    run("export", model_file, "--component", "layers", "-o", exported)
+    assert saved.read_text() == exported.read_text()
+    assert layers_from_json(saved.read_text()) == decompose(load(model_file)).layers
+    run("decompose", model_file, "-o", tmp_path / "layers.glsl")
+    assert "vec3 dsbrdf(" in (tmp_path / "layers.glsl").read_text()
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
@@ -239,7 +242,7 @@ def test_picture_is_that_of_the_library(
 
 def test_a_component_has_the_exposure_of_the_whole(model_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:
     found, whole = decompose(two_lobe_fit), drawn(tmp_path, model_file)[1]["exposure"]
-    for name, part in (("diffuse", found["diffuse"]), ("guide", found.guide)):
+    for name, part in (("diffuse", found["diffuse"]), ("layers", found.layers)):
         pixels, about = drawn(tmp_path, model_file, "--component", name)
         assert about["exposure"] == whole
         assert np.abs(pixels - displayed(render_sphere(part, size=32), whole)).max() < 0.003

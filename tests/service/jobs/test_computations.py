@@ -37,7 +37,7 @@ OF_COMPONENTS = [
     FIT_PATH,
     f"{FIT_PATH}/components",
     f"{FIT_PATH}/components/diffuse/brdf?{_ANGLES}",
-    f"{FIT_PATH}/export?format=json&component=guide",
+    f"{FIT_PATH}/export?format=json&component=layers",
     f"{SPHERE}&component=diffuse",
     f"/fits/{FIT}",
 ]
@@ -107,7 +107,7 @@ async def test_view_of_a_page_is_computed_once(running: Application, key: str, b
 
 
 async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decomposition, "fit_guide", None)
+    monkeypatch.setattr(decomposition, "fit_structures", None)
     asked = [running.ask(target, key) for target in OF_COMPONENTS]
     batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
     assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
@@ -189,7 +189,7 @@ async def test_head_computes_nothing(running: Application, key: str, monkeypatch
                 (fits, "export_step"),
                 (figures, "sphere_step"),
                 (results, "view_step"),
-                (decomposition, "fit_guide"),
+                (decomposition, "fit_structures"),
             ):
                 patch.setattr(place, name, compute)
             head = await running.ask(target, key, "HEAD").end()

@@ -39,7 +39,7 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     [
         *((name, "diffuse", {}) for name in ("brdf", "bsdf", "merl")),
         ("csv", None, {}),
-        ("csv", "guide", {}),
+        *((name, "layers", {}) for name in ("csv", "json", "brdf", "bsdf")),
         ("glsl", "diffuse", {"name": "paint", "sampling": True}),
     ],
 )

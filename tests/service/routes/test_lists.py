@@ -38,7 +38,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
     assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
     assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
     assert names_of(server, "measurements", name="nickel") == ["nickel"]
-    for query, name in (("format=json&component=guide", "nickel-guide.json"), ("format=merl", "nickel.binary")):
+    for query, name in (("format=json&component=layers", "nickel-layers.json"), ("format=merl", "nickel.binary")):
         export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")
         assert export.headers["content-disposition"] == f'attachment; filename="{name}"'
 

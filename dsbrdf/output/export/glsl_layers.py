@@ -1,0 +1,240 @@
+"""Physical layers in GLSL: a layered model as a readable function, and what share of a model is a component's.
+
+The functions of the layers return logarithms: far from the highlight values are too small for single precision, but
+their shares are not. A component's function evaluates the model and the layers of each structure once and divides the
+model as `dsbrdf.fitting.decomposition` does, with the formula turned so that hardly a difference of nearly equal
+numbers is left: with s the diffuse share of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
+
+    diffuse = min(f, g s (1 - a s**3) + f a s**4),
+    specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dsbrdf.fitting.decomposition import Component, Decomposition
+from dsbrdf.fitting.layer_shares import HALO, LABELS, WeightedLayers
+from dsbrdf.model.layers import (
+    COAT_F0,
+    LARGEST_TANGENT,
+    LEAST_COSINE,
+    LEAST_RISE,
+    LEAST_SINE,
+    DiffuseLayer,
+    Layer,
+    LayeredModel,
+    RetroLayer,
+    SheenLayer,
+    SpecularLayer,
+    tail_norm,
+)
+from dsbrdf.output.export.single_precision import filled, literal
+
+_NOTHING = "vec3(-1e30)"  # logarithm of a layer that is not there
+
+
+def layered_function(model: LayeredModel) -> str:
+    """Return ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, and what it needs."""
+    terms = "\n    + ".join(f"exp({_call(layer)})" for layer in model.layers) or "vec3(0.0)"
+    return _HEADER + layer_functions(model.layers) + _LAYERED.replace("TERMS", terms)
+
+
+def layer_functions(layers: Sequence[Layer]) -> str:
+    """Return ``dsbrdf_pair``, and a function for each kind of layer, such as ``dsbrdf_diffuse``."""
+    kinds = {type(layer) for layer in layers}
+    text = _PAIR
+    if kinds & {SpecularLayer, RetroLayer}:
+        text += _SURFACE
+    text += "".join(function for kind, function in _FUNCTIONS.items() if kind in kinds)
+    limits = {"COSINE": LEAST_COSINE, "TANGENT": LARGEST_TANGENT, "RISE": LEAST_RISE, "SINE2": LEAST_SINE**2}
+    limits["CLEAR"] = -2.0 * float(np.log(1.0 - COAT_F0))
+    return filled(text, {word: literal(value) for word, value in limits.items()})
+
+
+def shares_function(component: Component) -> str:
+    """Return ``dsbrdf_shown``, which needs ``dsbrdf_model``."""
+    whole = component.whole
+    if len(whole.labels) < 2:
+        return _ALONE.replace("SHOWN", "xyz"[LABELS.index(component.label)])
+    layers = [layer for structure in whole.structures for layer in structure.model.layers]
+    parts = "\n    + ".join(map(_divided, whole.structures))
+    heirs = ", ".join(f"shown.{'xyz'[place]}" for place in _receivers(whole))
+    words: dict[str, str | int] = {"PARTS": parts, "RECEIVERS": heirs, "HALO": literal(HALO)}
+    return layer_functions(layers) + filled(_SHARES, words)
+
+
+def _receivers(whole: Decomposition) -> list[int]:
+    """Place in `LABELS` of the component that has what the layers of each label reflect."""
+    return [LABELS.index(whole.receiver(label)) for label in LABELS]
+
+
+def _divided(structure: WeightedLayers) -> str:
+    """Return what a structure says of the parts of a model, times its weight, as an expression."""
+    logs = [_NOTHING] * len(LABELS)
+    for layer, label in zip(structure.model.layers, structure.labels, strict=True):
+        place = LABELS.index(label)
+        logs[place] = _call(layer) if logs[place] == _NOTHING else f"dsbrdf_both({logs[place]},\n      {_call(layer)})"
+    if logs[0] == logs[1] == _NOTHING:
+        parts = "mat3(vec3(0.0), vec3(0.0), whole)"
+    else:
+        parts = ",\n      ".join(("dsbrdf_divided(p.tangent2, whole", *logs)) + ")"
+    return f"{literal(structure.weight)} * {parts}"
+
+
+def _call(layer: Layer) -> str:
+    """Return the logarithm of a layer as an expression."""
+    match layer:
+        case SpecularLayer():
+            facets = _facets(layer.alpha, layer.kappa, layer.masking)
+            fresnel, bend = f"{_list(layer.f0)}, {_short(layer.f90)}", _list((*layer.rise, layer.under_coat))
+            return f"dsbrdf_specular(p, {fresnel},\n      {facets}, {bend})"
+        case RetroLayer():
+            return f"dsbrdf_retro(p, {_list(layer.color)}, {_facets(layer.alpha, 2.0, 0.0)})"
+        case DiffuseLayer():
+            exponents = f"{_list(layer.exponents[:3])}, {_list(layer.exponents[3:])}"
+            return f"dsbrdf_diffuse(p, {_list(layer.albedo)},\n      {exponents})"
+        case SheenLayer():
+            return f"dsbrdf_sheen(p, {_list(layer.color)}, {_list(layer.powers)})"
+
+
+def _facets(alpha: float, kappa: float, masking: float) -> str:
+    return _list((alpha, kappa, tail_norm(kappa)[0], masking))
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"vec{len(values)}({', '.join(map(_short, values))})"
+
+
+def _short(value: float) -> str:
+    """Return a number with six digits, which are enough to read it and for single precision."""
+    return literal(float(f"{value:.6g}"))
+
+
+_HEADER = """\
+// vec3 dsbrdf(vec3 omega_in, vec3 omega_out) is a measured BRDF as the sum of a few physical layers, without cosine,
+// in 1/sr for linear red, green and blue. Directions are unit vectors away from the surface, in the frame whose z axis
+// is the normal; below the horizon it is 0. Needs GLSL ES 3.00 (WebGL 2) or GLSL 3.30; mediump is too coarse.
+#ifdef GL_ES
+precision highp float;
+#endif
+
+"""
+
+_PAIR = """\
+struct dsbrdf_Pair {
+  vec2 cosines, grazing;              // of both directions: cosine to the normal, Schlick's weight
+  float swing2, rise, fresnel;        // of theta_diff: squared sine, 1 - cosine, Schlick's weight
+  float sine2, tangent2, passed;      // of theta_half, squared; logarithm of the light that passes a surface both ways
+};
+
+dsbrdf_Pair dsbrdf_pair(vec3 omega_in, vec3 omega_out) {
+  dsbrdf_Pair p;
+  vec3 total = omega_in + omega_out, difference = omega_in - omega_out;
+  float total2 = max(dot(total, total), 1e-30), difference2 = dot(difference, difference);
+  p.cosines = clamp(vec2(omega_in.z, omega_out.z), COSINE, 1.0);
+  p.grazing = pow(1.0 - p.cosines, vec2(5.0));
+  p.passed = log((1.0 - p.grazing.x) * (1.0 - p.grazing.y));
+  p.swing2 = difference2 / (total2 + difference2);
+  p.rise = p.swing2 / (1.0 + sqrt(1.0 - p.swing2));
+  p.fresnel = pow(p.rise, 5.0);
+  p.sine2 = min(dot(total.xy, total.xy) / total2, 1.0);
+  p.tangent2 = min(dot(total.xy, total.xy) / max(total.z * total.z, 1e-30), TANGENT);
+  return p;
+}
+
+"""
+
+_SURFACE = """\
+// Logarithm of D V, rough facets and their masking; facets: alpha, kappa (2 is GGX), what norms D, form of masking.
+float dsbrdf_surface(dsbrdf_Pair p, float tangent2, vec4 facets) {
+  float alpha2 = facets.x * facets.x, slope = tangent2 / (facets.z * alpha2);
+  vec2 seen = sqrt(alpha2 + (1.0 - alpha2) * p.cosines * p.cosines), apart = p.cosines + seen;
+  float together = dot(p.cosines.yx, seen);
+  return facets.w * log(2.0 * together / (apart.x * apart.y)) - log(6.2831853 * alpha2 * together)
+    + 2.0 * log(1.0 + tangent2) - facets.y * log(1.0 + slope);
+}
+
+"""
+
+_FUNCTIONS: dict[type[Layer], str] = {
+    SpecularLayer: """\
+// bend: how far reflectance leaves Schlick's law (two numbers), and 1 for what is seen through a clear coat.
+vec3 dsbrdf_specular(dsbrdf_Pair p, vec3 f0, float f90, vec4 facets, vec3 bend) {
+  float bent = dot(bend, vec3(p.rise, p.rise * p.rise, p.passed - CLEAR));
+  return log(mix(f0, vec3(f90), p.fresnel)) + (dsbrdf_surface(p, p.tangent2, facets) + bent);
+}
+
+""",
+    RetroLayer: """\
+// Light back to where it comes from: theta_half is that of omega_in turned by 180 degrees.
+vec3 dsbrdf_retro(dsbrdf_Pair p, vec3 color, vec4 facets) {
+  float height = p.cosines.x + p.cosines.y, step = p.cosines.x - p.cosines.y;
+  float tangent2 = max(4.0 * p.swing2 - step * step, 0.0) / (height * height);
+  return log(color) + dsbrdf_surface(p, tangent2, facets);
+}
+
+""",
+    DiffuseLayer: """\
+// Exponents of light that passes the surface, retro-reflection, Schlick's weight; limb, theta_half, Oren and Nayar.
+vec3 dsbrdf_diffuse(dsbrdf_Pair p, vec3 albedo, vec3 first, vec3 second) {
+  float limb = log(2.0 / (p.cosines.x + p.cosines.y)), along = 1.0 - 2.0 * p.swing2 - p.cosines.x * p.cosines.y;
+  if (along > 0.0) along /= max(p.cosines.x, p.cosines.y);
+  vec3 ground = vec3(p.passed, (1.0 - p.swing2) * (p.grazing.x + p.grazing.y), p.fresnel);
+  return log(albedo / 3.14159265) + (dot(first, ground) + dot(second, vec3(limb, p.sine2, along)));
+}
+
+""",
+    SheenLayer: """\
+// Light of fibres at grazing angles: powers of 1 - cos(theta_diff) and of sin(theta_half).
+vec3 dsbrdf_sheen(dsbrdf_Pair p, vec3 color, vec2 powers) {
+  return log(color) + dot(powers, log(vec2(max(p.rise, RISE), sqrt(max(p.sine2, SINE2)))));
+}
+
+""",
+}
+
+_LAYERED = """\
+vec3 dsbrdf(vec3 omega_in, vec3 omega_out) {
+  if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
+  dsbrdf_Pair p = dsbrdf_pair(omega_in, omega_out);
+  return TERMS;
+}
+"""
+
+_ALONE = """\
+vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
+  if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
+  return shown.SHOWN * dsbrdf_model(dsbrdf_angles(omega_in, omega_out));
+}
+
+"""
+
+_SHARES = """\
+// Logarithm of the sum of two numbers, of which the logarithms are given.
+vec3 dsbrdf_both(vec3 first, vec3 second) {
+  vec3 top = max(first, second);
+  return top + log(exp(first - top) + exp(second - top));
+}
+
+// Specular spike, specular lobe and diffuse part of the model, from the logarithms of the layers of each.
+mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 diffuse) {
+  vec3 specular = dsbrdf_both(narrow, wide), odds = exp(clamp(specular - diffuse, -60.0, 60.0));
+  vec3 s = 1.0 / (1.0 + odds), ground = exp(diffuse), missed = whole - exp(specular) - ground;
+  float q = tangent2 / HALO;
+  vec3 halo = vec3(greaterThan(missed, vec3(0.0))) / (1.0 + q * q), beyond = 1.0 - halo, taken = beyond * s * s * s;
+  vec3 highlight = whole + missed * beyond * s * (1.0 + s * (1.0 + s));
+  vec3 rest = max(odds * s * highlight + missed * halo * s, 0.0), spike = rest * exp(narrow - specular);
+  return mat3(spike, rest - spike, min(whole, ground * (1.0 - taken) + whole * taken * s));
+}
+
+vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
+  if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
+  vec3 whole = dsbrdf_model(dsbrdf_angles(omega_in, omega_out));
+  dsbrdf_Pair p = dsbrdf_pair(omega_in, omega_out);
+  // The mean over the structures of layers that explain the model.
+  mat3 parts = PARTS;
+  return parts * vec3(RECEIVERS);
+}
+
+"""
