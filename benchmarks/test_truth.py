@@ -1,0 +1,105 @@
+"""The truth itself: formulas against Mitsuba and closed forms, and what is said of components that are known."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.data.geometry import spherical
+from tests.support.foreign_bsdfs import burley_diffuse, lambert, oren_nayar, principled_diffuse
+from tests.support.foreign_materials import CATALOGUE, Material, drawn
+from tests.support.foreign_truth import RULES, Truth, judged
+
+Array = NDArray[np.float64]
+
+OCHRE = (0.6, 0.4, 0.2)
+EACH_FORMULA = (
+    "ashikhmin_shirley_25", "burley_smooth_under_coat", "car_paint_champagne", "charlie_sheen", "coat_on_oren_nayar",
+    "molybdenum_45", "nickel_in_rust", "oren_nayar_50", "plastic_brown_15_mixed", "principled_clearcoat",
+    "principled_sheen", "ward_duer_25_metal",
+)  # fmt: skip
+AIR = 1.000277  # refractive index around a dielectric in Mitsuba
+
+
+@pytest.fixture
+def pairs() -> tuple[Array, Array]:
+    random = np.random.default_rng(0)
+    theta, phi = np.radians(random.uniform(0.0, 80.0, (2, 300))), random.uniform(0.0, 2.0 * np.pi, (2, 300))
+    first, second = spherical(theta, phi)
+    return first, second
+
+
+@pytest.mark.parametrize("name", EACH_FORMULA)
+def test_a_material_is_reciprocal_and_reflects_no_more_than_all_light(name: str, pairs: tuple[Array, Array]) -> None:
+    material, (light, eye) = CATALOGUE[name], pairs
+    for values in (material.specular_values, material.diffuse_values):
+        np.testing.assert_allclose(values(light, eye), values(eye, light), rtol=2e-3, atol=2e-6)
+    truth = Truth.of(material)
+    for (_, _, weight), specular, diffuse in zip(RULES, truth.specular, truth.diffuse, strict=True):
+        assert min(specular.min(), diffuse.min()) >= 0.0
+        assert (weight @ (specular + diffuse)).max() < 1.01
+
+
+def test_formulas_that_others_have_too(pairs: tuple[Array, Array]) -> None:
+    matte = lambert(OCHRE)(*pairs)
+    np.testing.assert_allclose(matte, np.broadcast_to(np.array(OCHRE) / np.pi, matte.shape), rtol=1e-6)
+    np.testing.assert_allclose(oren_nayar(0.0, OCHRE)(*pairs), matte, rtol=1e-6)
+    np.testing.assert_allclose(burley_diffuse(0.4, OCHRE)(*pairs), principled_diffuse(OCHRE, 0.4)(*pairs), rtol=1e-3)
+
+
+def test_reflectance_at_the_normal_is_that_of_the_refractive_index() -> None:
+    for name, ior in (("plastic_green_03", 1.5), ("plastic_orange_25_beckmann", 1.55), ("plastic_brown_15_mixed", 1.7)):
+        expected = ((ior - AIR) / (ior + AIR)) ** 2
+        assert CATALOGUE[name].f0 == pytest.approx([expected] * 3, rel=1e-5)
+    assert CATALOGUE["coat_on_copper"].f0 is None
+
+
+def test_a_seed_draws_the_same_materials_and_more_of_them_follow() -> None:
+    few, many, others = drawn(7, 3), drawn(12, 3), drawn(7, 4)
+    assert list(few) == list(many)[:7]
+    assert [material.alpha for material in few.values()] == [many[name].alpha for name in few]
+    assert [material.alpha for material in few.values()] != [material.alpha for material in others.values()]
+
+
+class KnownParts(list[Any]):
+    """A decomposition that reflects a share of the diffuse light and states a range and a layer."""
+
+    structure = "known"
+
+    def __init__(self, material: Material, share: float, stated: tuple[float, float], alpha: float) -> None:
+        assert material.f0 is not None
+        layer = SimpleNamespace(alpha=alpha, kappa=2.0, f0=tuple(np.array([1.1, 1.0, 0.95]) * material.f0))
+        self.diffuse: Any = SimpleNamespace(
+            albedo=np.ones(3),
+            layer=None,
+            ranges=SimpleNamespace(light_share=stated),
+            evaluate_directions=lambda light, eye: share * material.diffuse_values(light, eye),
+        )
+        super().__init__([self.diffuse, SimpleNamespace(albedo=np.ones(3), layer=layer)])
+
+
+def test_what_is_wrong_is_found(tmp_path: Path) -> None:
+    material = CATALOGUE["plastic_green_03"]
+    Truth.of(material).save(tmp_path / "truth.npz")
+    truth = Truth.load(tmp_path / "truth.npz")
+    share = truth.diffuse_share
+    for kept, stated, alpha, inside in ((1.0, (share, share), 0.03, True), (0.9, (0.0, 0.9 * share), 0.033, False)):
+        parts = KnownParts(material, kept, stated, alpha)
+        found = judged(parts, truth)  # type: ignore[arg-type]
+        assert found.moved[0] == pytest.approx((1.0 - kept) * share, rel=1e-6)
+        assert found.inside == inside
+        assert [found.share, found.alpha, found.f0] == pytest.approx([kept * share, alpha / 0.03 - 1.0, 0.1])
+
+
+def test_without_a_diffuse_part_the_others_leave_a_range_for_it() -> None:
+    material = CATALOGUE["nickel_25"]
+    for low in (0.98, 1.0):
+        metal = SimpleNamespace(albedo=np.ones(3), layer=None, ranges=SimpleNamespace(light_share=(low, 1.0)))
+        parts = KnownParts(material, 0.0, (0.0, 0.0), 0.25)
+        parts[:], parts.diffuse = [metal], None
+        found = judged(parts, Truth.of(material))  # type: ignore[arg-type]
+        assert [*found.range, found.alpha, found.f0] == pytest.approx([0.0, 1.0 - low, 1.0, 1.0])
+        assert found.inside

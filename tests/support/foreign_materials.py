@@ -1,0 +1,252 @@
+"""Materials of others whose specular and diffuse light is known: a catalogue, and any number drawn with a seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from tests.support.foreign_bsdfs import (
+    Array,
+    Color,
+    Part,
+    ashikhmin_shirley_diffuse,
+    ashikhmin_shirley_specular,
+    burley_diffuse,
+    charlie_sheen,
+    conductor,
+    dielectric_coat,
+    difference,
+    lambert,
+    oren_nayar,
+    plastic,
+    plugin,
+    principled,
+    principled_diffuse,
+    rgb,
+    under_coat,
+    ward_duer,
+)
+
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a surface reflects: its specular and its diffuse parts; sheen is diffuse, a coat is specular.
+
+    Attributes
+    ----------
+    alpha : float or None
+        Where the specular light is that of one layer of GGX's or of Beckmann's microfacets: their roughness.
+    distribution : str
+        Of the microfacets: "ggx" or "beckmann".
+    """
+
+    specular: tuple[Part, ...] = ()
+    diffuse: tuple[Part, ...] = ()
+    alpha: float | None = None
+    distribution: str = "ggx"
+
+    def specular_values(self, omega_in: Array, omega_out: Array) -> Array:
+        return _sum(self.specular, omega_in, omega_out)
+
+    def diffuse_values(self, omega_in: Array, omega_out: Array) -> Array:
+        return _sum(self.diffuse, omega_in, omega_out)
+
+    @property
+    def f0(self) -> Array | None:
+        """Reflectance of the layer at normal incidence, RGB, shape (3,); None where there is not one layer."""
+        if self.alpha is None:  # GGX's distribution and Beckmann's are 1 / (pi alpha**2) at the normal
+            return None
+        return np.asarray(self.specular_values(UP, UP)[0] * 4.0 * np.pi * self.alpha**2)
+
+    def measurement(self, name: str, noise: float = 0.0, seed: int = 0) -> Measurement:
+        """Values on the grid of a MERL file, with independent relative Gaussian noise."""
+        above = nodes_above_horizon()
+        half, diff, phi = np.nonzero(above)
+        pair = directions(THETA_HALF[half], THETA_DIFF[diff], PHI_DIFF[phi])
+        found = self.specular_values(*pair) + self.diffuse_values(*pair)
+        if noise:
+            found *= np.maximum(1.0 + noise * np.random.default_rng(seed).standard_normal(found.shape), 0.0)
+        values = np.full((3, *above.shape), -1.0)
+        values[:, above] = found.T
+        return Measurement.from_values(values, above, name)
+
+
+def _sum(parts: tuple[Part, ...], omega_in: Array, omega_out: Array) -> Array:
+    return sum((part(omega_in, omega_out) for part in parts), np.zeros_like(omega_in))
+
+
+def plastic_material(alpha: float, color: Color, ior: float = 1.5, kind: str = "ggx", mixed: bool = False) -> Material:
+    coat, ground = plastic(alpha, color, ior, kind, nonlinear=mixed)
+    return Material((coat,), (ground,), alpha, kind)
+
+
+def metal(alpha: float, name: str, kind: str = "ggx") -> Material:
+    return Material((conductor(alpha, name, kind),), (), alpha, kind)
+
+
+def coated_metal(coat_alpha: float, alpha: float, name: str, ior: float = 1.5) -> Material:
+    return Material((dielectric_coat(coat_alpha, ior), under_coat(conductor(alpha, name), ior)))
+
+
+def highlight(alpha: float, strength: Color, ground: Part, kind: str = "ggx") -> Material:
+    """A rough mirror of any strength over a diffuse ground."""
+    return Material((conductor(alpha, "none", kind, strength),), (ground,), alpha, kind)
+
+
+def car_paint(coat_alpha: float, alpha: float, flakes: Color, ground: Color, ior: float = 1.5) -> Material:
+    """A clear coat over flakes and a ground."""
+    below = under_coat(conductor(alpha, color=flakes), ior)
+    return Material((dielectric_coat(coat_alpha, ior), below), (under_coat(lambert(ground), ior),))
+
+
+def blend(weight: float, alpha: float, name: str, ground: Color) -> Material:
+    """A metal that shows through holes of a diffuse paint, by Mitsuba's blend of two BSDFs."""
+    description = {
+        "type": "blendbsdf",
+        "weight": weight,
+        "metal": {"type": "roughconductor", "material": name, "alpha": alpha, "distribution": "ggx"},
+        "paint": {"type": "diffuse", "reflectance": rgb(ground)},
+    }
+    return Material((plugin(description, 0),), (plugin(description, 1),), alpha)
+
+
+def principled_material(
+    color: Color, roughness: float, metallic: float = 0.0, clearcoat: float = 0.0, sheen: float = 0.0, **others: float
+) -> Material:
+    """The principled BSDF: its main lobe and its clear coat, its diffuse part and its sheen."""
+    plain = principled(color, roughness, metallic, **others)
+    body = principled_diffuse(color, roughness, metallic)
+    specular = [difference(plain, body) if metallic < 1.0 else plain]
+    diffuse = [body] if metallic < 1.0 else []
+    if clearcoat:
+        coated = principled(color, roughness, metallic, **others, clearcoat=clearcoat, clearcoat_gloss=0.95)
+        specular.append(difference(coated, plain))
+    if sheen:
+        diffuse.append(difference(principled(color, roughness, metallic, **others, sheen=sheen), plain))
+    return Material(tuple(specular), tuple(diffuse), None if clearcoat else roughness**2)
+
+
+def ashikhmin_shirley(exponent: float, specular: Color, ground: Color) -> Material:
+    return Material((ashikhmin_shirley_specular(exponent, specular),), (ashikhmin_shirley_diffuse(ground, specular),))
+
+
+GREEN, BLUE, ORANGE, YELLOW = (0.10, 0.45, 0.15), (0.06, 0.12, 0.42), (0.72, 0.27, 0.05), (0.70, 0.58, 0.08)
+WHITE, DARK, BROWN, PINK = (0.88, 0.87, 0.84), (0.030, 0.030, 0.035), (0.22, 0.13, 0.08), (0.60, 0.28, 0.33)
+
+CATALOGUE = {
+    "plastic_green_03": plastic_material(0.03, GREEN),
+    "plastic_blue_08_beckmann": plastic_material(0.08, BLUE, kind="beckmann"),
+    "plastic_white_12": plastic_material(0.12, WHITE, ior=1.46),
+    "plastic_orange_25_beckmann": plastic_material(0.25, ORANGE, ior=1.55, kind="beckmann"),
+    "plastic_dark_07": plastic_material(0.07, DARK),
+    "plastic_yellow_30": plastic_material(0.30, YELLOW),
+    "plastic_white_50": plastic_material(0.50, WHITE),
+    "plastic_brown_15_mixed": plastic_material(0.15, BROWN, ior=1.7, mixed=True),
+    "plastic_dark_35_beckmann": plastic_material(0.35, DARK, kind="beckmann"),
+    "chromium_06": metal(0.06, "Cr"),
+    "silver_15_beckmann": metal(0.15, "Ag", "beckmann"),
+    "nickel_25": metal(0.25, "Ni_palik"),
+    "copper_35_beckmann": metal(0.35, "Cu", "beckmann"),
+    "titanium_nitride_18": metal(0.18, "TiN"),
+    "molybdenum_45": metal(0.45, "Mo"),
+    "coat_on_copper": coated_metal(0.05, 0.28, "Cu"),
+    "coat_on_chromium": coated_metal(0.02, 0.15, "Cr", ior=1.6),
+    "strong_highlight": highlight(0.12, (0.30, 0.30, 0.30), lambert((0.25, 0.30, 0.20))),
+    "coloured_highlight": highlight(0.22, (0.14, 0.09, 0.04), lambert(BLUE), "beckmann"),
+    "nickel_in_rust": blend(0.6, 0.16, "Ni_palik", (0.35, 0.14, 0.06)),
+    "two_lobes": Material(
+        (dielectric_coat(0.04), conductor(0.22, color=(0.06, 0.06, 0.06))), (under_coat(lambert(PINK)),)
+    ),
+    "two_lobes_on_black": Material((dielectric_coat(0.05), conductor(0.28, color=(0.05, 0.05, 0.05)))),
+    "charlie_sheen": Material((), (charlie_sheen(0.4, (0.45, 0.25, 0.15)), lambert((0.06, 0.04, 0.03)))),
+    "principled_sheen": principled_material((0.15, 0.10, 0.30), 0.8, specular=0.2, sheen=0.8),
+    "oren_nayar_25": Material((), (oren_nayar(25.0, PINK),)),
+    "oren_nayar_50": Material((), (oren_nayar(50.0, WHITE),)),
+    "coat_on_oren_nayar": Material((dielectric_coat(0.10),), (under_coat(oren_nayar(35.0, BROWN)),), 0.10),
+    "principled_30": principled_material(GREEN, 0.30),
+    "principled_quarter_metal": principled_material((0.55, 0.50, 0.60), 0.5, metallic=0.25),
+    "principled_mostly_metal": principled_material((0.80, 0.45, 0.30), 0.4, metallic=0.8),
+    "principled_metal_60": principled_material((0.70, 0.72, 0.75), 0.6, metallic=1.0),
+    "principled_clearcoat": principled_material(ORANGE, 0.6, clearcoat=1.0),
+    "ashikhmin_shirley_400": ashikhmin_shirley(400.0, (0.05, 0.05, 0.05), YELLOW),
+    "ashikhmin_shirley_25": ashikhmin_shirley(25.0, (0.20, 0.20, 0.20), BROWN),
+    "ward_duer_10": Material((ward_duer(0.10, (0.08, 0.08, 0.08)),), (lambert(GREEN),)),
+    "ward_duer_25_metal": Material((ward_duer(0.25, (0.75, 0.60, 0.35)),)),
+    "burley_rough": Material((), (burley_diffuse(0.9, (0.45, 0.40, 0.35)),)),
+    "burley_smooth_under_coat": Material((dielectric_coat(0.06),), (burley_diffuse(0.2, BLUE),), 0.06),
+    "car_paint_blue": car_paint(0.012, 0.22, (0.10, 0.16, 0.30), (0.01, 0.02, 0.06)),
+    "car_paint_champagne": car_paint(0.02, 0.35, (0.30, 0.25, 0.18), (0.12, 0.10, 0.07), ior=1.55),
+}
+
+METALS = ("Ag", "Al", "Au", "Cr", "Cu", "Mo", "Ni_palik", "TiN", "V_palik", "W")
+
+
+def drawn(number: int, seed: int) -> dict[str, Material]:
+    """Return materials of six kinds in turn: plastics, metals, principled, car paints and two formulas."""
+    random = np.random.default_rng(seed)
+    kinds = list(KINDS.items())
+    chosen = [(k, *kinds[k % len(kinds)]) for k in range(number)]
+    return {f"{kind}_{k:02}": draw(random) for k, kind, draw in chosen}
+
+
+def _color(random: np.random.Generator, low: float, high: float, saturation: float = 1.0) -> Color:
+    """A colour of logarithmically uniform brightness; the saturation scales how much its channels differ."""
+    level = np.exp(random.uniform(np.log(low), np.log(high)))
+    red, green, blue = (level * np.exp(-saturation * random.uniform(0.0, 1.5, 3))).tolist()
+    return red, green, blue
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def _drawn_plastic(random: np.random.Generator) -> Material:
+    kind, mixed = str(random.choice(["ggx", "beckmann"])), bool(random.integers(2))
+    color = _color(random, 0.02, 0.9)
+    return plastic_material(_log_uniform(random, 0.03, 0.5), color, random.uniform(1.35, 1.8), kind, mixed)
+
+
+def _drawn_metal(random: np.random.Generator) -> Material:
+    name, kind = str(random.choice(METALS)), str(random.choice(["ggx", "beckmann"]))
+    return metal(_log_uniform(random, 0.03, 0.5), name, kind)
+
+
+def _drawn_principled(random: np.random.Generator) -> Material:
+    return principled_material(
+        _color(random, 0.05, 0.9),
+        random.uniform(0.2, 0.8),
+        metallic=float(random.choice([0.0, 0.0, 0.3, 0.7, 1.0])),
+        clearcoat=float(random.choice([0.0, 0.0, 1.0])),
+        specular=random.uniform(0.2, 0.9),
+    )
+
+
+def _drawn_car_paint(random: np.random.Generator) -> Material:
+    flakes, ground = _color(random, 0.05, 0.5, 0.5), _color(random, 0.01, 0.3)
+    return car_paint(
+        _log_uniform(random, 0.006, 0.04), random.uniform(0.12, 0.4), flakes, ground, random.uniform(1.4, 1.6)
+    )
+
+
+def _drawn_ashikhmin_shirley(random: np.random.Generator) -> Material:
+    specular = _color(random, 0.03, 0.4, 0.3)
+    return ashikhmin_shirley(_log_uniform(random, 10.0, 3000.0), specular, _color(random, 0.02, 0.8))
+
+
+def _drawn_ward(random: np.random.Generator) -> Material:
+    ground = (lambert(_color(random, 0.02, 0.7)),) if random.random() < 0.7 else ()
+    return Material((ward_duer(_log_uniform(random, 0.03, 0.35), _color(random, 0.03, 0.5, 0.5)),), ground)
+
+
+KINDS = {
+    "plastic": _drawn_plastic,
+    "metal": _drawn_metal,
+    "principled": _drawn_principled,
+    "car_paint": _drawn_car_paint,
+    "ashikhmin_shirley": _drawn_ashikhmin_shirley,
+    "ward": _drawn_ward,
+}

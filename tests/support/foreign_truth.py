@@ -1,0 +1,143 @@
+"""What is wrong with the components of a model whose specular and diffuse light is known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dsbrdf
+from tests.support.foreign_materials import Material
+
+Array = NDArray[np.float64]
+
+ANGLES_DEG = (0.0, 40.0, 70.0)
+LEAST_F0 = 0.02  # of a channel, for a relative error
+NO_LIGHT = 1e-3  # of all light: what is less is no component
+
+
+def directional_rule(theta_out: float) -> tuple[Array, Array, Array]:
+    """Directions (n, 3) of the light and of the eye, and weights (n,) of an integral over the light's cosine [sr].
+
+    A midpoint rule in half vectors, dense about the mirror direction; half of the azimuths stand for all.
+    """
+    rings, azimuths = 300, 60
+    u = (np.arange(rings) + 0.5) / rings
+    half, azimuth = np.meshgrid(np.pi / 2 * u**3, (np.arange(azimuths) + 0.5) / azimuths * np.pi, indexing="ij")
+    area = np.sin(half) * (np.pi / 2 * 3.0 * u**2 / rings)[:, np.newaxis] * (2.0 * np.pi / azimuths)
+    normal = np.stack([np.sin(half) * np.cos(azimuth), np.sin(half) * np.sin(azimuth), np.cos(half)], axis=-1)
+    eye = np.array([np.sin(theta_out), 0.0, np.cos(theta_out)])
+    cos_diff = normal @ eye
+    light = 2.0 * cos_diff[..., np.newaxis] * normal - eye
+    lit = (cos_diff > 0.0) & (light[..., 2] > 1e-6)
+    return light[lit], np.broadcast_to(eye, light.shape)[lit], (4.0 * cos_diff * light[..., 2] * area)[lit]
+
+
+RULES = tuple(directional_rule(float(np.radians(angle))) for angle in ANGLES_DEG)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Specular and diffuse values (n, 3) at the nodes of each of `RULES` [1/sr], and the layer if there is only one."""
+
+    specular: tuple[Array, ...]
+    diffuse: tuple[Array, ...]
+    alpha: float | None
+    f0: Array | None
+
+    @classmethod
+    def of(cls, material: Material) -> "Truth":
+        """Evaluate the parts of a material."""
+        specular = tuple(material.specular_values(light, eye) for light, eye, _ in RULES)
+        diffuse = tuple(material.diffuse_values(light, eye) for light, eye, _ in RULES)
+        return cls(specular, diffuse, material.alpha, material.f0)
+
+    @classmethod
+    def load(cls, path: Path) -> "Truth":
+        """Read what `save` wrote."""
+        with np.load(path) as file:
+            specular, diffuse = (
+                tuple(file[f"{side}_{k}"] for k in range(len(RULES))) for side in ("specular", "diffuse")
+            )
+            alpha, f0 = float(file["alpha"]), file["f0"]
+            one_layer = np.isfinite(alpha)
+            return cls(specular, diffuse, alpha if one_layer else None, f0 if one_layer else None)
+
+    def save(self, path: Path) -> None:
+        """Write an .npz file, so that a decomposition can be judged again without Mitsuba."""
+        sides = {"specular": self.specular, "diffuse": self.diffuse}
+        arrays = {f"{side}_{k}": values for side, parts in sides.items() for k, values in enumerate(parts)}
+        alpha, f0 = np.nan if self.alpha is None else self.alpha, np.zeros(3) if self.f0 is None else self.f0
+        np.savez(path, allow_pickle=False, alpha=alpha, f0=f0, **arrays)
+
+    @property
+    def diffuse_share(self) -> float:
+        """Share of the diffuse light in all light at normal incidence."""
+        diffuse, specular = (RULES[0][2] @ side[0].sum(axis=1) for side in (self.diffuse, self.specular))
+        return float(diffuse / (diffuse + specular))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is wrong with one decomposition.
+
+    Attributes
+    ----------
+    moved : Array
+        At `ANGLES_DEG`.
+    alpha, f0 : float or None
+        Relative errors of the brightest specular component's layer; None if the truth is not one layer.
+    share, true_share : float
+        Of the diffuse light at normal incidence.
+    range : tuple of float
+        What the decomposition states of the share, see `diffuse_range`.
+    """
+
+    structure: str
+    moved: Array
+    alpha: float | None
+    f0: float | None
+    share: float
+    true_share: float
+    range: tuple[float, float]
+
+    @property
+    def inside(self) -> bool:
+        """Whether the range holds the true share."""
+        low, high = self.range
+        return low - NO_LIGHT <= self.true_share <= high + NO_LIGHT
+
+
+def judged(parts: dsbrdf.Decomposition, truth: Truth) -> Judgement:
+    """Compare the components of a model with the truth."""
+    moved, shares = [], []
+    for (light, eye, weight), diffuse, specular in zip(RULES, truth.diffuse, truth.specular, strict=True):
+        found = np.zeros_like(diffuse) if parts.diffuse is None else parts.diffuse.evaluate_directions(light, eye)
+        every = weight @ (diffuse + specular).sum(axis=1)
+        moved.append(weight @ np.abs(found - diffuse).sum(axis=1) / every)
+        shares.append(weight @ found.sum(axis=1) / every)
+    alpha, f0 = layer_errors(parts, truth)
+    return Judgement(
+        parts.structure, np.array(moved), alpha, f0, float(shares[0]), truth.diffuse_share, diffuse_range(parts)
+    )
+
+
+def diffuse_range(parts: dsbrdf.Decomposition) -> tuple[float, float]:
+    """What is stated of the diffuse share: where the diffuse part is absent, what the others leave."""
+    if parts.diffuse is not None:
+        return parts.diffuse.ranges.light_share
+    return 0.0, max(0.0, 1.0 - sum(part.ranges.light_share[0] for part in parts))
+
+
+def layer_errors(parts: dsbrdf.Decomposition, truth: Truth) -> tuple[float | None, float | None]:
+    """Relative errors of alpha and of F0's worst channel: 1 without a layer, None if the truth is not one layer."""
+    if truth.alpha is None or truth.f0 is None:
+        return None, None
+    bright = truth.f0 > LEAST_F0
+    layers: dict[float, Any] = {float(part.albedo.sum()): part.layer for part in parts if hasattr(part.layer, "f0")}
+    if not layers:
+        return 1.0, 1.0 if bright.any() else None
+    layer = layers[max(layers)]
+    f0 = float(np.abs(np.array(layer.f0) / truth.f0 - 1.0)[bright].max()) if bright.any() else None
+    return layer.alpha / truth.alpha - 1.0, f0
