@@ -1,7 +1,7 @@
 """What a material's GLSL costs beside a plain GGX shader, in the browser, and what the smaller one loses.
 
 Columns: the time of an evaluation over that of GGX (Smith's masking, Schlick's Fresnel, a Lambertian ground), of the
-model, of the guide, which is the components' own lobes, and of the model with its components; their PSNR on a sphere
+model, of the layers of its components, and of the model with its components; their PSNR on a sphere
 under three lights against the measurement. The browser's renderer is SwiftShader, which computes on the processor: a
 graphics card will show other ratios.
 """
@@ -57,14 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     first, second = (np.tile(part, (N_TILES, 1)) for part in pairs())
     inside = sphere_normals(SIZE)[1]
-    print(f"{'':28}{'model':>9}{'guide':>9}{'parts':>9}{'lobes':>7}{'numbers':>9}{'PSNR':>7}{'of guide':>10}")
+    print(f"{'':28}{'model':>9}{'layers':>9}{'parts':>9}{'lobes':>7}{'numbers':>9}{'PSNR':>7}{'of layers':>10}")
     rows = []
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         for measurement in chosen_measurements(arguments):
             model = fit(measurement).model
             components = decompose(model)
             sources = {"nothing": NOTHING, "GGX": GGX.replace("TIMES", str(TIMES)), "model": glsl_function(model)}
-            sources |= {"guide": glsl_function(components.guide), "parts": glsl_function(next(iter(components)))}
+            sources |= {"layers": glsl_function(components.layers), "parts": glsl_function(next(iter(components)))}
             calls = {n: ShaderCall(s, "dsbrdf(a, b)", first, second) for n, s in sources.items()}
             with tempfile.TemporaryDirectory() as folder:
                 times = time_glsl(calls, Path(folder), N_REPEATS)
@@ -74,9 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             factor = exposure(measured, inside)
             shown = displayed(measured, factor)
             found = [
-                psnr(shown, displayed(render_sphere(m, size=SIZE), factor), inside) for m in (model, components.guide)
+                psnr(shown, displayed(render_sphere(m, size=SIZE), factor), inside) for m in (model, components.layers)
             ]
-            rows.append([*ratios, model.n_lobes, components.guide.n_numbers, *found])
+            rows.append([*ratios, model.n_lobes, components.layers.n_numbers, *found])
             print_row(measurement.name, rows[-1])
     print_row(f"median of {len(rows)}", np.median(rows, axis=0).tolist())
     return 0

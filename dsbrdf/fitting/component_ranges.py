@@ -30,7 +30,7 @@ class ComponentRanges:
         Of the share of all light at normal incidence, the half width [rad] and the roughness of the brightest layer.
     albedo, color, f0 : tuple of tuple of float
         For each channel: of the directional albedo at normal incidence, of the albedo over its largest channel, and of
-        the reflectance of the layer's facets.
+        the reflectance of the component's surfaces at normal incidence.
     """
 
     light_share: tuple[float, float]
@@ -65,17 +65,17 @@ def _of_component(
     albedo, share = albedos[:, place], shares[:, place]
     there = share > 0.0
     color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
-    layers = [one.brightest(label) if label in one.labels and label != "diffuse" else None for one in drawn]
-    specular = [(layer, w) for layer, w in zip(layers, weight, strict=True) if isinstance(layer, SpecularLayer)]
     common = _range(share, weight), _channels(albedo, weight), _channels(color, weight[there])
+    layers = [one.brightest(label) if label in one.labels and label != "diffuse" else None for one in drawn]
+    specular = [(one, layer) for one, layer in zip(drawn, layers, strict=True) if isinstance(layer, SpecularLayer)]
     if not specular:
         return ComponentRanges(*common)
-    own = np.array([w for _, w in specular])
+    own = np.array([one.weight for one, _ in specular])
     return ComponentRanges(
         *common,
-        half_width=_range(np.array([layer.half_width for layer, _ in specular]), own),
-        alpha=_range(np.array([layer.alpha for layer, _ in specular]), own),
-        f0=_channels(np.array([layer.f0 for layer, _ in specular]), own),
+        half_width=_range(np.array([layer.half_width for _, layer in specular]), own),
+        alpha=_range(np.array([layer.alpha for _, layer in specular]), own),
+        f0=_channels(np.array([one.reflectance(label) for one, _ in specular]), own),
     )
 
 

@@ -110,6 +110,26 @@ class Component(ReflectanceModel):
         return layer if isinstance(layer, (SpecularLayer, RetroLayer)) and self.label != "diffuse" else None
 
     @property
+    def alpha(self) -> float | None:
+        """Roughness of the layer; None if diffuse."""
+        return None if self.layer is None else self.layer.alpha
+
+    @property
+    def kappa(self) -> float | None:
+        """Exponent of the layer's tails, 2 for GGX; None if it is no surface."""
+        return self.layer.kappa if isinstance(self.layer, SpecularLayer) else None
+
+    @property
+    def f0(self) -> Array | None:
+        """Reflectance at normal incidence of the component's surfaces together, RGB, shape (3,); None without any."""
+        return self._structure.reflectance(self.label) if isinstance(self.layer, SpecularLayer) else None
+
+    @property
+    def f90(self) -> float | None:
+        """Reflectance of the layer at grazing incidence; None if it is no surface."""
+        return self.layer.f90 if isinstance(self.layer, SpecularLayer) else None
+
+    @property
     def albedo(self) -> Array:
         """Directional albedo at normal incidence, RGB, shape (3,)."""
         return self.whole.albedos[self._index]

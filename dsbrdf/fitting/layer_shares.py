@@ -83,6 +83,12 @@ class WeightedLayers:
         own = [number for number, found in enumerate(self.labels) if found == label]
         return self.model.layers[max(own, key=lambda number: float(self._light[number]))]
 
+    def reflectance(self, label: str) -> Array:
+        """Reflectance at normal incidence of all surfaces of a component together, shape (3,)."""
+        layers = zip(self.model.layers, self.labels, strict=True)
+        own = [layer.reflectance for layer, found in layers if found == label and isinstance(layer, SpecularLayer)]
+        return np.sum(own, axis=0) if own else np.zeros(3)
+
     def light_of(self, kind: type[Layer]) -> float:
         """Share of the light at normal incidence that layers of a kind reflect."""
         own = [isinstance(layer, kind) for layer in self.model.layers]

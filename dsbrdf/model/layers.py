@@ -134,6 +134,11 @@ class SpecularLayer:
         return cls((red, green, blue), f90, alpha, kappa, (q1, q2), masking, under_coat)
 
     @property
+    def reflectance(self) -> Array:
+        """F0 as it is seen, through a coat if there is one, RGB, shape (3,)."""
+        return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
+
+    @property
     def half_width(self) -> float:
         """Angle theta_half at which the slopes of facets are half as frequent as at 0 [rad]."""
         return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.kappa)[0] * (2.0 ** (1.0 / self.kappa) - 1.0))))

@@ -229,9 +229,8 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
 
 def component_document(component: Component) -> dict[str, Any]:
     """Return one component as JSON content: light, physical parameters with ranges, heights at `LOBE_THETA_DIFF`."""
-    layer, ranges = component.layer, asdict(component.ranges)
+    ranges = asdict(component.ranges)
     widths = ranges.pop("half_width")
-    parameters = {name: getattr(layer, name, None) for name in ("alpha", "kappa", "f0", "f90")}
     height = component.height(np.radians(LOBE_THETA_DIFF))
     return {
         "label": component.label,
@@ -240,7 +239,10 @@ def component_document(component: Component) -> dict[str, Any]:
         "albedo": component.albedo.tolist(),
         "color": component.color.tolist(),
         "half_width_deg": None if component.half_width is None else float(np.degrees(component.half_width)),
-        **parameters,
+        "alpha": component.alpha,
+        "kappa": component.kappa,
+        "f0": None if component.f0 is None else component.f0.tolist(),
+        "f90": component.f90,
         "lobe": {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": height.tolist()},
         "ranges": ranges | {"half_width_deg": None if widths is None else np.degrees(widths).tolist()},
     }

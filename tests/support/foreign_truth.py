@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,9 +134,9 @@ def layer_errors(parts: dsbrdf.Decomposition, truth: Truth) -> tuple[float | Non
     if truth.alpha is None or truth.f0 is None:
         return None, None
     bright = truth.f0 > LEAST_F0
-    layers: dict[float, Any] = {float(part.albedo.sum()): part.layer for part in parts if hasattr(part.layer, "f0")}
-    if not layers:
+    surfaces = [part for part in parts if part.f0 is not None]
+    if not surfaces:
         return 1.0, 1.0 if bright.any() else None
-    layer = layers[max(layers)]
-    f0 = float(np.abs(np.array(layer.f0) / truth.f0 - 1.0)[bright].max()) if bright.any() else None
-    return layer.alpha / truth.alpha - 1.0, f0
+    brightest = max(surfaces, key=lambda part: part.light_share)
+    f0 = float(np.abs(np.asarray(brightest.f0) / truth.f0 - 1.0)[bright].max()) if bright.any() else None
+    return (brightest.alpha or 0.0) / truth.alpha - 1.0, f0

@@ -28,6 +28,7 @@ from dsbrdf.fitting.decomposition import Component
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.export import export_model
@@ -169,7 +170,7 @@ def figure_step(
     return encode_figure(FIGURES[figure](reduced, model), image_format)
 
 
-def export_step(model: DSBRDF | Component, file_format: str, path: str, _: OnProgress) -> None:
+def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path: str, _: OnProgress) -> None:
     """Write a file with a model, as `export_model` makes it, for formats that take long or make long files."""
     Path(path).write_bytes(export_model(model, file_format))
 

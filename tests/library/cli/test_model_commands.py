@@ -89,7 +89,7 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
             assert [item[name] for name in ("half_width_deg", "alpha", "kappa", "f0", "f90")] == [None] * 5
         else:
             assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
-            assert (item["alpha"], item["f0"]) == (component.layer.alpha, list(component.layer.f0))
+            assert (item["alpha"], item["f0"]) == (component.alpha, np.asarray(component.f0).tolist())
             assert f"  alpha       {component.layer.alpha:<9.3g}(" in "\n".join(lines)
         lobe = item["lobe"]
         angles = np.radians(lobe["theta_diff_deg"])
