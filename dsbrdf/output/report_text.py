@@ -54,15 +54,12 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table with a line for each component: share of the light with its range, half width, albedo."""
     if not components:
         return ["The model has no light, and so no components."]
-    lines = [f"{'component':<14}{'light':>6}{'90 % range':>14}{'half width':>12}{'albedo r, g, b':>23}"]
+    lines = [f"{'component':<14}{'light':>5}{'90 % range':>11}{'width':>8}{'albedo r, g, b':>21}"]
     for component in components:
-        low, high = component["ranges"]["light_share"]
-        width = component["half_width_deg"]
-        cells = f"{component['light_share']:>6.0%}{f'{low:.0%} to {high:.0%}':>14}"
-        cells += f"{'' if width is None else f'{width:.2f}°':>12}  " + "".join(
-            f"{value:>7.4f}" for value in component["albedo"]
-        )
-        lines.append(f"{component['label']:<14}{cells}")
+        (low, high), width = component["ranges"]["light_share"], component["half_width_deg"]
+        cells = f"{component['light_share']:>5.0%}{f'{low:.0%}-{high:.0%}':>11}"
+        cells += f"{'' if width is None else f'{width:.2f}°':>8}"
+        lines.append(f"{component['label']:<14}{cells}" + "".join(f"{value:>7.4f}" for value in component["albedo"]))
     return lines
 
 

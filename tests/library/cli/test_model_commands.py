@@ -117,7 +117,7 @@ def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Pat
 
 
 def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None:
-    assert "kappa" not in printed("show", model_file)
+    assert "gamma" not in printed("show", model_file)
     lines = printed("show", model_file, "--lobes", "--channel", "blue").splitlines()
     start = next(number for number, line in enumerate(lines) if ", blue channel" in line)
     height, width, kappa = (

