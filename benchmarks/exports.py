@@ -33,6 +33,7 @@ from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.extras import require
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import THREE_LIGHTS
@@ -171,7 +172,7 @@ def spheres(measurement: Measurement, model: DSBRDF, files: Files) -> list[float
     measured, mitsuba = reference(measurement), variant("llvm_ad_rgb")
     factor = exposure(measured, inside)
     pictures = [reference(model), *(picture(mitsuba, path) for path in (files.model, files.fit, files.data))]
-    pictures.append(reference(fit_openpbr(model.evaluate)[0].evaluate))
+    pictures.append(reference(fit_openpbr(model.evaluate, decompose(model).layers).surface.evaluate))
     return [psnr(displayed(measured, factor), displayed(one, factor), inside) for one in pictures]
 
 

@@ -161,8 +161,8 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
     # The fit of a MaterialX surface has tests of its own.
-    surface = OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0, "environment": 30.0}
-    monkeypatch.setattr(materialx, "fit_openpbr", lambda _: surface)
+    surface = materialx.FoundSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0}, {"highlight": 25.0})
+    monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: surface)
     monkeypatch.setattr(em, "EM_TOLERANCE", 0.1)  # the paper's method has tests of its own, too
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]

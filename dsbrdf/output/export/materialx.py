@@ -1,20 +1,24 @@
 """A model as a MaterialX file: the OpenPBR surface that looks most like it.
 
 A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
-`dsbrdf.render_sphere`; least squares of the difference finds the inputs. OpenPBR has about a dozen numbers, so some
-difference is left: it is stated in the file, as PSNR.
+`dsbrdf.render_sphere`; least squares of the difference finds the inputs, from what the layers of the model say of
+them. OpenPBR has about a dozen numbers, so some difference is left: it is stated in the file, as PSNR of the whole
+sphere, of its highlights (the brightest tenth), of what is seen at more than 60 degrees, and of the rest.
 """
 
 from collections.abc import Callable
 from dataclasses import fields
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.layers import LayeredModel, SpecularLayer
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.export.openpbr import Color, OpenPBR
 from dsbrdf.version import __version__
@@ -34,33 +38,47 @@ _FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of t
 _STATED_SIZE = 128  # of those whose PSNR is stated
 _BRIGHTEST = 1e100
 _STEPS = [1e-4]  # of derivatives, relative
+# The numbers of a fit: base and specular colour, then these; in the place of an index is its reflectance, F0.
+_NAMES = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
 _LEAST_ROUGHNESS = 0.03
-_NAMES = ("base_metalness", "specular_weight", "specular_roughness", "coat_weight", "coat_roughness")
-# Metalness, weight and roughness of the highlight, weight and roughness of the coat.
-_STARTS = [
-    start
-    for roughness in (0.15, 0.3, 0.5)
-    for start in (
-        (0.02, 0.8, roughness, 0.05, 0.1),
-        (0.95, 0.9, roughness, 0.05, 0.1),
-        (0.1, 0.8, 0.5 + 0.5 * roughness, 0.8, 0.6 * roughness),
-    )
-]
-_BOUNDS = np.zeros(6 + len(_NAMES)), np.ones(6 + len(_NAMES))
-_BOUNDS[0][[8, 10]] = _LEAST_ROUGHNESS
+_BOUNDS = (
+    np.array([0.0] * 7 + [0.002, _LEAST_ROUGHNESS, 0.0, _LEAST_ROUGHNESS, 0.01]),
+    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # indices up to 2.5 and 1.9
+)
+_NO_COAT = (0.05, 0.1, 0.053)  # weight, roughness and reflectance where a fit may still find one
+_INSIDE = 0.02  # of the bounds: where a fit can begin to move
+_PULL = 0.003  # towards the start, of what the pictures say nothing about
 _AWAY_FROM_THE_HIGHLIGHT = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
-_POLISHED = 2  # starts, the best ones, that least squares improves
+_BRIGHT, _GRAZING = 0.9, np.cos(np.radians(60.0))  # quantile of a sphere's pixels, and cosine to the view
 
 
-def materialx_document(model: DSBRDF) -> str:
-    """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it."""
-    surface, psnr = fit_openpbr(model.evaluate)
-    error = ", ".join(f"{value:.1f} dB ({name})" for name, value in psnr.items())
+class FoundSurface(NamedTuple):
+    """A surface, and the PSNR [dB] of its lit spheres: by lighting, and by region for both lightings together."""
+
+    surface: OpenPBR
+    by_lighting: dict[str, float]
+    by_region: dict[str, float]
+
+
+def materialx_document(model: DSBRDF | LayeredModel) -> str:
+    """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it.
+
+    Raises InvalidArgumentError if the values are too large for a picture.
+    """
+    for lighting, size in _FIT_SIZES.items():
+        if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _BRIGHTEST:
+            raise InvalidArgumentError("the values of the model are too large for a picture")
+    layers = model if isinstance(model, LayeredModel) else decompose(model).layers
+    found = fit_openpbr(model.evaluate, layers)
+    error, regions = (
+        ", ".join(f"{value:.1f} dB ({name})" for name, value in figures.items())
+        for figures in (found.by_lighting, found.by_region)
+    )
     doc = (
         f"The OpenPBR surface nearest to a Directional Statistics BRDF model, written by dsbrdf {__version__}. "
-        f"PSNR of a lit sphere against the model: {error}."
+        f"PSNR of a lit sphere against the model: {error}. By region of both: {regions}."
     )
-    inputs = [_input(field.name, getattr(surface, field.name)) for field in fields(OpenPBR)]
+    inputs = [_input(field.name, getattr(found.surface, field.name)) for field in fields(OpenPBR)]
     return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs))
 
 
@@ -70,25 +88,45 @@ def _input(name: str, value: float | Color) -> str:
     return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
-def fit_openpbr(evaluate: Evaluate) -> tuple[OpenPBR, dict[str, float]]:
-    """Find the OpenPBR surface that looks most like a material, and the PSNR [dB] of its lit spheres by lighting.
-
-    Raises InvalidArgumentError if the values are too large for a picture.
-    """
+def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
+    """Find the OpenPBR surface that looks most like a material, which has about these layers."""
     targets = [_target(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
 
-    def difference(numbers: Array) -> Array:
+    def difference(numbers: Array, start: Array) -> Array:
         surface = _surface(numbers)
-        return np.concatenate([target(surface.evaluate) for target in targets])
+        return np.concatenate([target(surface.evaluate) for target in targets] + [_PULL * (numbers - start)])
 
-    color = np.clip(np.median(evaluate(*_AWAY_FROM_THE_HIGHLIGHT), axis=0) * np.pi, 0.02, 0.95)
-    starts = [np.concatenate([color, np.full(3, 0.9), start]) for start in _STARTS]
-    starts.sort(key=lambda numbers: float(np.sum(difference(numbers) ** 2)))
     ends = [
-        least_squares(difference, start, bounds=_BOUNDS, diff_step=_STEPS, max_nfev=30) for start in starts[:_POLISHED]
+        least_squares(difference, start, bounds=_BOUNDS, diff_step=_STEPS, max_nfev=30, args=(start,))
+        for start in _starts(layers)
     ]
     surface = _surface(min(ends, key=lambda end: end.cost).x)
-    return surface, {lighting: _psnr(evaluate, surface, lighting) for lighting in LIGHTINGS}
+    return FoundSurface(surface, *_likeness(evaluate, surface))
+
+
+def _starts(layers: LayeredModel) -> list[Array]:
+    """Return the numbers of a metal and of a dielectric with these layers; the sharpest of two highlights is a coat."""
+    specular = sorted((one for one in layers.layers if isinstance(one, SpecularLayer)), key=lambda one: one.alpha)
+    ground = LayeredModel(tuple(one for one in layers.layers if not isinstance(one, SpecularLayer)))
+    color = np.median(ground.evaluate(*_AWAY_FROM_THE_HIGHLIGHT), axis=0) * np.pi
+    coat = _NO_COAT
+    if len(specular) > 1:
+        coat = (0.9, _roughness(specular[0]), float(np.mean(specular[0].f0)))
+    base = specular[-1] if specular else SpecularLayer((0.01,) * 3, 0.5, 0.5, 2.0, (0.0, 0.0), 0.0, 0.0)
+    f0, roughness = np.array(base.f0), _roughness(base)
+    tint = f0 / f0.max()
+    starts = (
+        (*np.maximum(color, f0), 0.9, 0.9, 0.9, 0.9, 0.04, roughness, *coat),
+        (*color, *tint, 0.05, f0.max(), roughness, *coat),
+    )
+    lower, upper = _BOUNDS
+    margin = _INSIDE * (upper - lower)
+    return [np.clip(start, lower + margin, upper - margin) for start in starts]
+
+
+def _roughness(layer: SpecularLayer) -> float:
+    """Roughness of the GGX highlight that is as wide at half height."""
+    return float(np.sqrt(np.tan(layer.half_width) / np.sqrt(np.sqrt(2.0) - 1.0)))
 
 
 def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:
@@ -97,8 +135,6 @@ def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate]
     Their mean square counts as much as that of any other picture.
     """
     picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
-    if not picture.max() < _BRIGHTEST:
-        raise InvalidArgumentError("the values of the model are too large for a picture")
     factor = exposure(picture, mask)
     wanted = displayed(picture, factor)[mask]
 
@@ -111,11 +147,33 @@ def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate]
 
 def _surface(numbers: Array) -> OpenPBR:
     red, green, blue, *rest = numbers.tolist()
-    return OpenPBR(
-        (red, green, blue), specular_color=(rest[0], rest[1], rest[2]), **dict(zip(_NAMES, rest[3:], strict=True))
-    )
+    named = dict(zip(_NAMES, rest[3:], strict=True))
+    for name in ("specular_ior", "coat_ior"):
+        root = np.sqrt(named[name])
+        named[name] = float((1.0 + root) / (1.0 - root))
+    return OpenPBR((red, green, blue), specular_color=(rest[0], rest[1], rest[2]), **named)
 
 
-def _psnr(evaluate: Evaluate, surface: OpenPBR, lighting: str) -> float:
-    pair = [render_sphere(one, lighting=lighting, size=_STATED_SIZE) for one in (evaluate, surface.evaluate)]
-    return sphere_likeness(pair[0], pair[1])[0]
+def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], dict[str, float]]:
+    """PSNR [dB] of lit spheres by lighting, then by region."""
+    normals, mask = sphere_normals(_STATED_SIZE)
+    grazing = normals[:, 2] < _GRAZING
+    errors, regions, by_lighting = [], [], {}
+    for lighting in LIGHTINGS:
+        wanted, seen = (
+            render_sphere(one, lighting=lighting, size=_STATED_SIZE) for one in (evaluate, surface.evaluate)
+        )
+        by_lighting[lighting] = sphere_likeness(wanted, seen)[0]
+        factor = exposure(wanted, mask)
+        errors.append(np.mean((displayed(wanted, factor) - displayed(seen, factor))[mask] ** 2, axis=-1))
+        light = wanted[mask].sum(axis=-1)
+        bright = ~grazing & (light > np.quantile(light, _BRIGHT))
+        regions.append([bright, ~grazing & ~bright, grazing])
+    error, places = np.concatenate(errors), np.concatenate(regions, axis=1)
+    names = ("highlight", "rest", "grazing")
+    floor = 1e-12  # of a squared error, of equal pictures
+    return by_lighting, {
+        name: float(-10.0 * np.log10(max(float(np.mean(error[place])), floor)))
+        for name, place in zip(names, places, strict=True)
+        if place.any()
+    }

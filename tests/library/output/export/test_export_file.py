@@ -13,13 +13,17 @@ import dsbrdf
 from dsbrdf.arrays import Evaluate
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.merl import parse_merl
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.render import render_sphere, sphere_likeness
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.layers import DiffuseLayer, LayeredModel, SpecularLayer
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.export import FORMATS, export_model, materialx
-from dsbrdf.output.export.materialx import fit_openpbr
+from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.output.serialize import layers_from_json
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture
@@ -28,22 +32,28 @@ from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 pytestmark = pytest.mark.slow
 
-FittedSurface = tuple[OpenPBR, dict[str, float]]
-
 needs_materialx = pytest.mark.skipif(
     importlib.util.find_spec("MaterialX") is None, reason='"MaterialX" is not installed'
 )
 COATED = OpenPBR(
     (0.6, 0.3, 0.1), 0.3, 0.7, (0.9, 0.8, 0.5), specular_roughness=0.5, coat_weight=0.6, coat_roughness=0.25
 )
+# About what a decomposition would say of it, not the surface itself.
+LAYERS = LayeredModel(
+    (
+        SpecularLayer((0.03, 0.03, 0.03), 0.8, 0.08, 2.0, (0.0, 0.0), 0.0, 0.0),
+        SpecularLayer((0.15, 0.1, 0.05), 0.8, 0.3, 2.0, (0.0, 0.0), 0.0, 1.0),
+        DiffuseLayer((0.3, 0.15, 0.05), (0.0,) * 6),
+    )
+)
 MODEL = mixture(3, 0)
 
 
-def document_of(found: FittedSurface) -> str:
+def document_of(found: FoundSurface) -> str:
     """The document of a model for which a surface has been found."""
 
-    def known(evaluate: Evaluate) -> FittedSurface:
-        assert evaluate == MODEL.evaluate
+    def known(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
+        assert (evaluate, layers) == (MODEL.evaluate, decompose(MODEL).layers)
         return found
 
     with pytest.MonkeyPatch.context() as patch:
@@ -52,17 +62,15 @@ def document_of(found: FittedSurface) -> str:
 
 
 @pytest.fixture(scope="module")
-def fitted() -> FittedSurface:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(materialx, "_POLISHED", 1)  # the best start alone, which takes half the time
-        return fit_openpbr(COATED.evaluate)
+def fitted() -> FoundSurface:
+    return fit_openpbr(COATED.evaluate, LAYERS)
 
 
 @needs_materialx
 @pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 def test_values_are_those_of_the_shaders_of_materialx(tmp_path: Path) -> None:
     pairs = pairs_of_directions(2000)
-    shader = generated_function(materialx_document(document_of((COATED, {}))))
+    shader = generated_function(materialx_document(document_of(FoundSurface(COATED, {}, {}))))
     (values,) = evaluate_glsl({"coated": ShaderCall(shader, "reflected(a, b)", *pairs)}, tmp_path).values()
     expected = COATED.evaluate(*half_difference(*pairs))
     error = np.abs(values - expected) / expected
@@ -70,22 +78,35 @@ def test_values_are_those_of_the_shaders_of_materialx(tmp_path: Path) -> None:
     assert np.median(error) < 1e-5
 
 
-def test_a_surface_is_found_again_and_the_error_is_that_of_the_spheres(fitted: FittedSurface) -> None:
-    surface, psnr = fitted
-    for lighting, stated in psnr.items():
-        pair = [render_sphere(one, lighting=lighting) for one in (COATED, surface)]
+def test_a_surface_is_found_again_and_the_error_is_that_of_the_spheres(fitted: FoundSurface) -> None:
+    for lighting, stated in fitted.by_lighting.items():
+        pair = [render_sphere(one, lighting=lighting) for one in (COATED, fitted.surface)]
         assert sphere_likeness(pair[0], pair[1])[0] == pytest.approx(stated)
         assert stated > 40.0
 
 
+def test_the_error_of_a_region_is_that_of_its_pixels(fitted: FoundSurface) -> None:
+    squares = []
+    for lighting in LIGHTINGS:
+        wanted, seen = (render_sphere(one, lighting=lighting, size=128) for one in (COATED, fitted.surface))
+        normals, mask = sphere_normals(128)
+        factor = exposure(wanted, mask)
+        beyond = np.degrees(np.arccos(normals[:, 2])) > 60.0
+        squares.append((displayed(wanted, factor)[mask][beyond] - displayed(seen, factor)[mask][beyond]) ** 2)
+    assert fitted.by_region["grazing"] == pytest.approx(-10.0 * np.log10(np.mean(squares)))
+    assert min(fitted.by_region.values()) < min(fitted.by_lighting.values())
+    assert max(fitted.by_region.values()) > max(fitted.by_lighting.values())
+
+
 @needs_materialx
-def test_the_document_is_valid_and_states_surface_and_error(fitted: FittedSurface) -> None:
-    document, (surface, psnr) = materialx_document(document_of(fitted)), fitted
+def test_the_document_is_valid_and_states_surface_and_error(fitted: FoundSurface) -> None:
+    document = materialx_document(document_of(fitted))
     assert document.validate() == (True, "")
     for name, value in asdict(surface_of(document)).items():
-        assert value == pytest.approx(getattr(surface, name), rel=1e-5)
+        assert value == pytest.approx(getattr(fitted.surface, name), rel=1e-5)
     doc = document.getNode("dsbrdf_surface").getAttribute("doc")
-    assert all(f"{stated:.1f} dB ({lighting})" in doc for lighting, stated in psnr.items())
+    stated = fitted.by_lighting | fitted.by_region
+    assert all(f"{value:.1f} dB ({name})" in doc for name, value in stated.items())
     assert [node.getCategory() for node in document.getMaterialNodes()] == ["surfacematerial"]
 
 
@@ -124,6 +145,23 @@ def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: Fit
     assert "vec3 dsbrdf(" in (tmp_path / "paint.txt").read_text()
     dsbrdf.export(decompose(MODEL)["diffuse"], tmp_path / "lobe.glsl")
     assert "This is a component" in (tmp_path / "lobe.glsl").read_text()
+
+
+def test_layers_are_stored_without_loss_and_a_table_has_their_parameters(tmp_path: Path) -> None:
+    dsbrdf.export(LAYERS, tmp_path / "layers.json")
+    assert layers_from_json((tmp_path / "layers.json").read_text()) == LAYERS
+    rows = list(csv.DictReader(StringIO(export_model(LAYERS, "csv").decode())))
+    assert len(rows) == LAYERS.n_numbers
+    table = {(row["layer"], row["kind"], row["parameter"]): float(row["value"]) for row in rows}
+    assert table["1", "specular", "f0_green"] == 0.1
+    assert table["0", "specular", "alpha"] == 0.08
+    assert table["2", "diffuse", "albedo_blue"] == 0.05
+    assert table["2", "diffuse", "exponents_6"] == 0.0
+
+
+def test_layers_are_values_in_the_formats_that_hold_values() -> None:
+    table = parse_merl(export_model(LAYERS, "merl"))
+    np.testing.assert_allclose(table.values[:, 10, 20, 30], LAYERS.evaluate(*np.radians([10 / 9, 20.0, 30.0])))
 
 
 def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path) -> None:
