@@ -21,6 +21,7 @@ _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linsp
 _AZIMUTHS = np.radians([15.0, 45.0, 75.0])
 _POWER = 1.4
 _PLAIN = 0.3  # weight of the plain error, in units of the other's
+_BRIGHTEST = 1e100  # what is far beyond any material must have a square all the same
 _LEAST_COSINE = 1e-3  # to the normal
 
 
@@ -38,7 +39,7 @@ def layer_data(model: ReflectanceModel) -> LayerData | None:
     """Values of a model, or None if it has no light."""
     grid = _grid()
     mean = np.zeros((3, *grid.above.shape))
-    mean[:, grid.above] = model.evaluate_unmasked(*grid.angles).T
+    mean[:, grid.above] = np.minimum(model.evaluate_unmasked(*grid.angles).T, _BRIGHTEST)
     if not mean.any():
         return None
     over_phi = np.sum(grid.lit * mean, axis=3) / np.maximum(grid.lit.sum(axis=2), 1e-300)

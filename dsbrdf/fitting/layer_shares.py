@@ -17,7 +17,7 @@ SPIKE_HALF_WIDTH = float(np.radians(3.0))
 HALO = float(np.tan(np.radians(8.0))) ** 2
 """tan(theta_half)**2 up to which most of what the layers miss is the highlight's."""
 _TRANSITION = 3  # power of the diffuse part's share with which it takes what the layers miss
-_TINY = 1e-300
+_TINY, _LARGEST_RATIO = 1e-300, 1e100
 
 
 class NormalRule(NamedTuple):
@@ -71,7 +71,7 @@ class WeightedLayers:
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
         specular = narrow + wide
         total = specular + diffuse + _TINY
-        beyond, missed = (points.squared_tangent / HALO) ** 2, values / total - 1.0
+        beyond, missed = (points.squared_tangent / HALO) ** 2, _ratio(values, total) - 1.0
         taken = (diffuse / total) ** _TRANSITION * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
         ground = np.minimum(values, diffuse * (1.0 + missed * taken)) if (place < 2).any() else values
         rest = values - ground
@@ -98,6 +98,12 @@ class WeightedLayers:
     def _light(self) -> Array:
         """What each layer reflects at normal incidence, channels added, shape (layers,)."""
         return np.asarray(np.sum(self.model.layer_values(NORMAL.points) @ NORMAL.weight, axis=1))
+
+
+def _ratio(values: Array, total: Array) -> Array:
+    """Quotient of values and what layers have, bounded: where layers have nothing, or a model is absurdly bright."""
+    with np.errstate(over="ignore"):
+        return np.minimum(values / total, _LARGEST_RATIO)
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:
