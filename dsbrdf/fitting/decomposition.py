@@ -9,8 +9,8 @@ part of a model f is
     q = (tan(theta_half) / tan(8 degrees))**4.
 
 Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
-mirror direction, where q is small, light that the layers lack is a halo of the highlight. What is left is the
-highlights', by the light of their layers. A component has the mean over the structures, by weight: components sum to
+mirror direction, where q is small, light that the layers lack is a halo of the highlight. Where there is a
+ground alone, it has at most d (2 + q). What is left is the highlights', by the light of their layers. A component has the mean over the structures, by weight: components sum to
 f, none is negative, and the split hangs on no threshold. A component is there only if it has light.
 """
 
@@ -329,7 +329,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
     """Whether a component with a share of the light is there: a faint one must be probable too."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
-    return share > (_NO_LIGHT if probability > _PROBABLE else _FAINT)
+    return probability > 0.0 and share > (_NO_LIGHT if probability > _PROBABLE else _FAINT)
 
 
 def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], theta_out: float) -> Array:

@@ -73,7 +73,9 @@ class WeightedLayers:
         total = specular + diffuse + _TINY
         beyond, missed = (points.squared_tangent / HALO) ** 2, _ratio(values, total) - 1.0
         taken = (diffuse / total) ** _TRANSITION * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
-        ground = np.minimum(values, diffuse * (1.0 + missed * taken)) if (place < 2).any() else values
+        # A ground alone explains all values, but no highlight: what is much brighter near the mirror direction is one.
+        most = 1.0 + missed * taken if (place < 2).any() else 2.0 + beyond
+        ground = np.minimum(values, diffuse * most)
         rest = values - ground
         spike = rest * (narrow / (specular + _TINY))
         return np.stack([spike, rest - spike, ground])

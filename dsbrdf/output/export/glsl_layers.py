@@ -76,7 +76,7 @@ def _divided(structure: WeightedLayers) -> str:
         place = LABELS.index(label)
         logs[place] = _call(layer) if logs[place] == _NOTHING else f"dsbrdf_both({logs[place]},\n      {_call(layer)})"
     if logs[0] == logs[1] == _NOTHING:
-        parts = "mat3(vec3(0.0), vec3(0.0), whole)"
+        parts = f"dsbrdf_ground(p.tangent2, whole, {logs[2]})"
     else:
         parts = ",\n      ".join(("dsbrdf_divided(p.tangent2, whole", *logs)) + ")"
     return f"{literal(structure.weight)} * {parts}"
@@ -226,6 +226,13 @@ mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 dif
   vec3 highlight = whole + missed * beyond * s * (1.0 + s * (1.0 + s));
   vec3 rest = max(odds * s * highlight + missed * halo * s, 0.0), spike = rest * exp(narrow - specular);
   return mat3(spike, rest - spike, min(whole, ground * (1.0 - taken) + whole * taken * s));
+}
+
+// The same where the layers have a ground alone: what is much brighter near the mirror direction is a highlight.
+mat3 dsbrdf_ground(float tangent2, vec3 whole, vec3 diffuse) {
+  float q = tangent2 / HALO;
+  vec3 ground = min(whole, exp(diffuse) * (2.0 + q * q));
+  return mat3(vec3(0.0), whole - ground, ground);
 }
 
 vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
