@@ -9,9 +9,10 @@ part of a model f is
     q = (tan(theta_half) / tan(8 degrees))**4.
 
 Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
-mirror direction, where q is small, light that the layers lack is a halo of the highlight. Where there is a
-ground alone, it has at most d (2 + q). What is left is the highlights', by the light of their layers. A component has the mean over the structures, by weight: components sum to
-f, none is negative, and the split hangs on no threshold. A component is there only if it has light.
+mirror direction, where q is small, light that the layers lack is a halo of the highlight. Where there is a ground
+alone, it has at most d (2 + q). What is left is the highlights', by the light of their layers. A component has the
+mean over the structures, by weight: components sum to f, none is negative, and the split hangs on no threshold. A
+component is there only if it has light.
 """
 
 from __future__ import annotations
