@@ -321,9 +321,10 @@ def _decompose(model: DSBRDF) -> Decomposition:
         for one, weight in zip(kept, structure_weights(kept), strict=True)
     )
     light = np.max([_light(model, structures, angle) for angle in _LIGHT_ANGLES.tolist()], axis=0)
-    labels = tuple(
-        label for label, share in zip(LABELS, light.tolist(), strict=True) if _is_there(label, share, structures)
-    )
+    shares = dict(zip(LABELS, light.tolist(), strict=True))
+    labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
+    # Light that no layer explains, such as a delta term alone, is that of the most probable structure.
+    labels = labels or (structures[0].labels[-1],)
     return Decomposition(model, structures, labels, component_ranges(model, kept, labels))
 
 
