@@ -71,14 +71,14 @@ class KnownParts(list[Any]):
 
     def __init__(self, material: Material, share: float, stated: tuple[float, float], alpha: float) -> None:
         assert material.f0 is not None
-        layer = SimpleNamespace(alpha=alpha, kappa=2.0, f0=tuple(np.array([1.1, 1.0, 0.95]) * material.f0))
+        surface = SimpleNamespace(light_share=0.1, alpha=alpha, f0=np.array([1.1, 1.0, 0.95]) * material.f0)
         self.diffuse: Any = SimpleNamespace(
             albedo=np.ones(3),
-            layer=None,
+            f0=None,
             ranges=SimpleNamespace(light_share=stated),
             evaluate_directions=lambda light, eye: share * material.diffuse_values(light, eye),
         )
-        super().__init__([self.diffuse, SimpleNamespace(albedo=np.ones(3), layer=layer)])
+        super().__init__([self.diffuse, surface])
 
 
 def test_what_is_wrong_is_found(tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_what_is_wrong_is_found(tmp_path: Path) -> None:
 def test_without_a_diffuse_part_the_others_leave_a_range_for_it() -> None:
     material = CATALOGUE["nickel_25"]
     for low in (0.98, 1.0):
-        metal = SimpleNamespace(albedo=np.ones(3), layer=None, ranges=SimpleNamespace(light_share=(low, 1.0)))
+        metal = SimpleNamespace(f0=None, ranges=SimpleNamespace(light_share=(low, 1.0)))
         parts = KnownParts(material, 0.0, (0.0, 0.0), 0.25)
         parts[:], parts.diffuse = [metal], None
         found = judged(parts, Truth.of(material))  # type: ignore[arg-type]

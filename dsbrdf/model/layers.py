@@ -322,6 +322,11 @@ class LayeredModel(RenderableModel):
     def __repr__(self) -> str:
         return f"<LayeredModel: {len(self.layers)} layers, {self.n_numbers} numbers>"
 
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import layers_html
+
+        return layers_html(self)
+
     @property
     def n_numbers(self) -> int:
         """How many numbers the layers have."""

@@ -22,10 +22,13 @@ from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import cut_out, encode_png
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.figure import Figure
 
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.model.layers import LayeredModel
 
 _THUMBNAIL = 96  # pixels
 
@@ -56,6 +59,19 @@ def model_html(model: DSBRDF) -> str:
     return _card(model, _model_table(model))
 
 
+def layers_html(model: LayeredModel) -> str:
+    """Return a lit sphere of a layered model beside the parameters of its layers."""
+    rows = {"layered model": f"{len(model.layers)} layers, {model.n_numbers} numbers"}
+    for number, layer in enumerate(model.layers, 1):
+        parameters = (f"{name} {_rounded(value)}" for name, value in asdict(layer).items())
+        rows[f"{number}: {type(layer).__name__.removesuffix('Layer').lower()}"] = ", ".join(parameters)
+    return _card(model, _table(rows))
+
+
+def _rounded(value: float | Sequence[float]) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else f"({', '.join(f'{one:.3g}' for one in value)})"
+
+
 def result_html(result: FitResult) -> str:
     """Return a lit sphere of the model beside its components, the metrics and the warnings."""
     return _card(result.model, _model_table(result.model), report_html(result.report))
@@ -77,7 +93,7 @@ def _model_table(model: DSBRDF) -> str:
     return _table(rows)
 
 
-def _card(source: DSBRDF | Measurement, *parts: str) -> str:
+def _card(source: DSBRDF | LayeredModel | Measurement, *parts: str) -> str:
     """Return a sphere, with nothing drawn around it, and parts to its right."""
     sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
     shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))

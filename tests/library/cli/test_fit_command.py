@@ -247,7 +247,7 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
 def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None:
     (tmp_path / "plastic.json").write_text("{}")  # damaged, and replaced
     out = printed("fit", plastic_file, "-o", tmp_path, "--plot", *QUICK)
-    assert "component     half width" in out
+    assert "component     light 90 % range" in out
     assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
     assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
     assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1

@@ -111,7 +111,7 @@ def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
 
 @pytest.fixture(scope="module")
 def result(matte: Measurement) -> FitResult:
-    return fit(profiles(matte), n_lobes=1, ring_lobes=0, knots=np.radians([0.0, 30.0, 60.0, 89.0]).tolist())
+    return fit(profiles(matte), n_lobes=1, ring_lobes=0, knots_deg=(0.0, 30.0, 60.0, 89.0))
 
 
 def test_copies_are_equal_and_hash_alike(result: FitResult) -> None:

@@ -40,6 +40,9 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
         light = f"{component.light_share:.0%} of the light, albedo {red:.4f}, {green:.4f}, {blue:.4f}"
         width = component.half_width
         assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in html
+    layers = dsbrdf.decompose(two_lobe_fit).layers
+    assert f"{len(layers.layers)} layers, {layers.n_numbers} numbers" in layers._repr_html_()
+    assert thumbnail(layers._repr_html_()) != thumbnail(html)
     assert "<li>less than &lt;1 %&gt;</li>" in html
     assert warned.report._repr_html_() in html
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)

@@ -128,14 +128,21 @@ def test_table_of_components_says_what_the_api_says(server: Server, fitted: str)
         linear = np.array(component["color"])
         srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)  # IEC 61966-2-1
         assert np.abs(np.array([*bytes.fromhex(swatches[index])]) - 255.0 * srgb).max() <= 0.51
-        shown = {name: [float(number.rstrip("°")) for number in cells[index]] for name, cells in rows.items()}
-        assert shown == {
+        shown = {name: cells[index] for name, cells in rows.items()}
+        low, high = component["ranges"]["light_share"]
+        assert shown.pop("light") == [f"{component['light_share']:.0%} ({low:.0%} to {high:.0%})"]
+        numbers = {
+            name: [None if text == "–" else float(text.rstrip("°")) for text in texts] for name, texts in shown.items()
+        }
+        width, f0 = component["half_width_deg"], component["f0"]
+        assert numbers == {
             "colour": pytest.approx(component["color"], abs=0.005),
-            "half width": pytest.approx([component["half_width_deg"]], rel=0.005),
-            "tail": pytest.approx([component["lobe"]["tail"][0]], rel=0.05),
-            "height in 1/sr": pytest.approx(component["lobe"]["height"][0], rel=0.005),
             "albedo": pytest.approx(component["albedo"], abs=0.0005),
-            "clarity": pytest.approx([component["clarity"]], abs=0.005),
+            "alpha": [None if width is None else pytest.approx(component["alpha"], rel=0.005)],
+            "half width": [None if width is None else pytest.approx(width, rel=0.005)],
+            "tail": [None if width is None else pytest.approx(component["kappa"], rel=0.05)],
+            "F0": [None] if f0 is None else pytest.approx(f0, rel=0.005),
+            "height in 1/sr": pytest.approx(component["lobe"]["height"][0], rel=0.005),
         }
 
 
