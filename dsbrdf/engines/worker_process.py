@@ -58,9 +58,10 @@ def start_fork_server() -> None:
             with _start_conditions():
                 _context()
                 forkserver.ensure_running()
+                reachable = any(Path(util.get_temp_dir()).glob("listener-*"))
         except OSError as error:
             raise RuntimeError(f"no process can be started: {error}") from error
-        if not any(Path(util.get_temp_dir()).glob("listener-*")):
+        if not reachable:
             raise RuntimeError("no process can be started: a socket has been removed; start this program again")
 
 
@@ -214,8 +215,9 @@ def _start_conditions() -> Iterator[None]:
     they do not need it, and a script without ``if __name__ == "__main__"`` would start itself again and again.
     """
     main, blocks_signals = vars(sys.modules["__main__"]), hasattr(signal, "pthread_sigmask")
-    environment = {**ONE_BLAS_THREAD, SERVER_FOLDER: util.get_temp_dir()}
     with _start_lock:
+        # Not before the lock: threads that ask for the folder at once for the first time would get one each.
+        environment = {**ONE_BLAS_THREAD, SERVER_FOLDER: util.get_temp_dir()}
         if blocks_signals:
             resource_tracker.ensure_running()  # starting it later, with the first process, would unblock interrupts
             signals = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
