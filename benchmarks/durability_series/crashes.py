@@ -5,9 +5,10 @@ import resource
 import signal
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from pathlib import Path
 
 import httpx
 
@@ -26,7 +27,7 @@ from tests.support.server import Server
 
 _CLIENTS = 4
 _STARTS_KILLED = 0.25  # share of the starts that are killed, too
-_NO_MEMORY = 1 << 26  # bytes of address space, less than a fit's process has when it starts
+_LITTLE_MEMORY = (8 << 20, 160 << 20)  # bytes of address space that a fit may add; it adds some 200 MB
 _LONGEST_END = 10.0  # seconds
 _LAST_BREATH = 30.0  # seconds after which a process of a server which is gone counts as left behind
 _PATIENCE = 60.0  # seconds; on a busy machine everything takes longer
@@ -113,9 +114,7 @@ def out_of_memory(harness: Harness, times: int) -> str:
     with harness.server(workers="2") as server:
         server.start()
         while starved < times and spared < 2 * times:
-            victim = harness.random.choice(sorted(pair.begin(server)))
-            with suppress(ProcessLookupError):
-                _starve_soon(harness, victim)
+            pair.begin(server, lambda: _starved(harness, server))
             lost = pair.check(server, _STARVED)
             starved, spared = starved + lost, spared + 1 - lost
         harness.expect(starved == times, f"only {starved} fits ran out of memory")
@@ -123,11 +122,19 @@ def out_of_memory(harness: Harness, times: int) -> str:
     return f"{starved} fits out of memory ({spared} had all they needed by then): {len(harness.faults)} faults"
 
 
-def _starve_soon(harness: Harness, pid: int) -> None:
-    """Lower the limit of a process's memory, from when it has one: that is when it begins to compute."""
-    becomes_true(lambda: resource.prlimit(pid, resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY, _PATIENCE)
-    time.sleep(harness.random.uniform(0.0, 0.1))
-    resource.prlimit(pid, resource.RLIMIT_AS, (_NO_MEMORY, _NO_MEMORY))
+@contextmanager
+def _starved(harness: Harness, server: Server) -> Iterator[None]:
+    """Lower the limit of memory of the process that fits are forked from, so that a fit that begins now has it too."""
+    (worker,) = server.workers()
+    parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
+    few = int(Path(f"/proc/{parent}/statm").read_text().split()[0]) * resource.getpagesize()
+    few += harness.random.randrange(*_LITTLE_MEMORY)
+    before = resource.prlimit(parent, resource.RLIMIT_AS)
+    resource.prlimit(parent, resource.RLIMIT_AS, (few, before[1]))
+    try:
+        yield
+    finally:
+        resource.prlimit(parent, resource.RLIMIT_AS, before)
 
 
 # How two fits may end, as pairs of end and attempts; what hits one of them may come when it is over.
@@ -146,15 +153,22 @@ class _Pair:
         self._models = harness.models(*self._options)
         self._fits: list[str] = []
 
-    def begin(self, server: Server) -> set[int]:
-        """Start both and return their processes."""
+    def begin(self, server: Server, second: Callable[[], AbstractContextManager[None]] = nullcontext) -> set[int]:
+        """Start both, the second one within the context that `second` makes, and return their processes."""
         sha256 = server.http.post("/v1/measurements", content=self._harness.variant(0)).json()["sha256"]
-        answers = [server.submit(sha256, prefer="respond-async", **options) for options in self._options]
-        self._fits = [answer.json()["id"] for answer in answers]
-        self._harness.expect(
-            becomes_true(lambda: len(server.workers()) == 2, _PATIENCE), "two fits did not run at once"
-        )
+        self._fits.clear()
+        for number, options in enumerate(self._options, start=1):
+            with second() if number == 2 else nullcontext():
+                answer = server.submit(sha256, prefer="respond-async", **options)
+                self._fits.append(answer.json()["id"])
+                began = becomes_true(lambda: self._began(server, number), _PATIENCE)  # noqa: B023
+                self._harness.expect(began, "two fits did not run at once")
         return server.workers()
+
+    def _began(self, server: Server, n_fits: int) -> bool:
+        """Whether so many fits have processes, or the last one has ended already."""
+        ended = "SELECT 1 FROM fits WHERE id = '{}' AND finished IS NOT NULL"
+        return len(server.workers()) == n_fits or bool(query_database(server, ended.format(self._fits[-1])))
 
     def check(self, server: Server, allowed: list[set[tuple[str, int]]]) -> int:
         """Wait for the ends, compare them with the allowed ones, and remove the fits; return how often one was lost."""

@@ -181,7 +181,7 @@ def _prepare(pipe: "connection.Connection[Any, Any]", limits: FitLimits) -> None
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         reserve_blas_memory()
-        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
         if limits.memory_mb is not None and (most == resource.RLIM_INFINITY or limits.memory_mb << 20 < most):
             resource.setrlimit(resource.RLIMIT_AS, (limits.memory_mb << 20, limits.memory_mb << 20))
         try:
