@@ -118,7 +118,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
 
     It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, so that
     they need not be found again, it has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``,
-    which `decomposition_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store,
+    which `fit_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store,
     such as NaN.
     """
     document = {
@@ -141,15 +141,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 
     Raises ModelFormatError if the text is damaged, of another kind, or of another version.
     """
-    document = _parse(text)
-    if not isinstance(document, dict):
-        raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
-    _check_version(document.get("format"), document.get("version"))
-    for key in ("model", "report"):
-        if key not in document:
-            raise ModelFormatError(f"The stored model lacks the key {key!r}.")
-    model, report = document["model"], document["report"]
-    return model_from_dict(model), None if report is None else report_from_dict(report)
+    return _model_and_report(_document(text, FORMAT))
 
 
 @dataclass(frozen=True)
@@ -161,19 +153,20 @@ class _Components:
     ranges: tuple[ComponentRanges, ...]
 
 
-def decomposition_from_json(text: str) -> Decomposition:
-    """Return a model and its components, which `to_json` was given.
+def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
+    """Return a model with its components and the report, if any, which `to_json` was given.
 
     Raises ModelFormatError as `from_json`, and if the text has no components or they do not belong together.
     """
-    model, _ = from_json(text)
-    stored: _Components = _typed(_Components, _parse(text).get("components"), "components")
+    document = _document(text, FORMAT)
+    model, report = _model_and_report(document)
+    stored: _Components = _typed(_Components, document.get("components"), "components")
     in_order = stored.labels == tuple(label for label in LABELS if label in stored.labels)
     if not in_order or len(stored.ranges) != len(stored.labels):
         raise ModelFormatError("The stored model has no components in order, with ranges for each.")
     if any(len(one.is_diffuse) != len(one.model.layers) for one in stored.structures):
         raise ModelFormatError("The stored components do not say of each layer whether it is diffuse.")
-    return Decomposition(model, stored.structures, stored.labels, stored.ranges)
+    return Decomposition(model, stored.structures, stored.labels, stored.ranges), report
 
 
 def layers_to_json(layers: LayeredModel) -> str:
@@ -186,10 +179,7 @@ def layers_from_json(text: str) -> LayeredModel:
 
     Raises ModelFormatError if the text is damaged, of another kind, or of another version.
     """
-    document = _parse(text)
-    if not isinstance(document, dict):
-        raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
-    _check_version(document.get("format"), document.get("version"), LAYERS_FORMAT)
+    document = _document(text, LAYERS_FORMAT)
     layers: LayeredModel = _typed(LayeredModel, {"layers": document.get("layers")}, "layered model")
     return layers
 
@@ -213,13 +203,32 @@ def _dump(content: object) -> str:
         raise InvalidArgumentError(f"The report must contain only plain, finite values: {error}.") from None
 
 
-def _parse(text: str) -> Any:
+def _document(text: str, wanted: str) -> dict[str, Any]:
+    """Return the document of a JSON text, which has the wanted format."""
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         if isinstance(error, ModelFormatError):
             raise
         raise ModelFormatError("The text is not valid JSON: it is damaged or cut off.") from None
+    if not isinstance(document, dict):
+        raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
+    if document.get("format") != wanted:
+        raise ModelFormatError(f"The data is not a stored model: its format is not {wanted!r}.")
+    version = document.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
+    if version != VERSION:
+        raise ModelFormatError(f"The stored model has version {version}; this release reads version {VERSION}.")
+    return document
+
+
+def _model_and_report(document: Mapping[str, Any]) -> tuple[DSBRDF, FitReport | None]:
+    for key in ("model", "report"):
+        if key not in document:
+            raise ModelFormatError(f"The stored model lacks the key {key!r}.")
+    report = document["report"]
+    return model_from_dict(document["model"]), None if report is None else report_from_dict(report)
 
 
 def _refuse_constant(constant: str) -> None:
@@ -230,15 +239,6 @@ def _result(model: DSBRDF, report: FitReport | None) -> FitResult:
     if report is None:
         raise ModelFormatError("The stored model has no report of a fit: it was saved alone; read it with dsbrdf.load.")
     return FitResult(model, report)
-
-
-def _check_version(name: object, version: object, wanted: str = FORMAT) -> None:
-    if name != wanted:
-        raise ModelFormatError(f"The data is not a stored model: its format is not {wanted!r}.")
-    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
-    if version != VERSION:
-        raise ModelFormatError(f"The stored model has version {version}; this release reads version {VERSION}.")
 
 
 def model_to_dict(model: DSBRDF) -> dict[str, Any]:

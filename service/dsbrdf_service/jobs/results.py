@@ -18,7 +18,7 @@ from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figures import slice_means
 from dsbrdf.output.report_text import component_document
-from dsbrdf.output.serialize import decomposition_from_json, from_json
+from dsbrdf.output.serialize import fit_from_json
 
 from ..errors import ProblemError
 from ..storage.schema import FitKey, FitRow
@@ -94,9 +94,8 @@ class ModelCache:
     def _load(self, key: FitKey) -> LoadedFit:
         document = self._store.result(key)
         if document is not None:
-            decomposition = decomposition_from_json(document)
-            components = [component_document(component) for component in decomposition]
-            return LoadedFit(decomposition, from_json(document)[1], components)
+            decomposition, report = fit_from_json(document)
+            return LoadedFit(decomposition, report, [component_document(component) for component in decomposition])
         row = self._store.fit(key)
         if not row.ended:
             raise ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")

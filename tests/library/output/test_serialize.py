@@ -18,7 +18,7 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.serialize import (
-    decomposition_from_json,
+    fit_from_json,
     from_json,
     layers_from_json,
     layers_to_json,
@@ -54,12 +54,12 @@ def test_components_are_read_back_bit_for_bit(report: FitReport) -> None:
     model = random_model()
     found = decompose(model)
     text = to_json(model, report, found)
-    read = decomposition_from_json(text)
+    read, attached = fit_from_json(text)
     assert read.labels == found.labels
     assert (read.structures[0].model, read.ranges) == (found.layers, found.ranges)
     np.testing.assert_array_equal(read.albedos, found.albedos)
     assert_same_bits(read.model, model)
-    assert from_json(text)[1] == report
+    assert attached == report
 
 
 @pytest.mark.parametrize(
@@ -70,9 +70,9 @@ def test_damaged_components_are_refused(change: dict[str, object]) -> None:
     document = json.loads(to_json(model, None, decompose(model)))
     document["components"] |= change
     with pytest.raises(ModelFormatError):
-        decomposition_from_json(json.dumps(document))
+        fit_from_json(json.dumps(document))
     with pytest.raises(ModelFormatError, match="stored components"):
-        decomposition_from_json(to_json(model))
+        fit_from_json(to_json(model))
 
 
 def test_layers_are_read_back_and_other_texts_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.fitting.layer_shares import LABELS
-from dsbrdf.output.serialize import decomposition_from_json, from_json, layers_from_json, to_json
+from dsbrdf.output.serialize import fit_from_json, from_json, layers_from_json, to_json
 from dsbrdf_service.errors import ProblemError
 from dsbrdf_service.jobs.results import LoadedFit
 from tests.support.server import Server, assert_problem
@@ -113,7 +113,7 @@ def test_the_layers_are_exported_as_a_model(server: Server, fitted: str, model: 
 
 def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
     black = dsbrdf.decompose(model.select((), with_delta=False))
-    restored = decomposition_from_json(to_json(black.model, None, black))
+    restored, _ = fit_from_json(to_json(black.model, None, black))
     with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
         LoadedFit(restored, None, []).part("diffuse")
     assert raised.value.kind == "not-found"
