@@ -72,6 +72,7 @@ class Fault:
 
 Outcome = FitDocument | Fault
 MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+DISK_FULL = Fault("system", "DiskFull", "There is no space left on the disk.")
 STOPPED = Fault("system", "Stopped", "The fit was stopped because its result is not wanted.")
 
 
@@ -165,6 +166,8 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except OSError as error:
         if error.errno == errno.ENOMEM:  # a file that is mapped, not read, is refused memory in this way
             return MEMORY_LIMIT
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return DISK_FULL
         logger.exception("a measurement could not be read")
         reason = error.strerror or type(error).__name__
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")

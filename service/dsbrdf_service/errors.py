@@ -34,14 +34,6 @@ class CheckFailedError(DSBRDFServiceError):
     """A check of `dsbrdf doctor` has found a fault; the message says which, and what would help."""
 
 
-class KnownAnswerError(DSBRDFServiceError):
-    """A request is answered with these `headers` alone: 200 to HEAD, or 304 as the client has what GET would send."""
-
-    def __init__(self, status: int, headers: Mapping[str, str]) -> None:
-        super().__init__("only the head is wanted")
-        self.status, self.headers = status, dict(headers)
-
-
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 

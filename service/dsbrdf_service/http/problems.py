@@ -18,7 +18,7 @@ from starlette.routing import Match
 from dsbrdf.errors import FitError, InvalidArgumentError, MeasurementFormatError
 from dsbrdf.extras import MissingExtraError
 
-from ..errors import KnownAnswerError, ProblemError, validation_sentence
+from ..errors import ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
@@ -92,15 +92,13 @@ def problem_response(error: ProblemError, path: str) -> Response:
 
 def install(app: FastAPI) -> None:
     """Make `app` answer every exception with a problem document."""
-    ours = (ProblemError, KnownAnswerError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
+    ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
     # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
     for expected in (*ours, HTTPException, RequestValidationError, Exception):
         app.add_exception_handler(expected, _answer)
 
 
 async def _answer(request: Request, error: Exception) -> Response:
-    if isinstance(error, KnownAnswerError):
-        return Response(None, error.status, error.headers)
     return problem_response(problem_of(request, error), request.url.path)
 
 

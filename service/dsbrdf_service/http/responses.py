@@ -17,7 +17,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
-from ..errors import KnownAnswerError, ProblemError
+from ..errors import ProblemError
 from ..storage.schema import FitRow, MeasurementRow
 from ..wire.numbers import number_of
 from ..wire.points import JSON
@@ -76,14 +76,13 @@ def tagged_reply(
     media_type: str = JSON,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return bytes, a document or JSON's types with their hash as a strong ETag; raises as `check_wanted`."""
+    """Return bytes, a document or JSON's types with their hash as a strong ETag, or 304 if the client has them."""
     if isinstance(content, BaseModel):
         content = content.model_dump_json().encode()
     elif isinstance(content, dict):
         content = json.dumps(content, allow_nan=False).encode()
     tagged = {**(headers or {}), "ETag": tag_of(content)}
-    check_wanted(request, tagged)
-    return Response(content, 200, tagged, media_type)
+    return not_modified(request, tagged) or Response(content, 200, tagged, media_type)
 
 
 def tag_of(content: bytes) -> str:
@@ -91,11 +90,11 @@ def tag_of(content: bytes) -> str:
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
-def check_wanted(request: Request, headers: Mapping[str, str]) -> None:
-    """Raise KnownAnswerError, 304, if ``If-None-Match`` has the ETag of `headers`: what the client has is current."""
+def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
+    """Return the answer 304 if ``If-None-Match`` has the ETag of `headers`: what the client has is current."""
     given = [part.strip() for part in ",".join(request.headers.getlist("if-none-match")).split(",")]
-    if given == ["*"] or headers["ETag"] in (part.removeprefix("W/") for part in given):
-        raise KnownAnswerError(304, headers)
+    is_current = given == ["*"] or headers["ETag"] in (part.removeprefix("W/") for part in given)
+    return Response(None, 304, dict(headers)) if is_current else None
 
 
 class OpenFileResponse(FileResponse):

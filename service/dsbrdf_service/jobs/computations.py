@@ -5,10 +5,11 @@ computed in a process of its own, which gives way to the one that answers.
 """
 
 import asyncio
+import errno
 import os
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -20,12 +21,12 @@ from typing import Any, Literal, TypeVar, get_args
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
-from dsbrdf.engines.engine import Fault, FitLimits
+from dsbrdf.engines.engine import DISK_FULL, Fault, FitLimits
 from dsbrdf.engines.local import WorkerProcesses
 from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER_NAME
-from ..errors import KnownAnswerError, ProblemError
+from ..errors import ProblemError
 
 T = TypeVar("T")
 
@@ -99,19 +100,16 @@ class Computations:
         self._processes = WorkerProcesses(len(self._turns), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
 
-    async def run(
-        self, request: Request, key: Hashable, compute: Callable[[], T], head: Mapping[str, str], place: Place = "short"
-    ) -> T:
+    async def run(self, request: Request, key: Hashable, compute: Callable[[], T], place: Place = "short") -> T:
         """Return what `compute` returns, which is called in a thread.
 
         Requests with one `key` that come together get one result; it names the owner too. The body of the `request`
-        must have been read; `head` has the headers of the answer, for a HEAD request.
+        must have been read.
 
-        Raises KnownAnswerError if the request is HEAD: nothing has to be computed. Raises ClientDisconnect if the
-        client has closed the connection.
+        Raises ClientDisconnect if the client has closed the connection.
         """
         work = partial(run_in_threadpool, compute)
-        result: T = await self._wait(request, key, work, head, place, can_stop=False)
+        result: T = await self._wait(request, key, work, place, can_stop=False)
         return result
 
     async def run_in_process(
@@ -120,7 +118,6 @@ class Computations:
         key: Hashable,
         step: Callable[..., Any],
         *arguments: Any,
-        head: Mapping[str, str],
         place: Place = "medium",
     ) -> Any:
         """Return what ``step(*arguments, on_progress)`` returns, which is called in a process of its own.
@@ -129,7 +126,7 @@ class Computations:
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
         work = partial(self._called, step, *arguments)
-        return self._checked(await self._wait(request, key, work, head, place))
+        return self._checked(await self._wait(request, key, work, place))
 
     async def _called(self, step: Callable[..., Any], *arguments: Any) -> Any:
         return await result_of(self._processes.call(step, *arguments))
@@ -141,10 +138,12 @@ class Computations:
             return found
         if found.origin == "input":
             raise InvalidArgumentError(found.message)
+        if found == DISK_FULL:
+            raise OSError(errno.ENOSPC, found.message)
         raise ProblemError("internal", f"The answer could not be computed ({found.type}); ask for it again.")
 
     async def make_file(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, folder: Path, **named: Any
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, folder: Path, place: Place
     ) -> "MadeFile":
         """Return the file that ``step(*arguments, path, on_progress)`` writes, which is called as by `run_in_process`.
 
@@ -162,7 +161,7 @@ class Computations:
                 Path(path).unlink()
             return found if isinstance(found, Fault) else made
 
-        made: MadeFile = self._checked(await self._wait(request, key, work, **named))
+        made: MadeFile = self._checked(await self._wait(request, key, work, place))
         return made
 
     async def close(self) -> None:
@@ -178,7 +177,6 @@ class Computations:
         request: Request,
         key: Hashable,
         work: Callable[[], Awaitable[Any]],
-        head: Mapping[str, str],
         place: Place,
         *,
         can_stop: bool = True,
@@ -190,8 +188,6 @@ class Computations:
                 self._in_progress[key].can_stop = can_stop
                 return await work()
 
-        if request.method == "HEAD":
-            raise KnownAnswerError(200, head)
         computation = self._in_progress.get(key)
         if computation is None:
             computation = self._in_progress[key] = _Computation(asyncio.create_task(compute()))

@@ -226,7 +226,7 @@ async def _measured_reply(
     """Return a measurement's values, which a process of its own interpolates."""
     angles = points.theta_half, points.theta_diff, points.phi_diff
     head = {"Content-Type": media_type}
-    values = await context.in_process(request, object(), measured_step, stored, *angles, head=head)
+    values = await context.in_process(request, object(), measured_step, stored, *angles)
     if media_type == NPY:
         return Response(_npy_head(len(points)) + values.tobytes(), 200, head)
     triples = [None if np.isnan(triple[0]) else triple for triple in values.tolist()]
@@ -246,9 +246,9 @@ async def _reply(
 ) -> Response:
     """Return the values of a model: a few at once, more in a turn."""
     compute = partial(_content, model, points, media_type, context.metrics)
-    if len(points) <= _MAX_INLINE and request.method != "HEAD":
+    if len(points) <= _MAX_INLINE:
         return Response(compute(), 200, media_type=media_type)
-    content = await context.computations.run(request, object(), compute, {"Content-Type": media_type})
+    content = await context.computations.run(request, object(), compute)
     return Response(content, 200, media_type=media_type)
 
 
@@ -257,11 +257,11 @@ async def _batch(request: Request, context: Context) -> Points:
     media_type = media_type_of(request, JSON, NPY)
     async with context.bodies.received(request, _MAX_BODY, request.scope[CALLER_NAME]) as body:
         if media_type == NPY:
-            return await context.computations.run(request, object(), partial(from_npy, body), {})
+            return await context.computations.run(request, object(), partial(from_npy, body))
         if len(body) <= _MUCH_JSON:
-            points = await context.computations.run(request, object(), partial(from_json, body), {})
+            points = await context.computations.run(request, object(), partial(from_json, body))
         else:
-            points = await context.computations.run_in_process(request, object(), batch_step, body, head={})
+            points = await context.computations.run_in_process(request, object(), batch_step, body)
     check_count(len(points))
     return points
 

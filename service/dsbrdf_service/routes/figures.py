@@ -10,7 +10,7 @@ import dsbrdf
 from dsbrdf.extras import require
 
 from ..http import openapi
-from ..http.responses import check_wanted, tag_of
+from ..http.responses import not_modified, tag_of
 from ..jobs.steps import FIGURES, StoredMeasurement, difference_step, figure_step, sphere_step
 from ..storage.schema import FitKey
 from ..wire.fit_options import from_wire
@@ -137,6 +137,6 @@ async def drawn_reply(
 ) -> Response:
     """Return what `step` draws, unless the client has it; `key` determines it and names its owner."""
     headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
-    check_wanted(request, headers)
-    headers["Content-Type"] = media_type
-    return Response(await context.in_process(request, key, step, *arguments, head=headers), 200, headers)
+    if known := not_modified(request, headers):
+        return known
+    return Response(await context.in_process(request, key, step, *arguments), 200, headers, media_type)

@@ -207,13 +207,12 @@ async def export_fit(
             model,
             wanted.format,
             folder=context.store.blobs.temporary,
-            head=headers,
             place=place,
         )
         return MadeFileResponse(made.descriptor, made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
-    return Response(await context.computations.run(request, key, export, headers), 200, headers)
+    return Response(await context.computations.run(request, key, export), 200, headers)
 
 
 async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:

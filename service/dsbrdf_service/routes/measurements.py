@@ -14,9 +14,9 @@ from ..http.responses import (
     OpenFileResponse,
     accepted_type,
     check_range,
-    check_wanted,
     json_reply,
     next_page,
+    not_modified,
     prefix_of,
     tagged_reply,
 )
@@ -113,7 +113,8 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
         fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
         return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    check_wanted(request, headers)
+    if known := not_modified(request, headers):
+        return known
     if request.method != "HEAD":
         check_range(request, row.size)
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)

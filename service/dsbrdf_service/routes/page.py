@@ -34,7 +34,6 @@ from ..http.responses import tagged_reply
 from ..jobs.results import FitView
 from ..jobs.steps import LARGEST_LIGHT, LIGHT_STEP, StoredMeasurement, environment_step, table_step
 from ..storage.schema import FitKey, FitRow
-from ..wire.points import JSON
 from ..wire.schemas import Page, Plain
 from .dependencies import NO_REPETITION, Context, TheCaller, TheContext, TheFit
 from .figures import PNG, drawn_reply
@@ -149,7 +148,7 @@ async def get_view(request: Request, context: TheContext, fit: TheFit) -> Respon
 @router.get("/fits/{fit_id}/spheres/{name}.png")
 async def get_sphere(request: Request, context: TheContext, fit: TheFit, name: str) -> Response:
     """Return the picture of a sphere: measured, fit or difference."""
-    view = await _view(request, context, fit, PNG)
+    view = await _view(request, context, fit)
     pictures = view.drawn.pictures
     if name not in pictures:
         raise ProblemError("not-found", f"There is no picture {name[:40]!r}; there is {', '.join(pictures)}.")
@@ -195,7 +194,7 @@ async def get_profile(
     """Return the measured values, the fit and its components over theta_half, at one theta_diff."""
     view = await _view(request, context, fit)
     key, draw = ("profile", fit, theta_diff_deg), partial(view.profile, theta_diff_deg)
-    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
+    return tagged_reply(request, await context.computations.run(request, key, draw))
 
 
 @router.get("/fits/{fit_id}/polar/{theta_in_deg}")
@@ -208,7 +207,7 @@ async def get_polar(
     """Return the measured values, the fit and its components in the plane of incidence, for one direction of light."""
     view = await _view(request, context, fit)
     key, draw = ("polar", fit, theta_in_deg), partial(view.plane_of_incidence, theta_in_deg)
-    return tagged_reply(request, await context.computations.run(request, key, draw, {"Content-Type": JSON}))
+    return tagged_reply(request, await context.computations.run(request, key, draw))
 
 
 @router.get("/docs")
@@ -268,10 +267,9 @@ def _render(template: str, request: Request, status: int = 200, **values: Any) -
     )
 
 
-async def _view(request: Request, context: Context, fit: FitKey, media_type: str = JSON) -> FitView:
+async def _view(request: Request, context: Context, fit: FitKey) -> FitView:
     """Return the view of a fit, which is computed once for all who ask for a part of it."""
-    run = partial(context.in_process, request, head={"Content-Type": media_type})
-    return await context.views.get(await context.fit_row(fit), run)
+    return await context.views.get(await context.fit_row(fit), partial(context.in_process, request))
 
 
 async def _measurement_of(context: Context, fit: FitKey) -> StoredMeasurement:

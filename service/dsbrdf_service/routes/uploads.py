@@ -79,7 +79,7 @@ async def receive_upload(
                 await in_thread(incoming.close)
                 try:
                     incoming.sha256, incoming.size, incoming.valid_nodes = await context.computations.run_in_process(
-                        request, ("upload", incoming.path), conversion_step, incoming.path, kind, head={}, place="long"
+                        request, ("upload", incoming.path), conversion_step, incoming.path, kind, place="long"
                     )
                 except InvalidArgumentError as error:  # as every fault of a step's arguments
                     raise MeasurementFormatError(str(error)) from None

@@ -175,31 +175,12 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
     assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
 
 
-async def test_head_computes_nothing(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    computed = []
-
-    def compute(*_: object) -> bytes:
-        computed.append(1)
-        return b""
-
-    for target in (EXPORT, f"{FIT_PATH}/export?format=merl", SPHERE, *VIEW, *OF_COMPONENTS):
-        with monkeypatch.context() as patch:
-            for place, name in (
-                (fits, "export_model"),
-                (fits, "export_step"),
-                (figures, "sphere_step"),
-                (results, "view_step"),
-                (decomposition, "fit_structures"),
-            ):
-                patch.setattr(place, name, compute)
-            head = await running.ask(target, key, "HEAD").end()
-        get = await running.ask(target, key).end()
-        assert (head.status, head.body, computed) == (200, b"", []), target
-        assert (get.status, get.headers["content-type"]) == (200, head.headers["content-type"]), target
-        if target.endswith("/components"):
-            assert get.headers["etag"] == head.headers["etag"]
-    refused = f"{FIT_PATH}/export?format=json&component=diffuse"
-    assert (await running.ask(refused, key, "HEAD").end()).status == 422
+async def test_full_disk_under_an_export_is_507(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fits, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
+    answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
+    assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
 
 
 class Client:
@@ -222,7 +203,7 @@ async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared
         for _ in range(steps):
             await asyncio.sleep(0)
         compute = busy.wait if name == "busy" else lambda: computed.append(name)
-        await computations.run(client.request, name, compute, {})
+        await computations.run(client.request, name, compute)
 
     before, given_up = asyncio.create_task(ask(Client(), "busy")), asyncio.create_task(ask(first, "values"))
     await asyncio.sleep(0)
