@@ -1,4 +1,4 @@
-"""What one key's user notes while another caller begins requests that compute, or sign in slowly, and leaves again."""
+"""What one key's user notes while another caller begins requests that compute, and leaves again."""
 
 import asyncio
 import itertools
@@ -12,17 +12,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 from benchmarks.durability_series.harness import Harness
-from benchmarks.http_load import get_repeatedly
-from benchmarks.service import Row
+from benchmarks.http_load import Row, get_repeatedly
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server
 
 ABANDONED = 64  # requests of each kind at once
-SIGN_INS = 520
 SECONDS = 3.0  # of each run
 
-_FITS = 8  # of the one who leaves: so many views can be computed
+_FITS = 8  # of the one who leaves
 _STAY = 2.0  # seconds until a request is given up and another one begins
 _COMPONENTS = ("", "&component=specular_spike", "&component=specular_lobe", "&component=diffuse")
 
@@ -30,7 +28,8 @@ _COMPONENTS = ("", "&component=specular_spike", "&component=specular_lobe", "&co
 def abandoned(harness: Harness) -> list[Row]:
     """Begin many requests of each kind with one key and leave, again and again; ask for values with another key."""
     rows = []
-    with harness.server(require_keys="true", key_requests_per_second="1000000", workers="1") as server:
+    (folder := harness.folder / "abandoned").mkdir()
+    with harness.server(folder, require_keys="true", key_requests_per_second="1000000", workers="1") as server:
         server.start()
         greedy, other = (new_key(server, name)[1] for name in ("greedy", "other"))
         fits = [_fit(server, harness, greedy, {**QUICK, "em_iterations": 3 + number}) for number in range(_FITS)]
@@ -69,14 +68,11 @@ def _kinds(key: str, fits: Sequence[str], endless: str) -> Iterator[tuple[str, i
 
     points = json.dumps({"theta_half_deg": [1.5] * 100_000, "theta_diff_deg": [30.5] * 100_000})
     head = f"HTTP/1.1\r\nHost: x\r\n{key}Content-Type: application/json\r\nContent-Length: {len(points)}"
-    slow_form = b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\nkey="
     figures = ("profiles", "lobes", "parameters", "residual")
-    yield "slow sign-ins", SIGN_INS, lambda _: slow_form
     yield "exports as materialx", ABANDONED, export("materialx")
     yield "exports as bsdf", ABANDONED, export("bsdf")
     yield "exports as merl", ABANDONED, export("merl")
     yield "figures", ABANDONED, lambda number: get(f"{fits[number % _FITS]}/figures/{figures[number % 4]}.svg")
-    yield "views", ABANDONED, lambda number: get(f"{fits[number % _FITS].removeprefix('/v1')}/view")
     yield "components", ABANDONED, lambda number: get(f"{fits[number % _FITS]}/components")
     yield "batches", ABANDONED, lambda number: f"POST {fits[number % _FITS]}/brdf {head}\r\n\r\n{points}".encode()
     yield "event streams", ABANDONED, lambda _: get(f"{endless}/events")

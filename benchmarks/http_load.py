@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -33,6 +34,14 @@ class Rate:
     per_second: float
     p50: float
     p99: float
+
+
+class Row(NamedTuple):
+    """One line of a table."""
+
+    asked: str
+    measured: str
+    holds: bool
 
 
 def load_generator() -> str:

@@ -25,8 +25,9 @@ from urllib.parse import urlencode
 
 import numpy as np
 
+from benchmarks.abandoned_requests import abandoned
 from benchmarks.durability_series.harness import Harness
-from benchmarks.http_load import PeakMemory, Rate, at_once, get_repeatedly, load_generator, post, program
+from benchmarks.http_load import PeakMemory, Rate, Row, at_once, get_repeatedly, load_generator, post, program
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.data.synthetic import synthetic_measurement
@@ -49,14 +50,6 @@ result = dsbrdf.fit(measurement, **json.loads(sys.argv[2]))
 to_json(result.model, result.report)
 print(time.perf_counter() - begin, time.process_time() - used)
 """
-
-
-class Row(NamedTuple):
-    """One line of the table."""
-
-    asked: str
-    measured: str
-    holds: bool
 
 
 class Place(NamedTuple):
@@ -195,7 +188,13 @@ def overhead(place: Place) -> list[Row]:
     ]
 
 
-PARTS: dict[str, Callable[[Place], list[Row]]] = {"gets": gets, "npy": npy, "uploads": uploads, "overhead": overhead}
+PARTS: dict[str, Callable[[Place], list[Row]]] = {
+    "gets": gets,
+    "npy": npy,
+    "uploads": uploads,
+    "overhead": overhead,
+    "abandoned": lambda place: abandoned(place.harness),
+}
 
 
 @contextmanager

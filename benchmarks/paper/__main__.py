@@ -24,7 +24,6 @@ def main(words: Sequence[str] | None = None) -> int:
             output / "kept" / "fits",
             names=arguments.materials,
             stand_ins=arguments.stand_ins,
-            peers=arguments.peers,
         )
         output.mkdir(parents=True, exist_ok=True)
         if arguments.what == _REPORT:
@@ -61,7 +60,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="results are kept there too")
     parser.add_argument("--materials", nargs="+", default=(), metavar="NAME", help="by default what suits each figure")
     parser.add_argument("--stand-ins", default=STAND_INS, metavar="PATTERN", help="files that are no measurements")
-    parser.add_argument("--peers", type=Path, metavar="DIR", help="peer_NAME.binary: another model's, for footprint")
     parser.add_argument("--jobs", type=int, default=core_count(), metavar="N", help="processes")
     return parser
 

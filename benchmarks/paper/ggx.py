@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, nnls
 
-from benchmarks.scoring import used_nodes
+from benchmarks.paper.table_interpolation import used_nodes
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement

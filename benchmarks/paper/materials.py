@@ -57,14 +57,11 @@ class Material:
         Folder in which its fits are kept.
     measured : bool
         False for a stand-in, a table that was decoded from another program's description of a material.
-    peer : Path or None
-        A ``.binary`` file of the same material as another model encodes it.
     """
 
     file: Path
     kept: Path
     measured: bool = True
-    peer: Path | None = None
 
     @property
     def name(self) -> str:
@@ -125,7 +122,7 @@ class Failure:
 
 
 def find_materials(
-    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS, peers: Path | None = None
+    folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS
 ) -> tuple[Material, ...]:
     """Find the measurements of a folder.
 
@@ -139,8 +136,6 @@ def find_materials(
         Only these, with or without what precedes the first ``_`` of a file's name; by default all.
     stand_ins : str, optional
         Pattern of the names that are no measurements.
-    peers : Path, optional
-        Folder with the materials as another model encodes them, ``peer_NAME.binary`` for NAME.
 
     Raises
     ------
@@ -157,15 +152,10 @@ def find_materials(
         if not any(name in known for known in found.values()):
             raise InvalidArgumentError(f"{folder} contains no material {name}")
     return tuple(
-        Material(file, kept, measured=not fnmatch(file.stem, stand_ins), peer=_peer(file, peers))
+        Material(file, kept, measured=not fnmatch(file.stem, stand_ins))
         for file, known in found.items()
         if not names or known & set(names)
     )
-
-
-def _peer(file: Path, peers: Path | None) -> Path | None:
-    path = None if peers is None else peers / f"peer_{file.name}"
-    return path if path is not None and path.exists() else None
 
 
 def choose(materials: Sequence[Material], preferred: Sequence[str], count: int) -> list[Material]:
@@ -243,9 +233,7 @@ def _outcome(material: Material, measure: Measure, folder: Path, settings: str) 
     """Compute the numbers of a copy of a material, whose measurement does not stay in memory, or take those kept."""
     measure_once = Memory(folder, verbose=0).cache(_measure, ignore=["material", "measure"])
     try:
-        return measure_once(
-            material, measure, material.file, material.peer, material.changed, settings, ALGORITHM_VERSION
-        )
+        return measure_once(material, measure, material.file, material.changed, settings, ALGORITHM_VERSION)
     except DSBRDFError as error:
         return Failure(material.file, str(error))
 
@@ -254,7 +242,6 @@ def _measure(
     material: Material,
     measure: Measure,
     _file: Path,
-    _peer: Path | None,
     _changed: int,
     _settings: str,
     _algorithm: int,

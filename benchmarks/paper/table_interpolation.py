@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.scoring import used_nodes
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import used_samples
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
 __all__ = [
@@ -23,12 +23,18 @@ __all__ = [
     "relative_rms",
     "table_error",
     "thinned",
+    "used_nodes",
 ]
 
 Array = NDArray[np.float64]
 RowPredictor = Callable[[int], Array]
 
 _COORDINATES = (THETA_HALF, np.arange(float(GRID_SHAPE[0])))  # the angle, or its index: its square root
+
+
+def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
+    """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
+    return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
 
 
 def thinned(measurement: Measurement, factor: int) -> Measurement:

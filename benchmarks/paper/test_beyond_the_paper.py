@@ -1,4 +1,4 @@
-"""The figures that the paper does not have: footprint, and materials between two others."""
+"""The figure that the paper does not have: materials between two others."""
 
 import csv
 from pathlib import Path
@@ -6,17 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.paper import footprint, interpolation, materials
-from benchmarks.paper.footprint import SmallTable
-from benchmarks.paper.ggx import GGXModel
+from benchmarks.paper import interpolation
 from benchmarks.paper.interpolation import between
-from benchmarks.paper.materials import Computed, Material, find_materials
+from benchmarks.paper.materials import Computed, Material
 from benchmarks.paper.paper_figure import make
-from benchmarks.paper.table_interpolation import thinned
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import profiles
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.lobes import fall_to_half
 from tests.support.known_models import single_lobe
@@ -60,51 +53,3 @@ def test_interpolation_shows_both_ways_for_each_pair(
     np.testing.assert_allclose([float(line["peak"]) for line in lines], values[0], rtol=1e-3)
     np.testing.assert_allclose([float(line["at_45_degrees"]) for line in lines], values[900], rtol=1e-3)
     assert interpolation.FIGURE.claims(made.computed)[0].found
-
-
-def test_a_small_table_with_all_nodes_is_the_table_of_means(plastic: Measurement) -> None:
-    data = profiles(plastic, horizon_cutoff=None)
-    table = SmallTable.of(data, 90)
-    i, j = np.array([3, 20, 60]), np.array([10, 45, 3])
-    found = table.evaluate(THETA_HALF[i], THETA_DIFF[j], np.zeros(3))
-    np.testing.assert_allclose(found.T, data.mean[:, j, i], rtol=1e-9)
-    assert SmallTable.of(data, 4).n_numbers == 48
-
-
-def test_footprint_tells_numbers_and_errors_of_each_way(
-    material: Material, plastic: Measurement, two_lobe_fit: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    few_rows = thinned(plastic, 15)
-    for module in (materials, footprint):
-        monkeypatch.setattr(module, "read_merl", lambda _: few_rows)
-    lambertian = GGXModel(np.full(3, 0.2), np.array([0.3]), np.zeros((3, 1)), np.zeros((3, 1)))
-    monkeypatch.setattr(footprint, "fit_quietly", lambda *_: two_lobe_fit)
-    monkeypatch.setattr(footprint, "fit_ggx", lambda *_: lambertian)
-    for name, few in (("LOBES", (1,)), ("GGX_LOBES", (1,)), ("TABLE_SIDES", (4,)), ("_SIZE", 16)):
-        monkeypatch.setattr(footprint, name, few)
-    with_peer = Material(material.file, material.kept, peer=material.file)
-    made = make(footprint.FIGURE, [with_peer], tmp_path)
-    with (tmp_path / "footprint.csv").open(newline="") as file:
-        lines = {line["way"]: line for line in csv.DictReader(file)}
-    assert {way: int(line["numbers"]) for way, line in lines.items()} == {
-        "default fit": two_lobe_fit.model.n_numbers,
-        "parametric fit": two_lobe_fit.model.n_numbers,
-        "GGX lobes": lambertian.n_numbers,
-        "table": 48,
-        "neural encoding": 675,
-    }
-    assert float(lines["neural encoding"]["relative_rms"]) < 1e-3  # the peer is the material itself
-    values = plastic.values
-    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, DEFAULT_HORIZON_CUTOFF)
-    used = used & few_rows.valid & (THETA_HALF >= np.radians(1.0))[:, None, None]
-    error = np.sqrt(np.sum((values[:, used] - 0.2 / np.pi) ** 2) / np.sum(values[:, used] ** 2))
-    assert float(lines["GGX lobes"]["relative_rms"]) == pytest.approx(float(error), rel=1e-6)
-    assert [claim.verdict for claim in footprint.FIGURE.claims(made.computed)][-1] == "differs"
-
-
-def test_materials_find_their_peers(tmp_path: Path) -> None:
-    for name in ("data/satin.binary", "data/felt.binary", "peers/peer_satin.binary"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    felt, satin = find_materials(tmp_path / "data", tmp_path, peers=tmp_path / "peers")
-    assert (felt.peer, satin.peer) == (None, tmp_path / "peers" / "peer_satin.binary")
