@@ -9,18 +9,18 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from threading import Event
-from typing import Any, Literal
+from typing import Any
 
 import httpx
 
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
-from dsbrdf.data.merl import encode_merl, parse_merl
+from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
 from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
@@ -149,18 +149,20 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        return self.result(self.fit_to_end(measurement, options, name=name, progress=progress).id)
+        return self.result(self.wait(self.submit(measurement, options, name=name), progress=progress).id)
 
-    def fit_to_end(
-        self,
-        measurement: Source,
-        options: FitOptions | None = None,
-        *,
-        name: str | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> Fit:
-        """Fit a measurement, as `fit`, and return the state of the fit, whose result the service keeps."""
-        fit = self.submit(measurement, options, name=name)
+    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
+        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
+        document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
+        headers = {"Prefer": "respond-async"}
+        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, name=name).json())
+
+    def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
+        """Return a fit, after at most `wait` seconds or when it has ended."""
+        return _fit(self._call("GET", f"/v1/fits/{fit_id}", wait=str(wait)).json())
+
+    def wait(self, fit: Fit, progress: Callable[[float], None] | None = None) -> Fit:
+        """Return a fit when it has ended; parameters and errors as `fit`."""
         while not fit.ended:
             if progress is not None:
                 progress(fit.progress)
@@ -174,16 +176,6 @@ class Client:
             progress(1.0)
         return fit
 
-    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
-        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
-        headers = {"Prefer": "respond-async"}
-        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, name=name).json())
-
-    def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
-        """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _fit(self._call("GET", f"/v1/fits/{fit_id}", wait=str(wait)).json())
-
     def result(self, fit_id: str) -> FitResult:
         """Return the model and the report of a fit that has succeeded."""
         return result_from_json(self.document(fit_id))
@@ -191,21 +183,6 @@ class Client:
     def document(self, fit_id: str) -> str:
         """Return that result as the text of a file that `dsbrdf.load_result` reads."""
         return self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text
-
-    def fits(self, *, name: str | None = None) -> Iterator[Fit]:
-        """Yield the service's fits, or those of one name, newest first."""
-        page = self._call("GET", "/v1/fits", name=name)
-        yield from map(_fit, page.json()["items"])
-        while "next" in page.links:
-            page = self._call("GET", str(page.url.join(page.links["next"]["url"])))  # which has a proxy's prefix
-            yield from map(_fit, page.json()["items"])
-
-    def delete(self, fit_id: str, *, only: Literal["cancel", "delete"] | None = None) -> str:
-        """Cancel an unfinished fit, or delete one that has ended; return ``"cancelled"`` or ``"deleted"``.
-
-        With `only`, the other one raises ServiceError: a fit may end just before.
-        """
-        return str(self._call("DELETE", f"/v1/fits/{fit_id}", only=only).json()["status"])
 
     def upload(self, measurement: Source, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`."""
@@ -229,14 +206,6 @@ class Client:
             headers = {"Content-Type": "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"}
             self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name)
         return sha256
-
-    def measurement(self, sha256: str) -> Measurement:
-        """Return a measurement that the service has."""
-        return parse_merl(self._call("GET", f"/v1/measurements/{sha256}").content, sha256)
-
-    def delete_measurement(self, sha256: str) -> None:
-        """Delete a measurement; its finished fits stay."""
-        self._call("DELETE", f"/v1/measurements/{sha256}")
 
     def _call(self, method: str, url: str, **request: Any) -> httpx.Response:
         """Return a response that is a success, after repeating what is refused for now; None is no parameter."""
@@ -287,7 +256,7 @@ class ClientEngine:
             on_progress(share)
 
         try:
-            fit = self._client.fit_to_end(task.path, task.options, progress=progress)
+            fit = self._client.wait(self._client.submit(task.path, task.options), progress)
             return FitDocument(self._client.document(fit.id), fit.metrics or {})
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))

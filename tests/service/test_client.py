@@ -47,7 +47,6 @@ def test_client_fit_equals_the_library_bit_for_bit(
             assert to_wire(fit.options) == canonical(OPTIONS)
             assert fit.measurement == plastic.sha256
             assert fit.metrics == asdict(expected.report.metrics)
-        np.testing.assert_array_equal(client.measurement(fit.measurement).stored, plastic.stored)
 
 
 def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_path: Path) -> None:
@@ -63,7 +62,7 @@ def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_
         fit = client.submit(table, dsbrdf.FitOptions(n_lobes=1, ring_lobes=0))
         assert fit.measurement == hashlib.sha256(table.read_bytes()).hexdigest()  # fitted as other tables are
         assert client.get(fit.id, wait=60.0).status == "succeeded"
-        assert [len(list(client.fits(name=path.stem))) for path in (bsdf, table)] == [1, 1]
+        assert fit.name == table.stem
 
 
 def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
@@ -90,7 +89,7 @@ def test_client_sends_its_key_and_raises_what_was_refused(
     key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
     with Client(url, key=key, patience=4.9) as client:
         sha256 = client.upload(data)
-        assert client.measurement(sha256).values.shape == (3, 90, 90, 180)
+        assert sha256 == hashlib.sha256(data).hexdigest()
         with pytest.raises(ServiceError, match="unfinished") as limited:
             client.submit(data)
         assert limited.value.problem["status"] == 429
@@ -99,10 +98,10 @@ def test_client_sends_its_key_and_raises_what_was_refused(
             client.get("0" * 32)
     monkeypatch.setenv("DSBRDF_KEY", key)
     with Client(url) as client:
-        assert list(client.fits()) == []
+        assert client.upload(data) == sha256
     monkeypatch.setenv("DSBRDF_KEY", key[:-2])
     with Client(url) as client:
-        for call in (lambda: client.upload(data), lambda: list(client.fits()), lambda: client.delete("0" * 32)):
+        for call in (lambda: client.upload(data), lambda: client.get("0" * 32)):
             with pytest.raises(ServiceError, match="API key") as refused:
                 call()
             assert refused.value.problem["status"] == 401
@@ -118,21 +117,13 @@ def test_client_sends_its_key_and_raises_what_was_refused(
         Client(url, key="clé")
 
 
-def test_client_deletes_fits_and_measurements(server: Server, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
+def test_client_tells_the_progress_and_gives_names(client: Client, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
     other = tmp_path / "other plastic.binary"
     dsbrdf.write_merl(other, plastic.values * 0.5)
     seen: list[float] = []
-    with Client(str(server.http.base_url)) as client:
+    with client:
         client.fit(other, OPTIONS, progress=seen.append)
-        (fit,) = client.fits(name="other plastic")
-        assert client.get(fit.id) == fit
-        assert client.delete(fit.id) == "deleted"
-        assert list(client.fits(name="other plastic")) == []
-        np.testing.assert_array_equal(client.measurement(fit.measurement).stored, plastic.stored * 0.5)
-        client.delete_measurement(fit.measurement)
-        with pytest.raises(ServiceError, match="no measurement"):
-            client.measurement(fit.measurement)
-        client.upload(plastic)
+        assert client.submit(other, OPTIONS).name == "other plastic"
         named = client.submit(plastic, replace(OPTIONS, mask=0.5), name="a name of its own")  # it is known, unnamed
         assert named.name == client.get(named.id).name == "a name of its own"
     assert seen == sorted(seen)
@@ -161,20 +152,6 @@ def test_engine_asks_for_as_many_fits_at_once_as_it_is_told_and_is_closed_at_onc
 
 def note(begun: list[int], number: int, _: float) -> None:
     begun.append(number)
-
-
-def test_client_follows_the_pages_of_a_list(server: Server, fitted: str) -> None:
-    def answer(request: httpx.Request) -> httpx.Response:
-        following = (
-            {} if "cursor" in request.url.params else {"Link": '</brdf/v1/fits?name=a%26b&cursor=7>; rel="next"'}
-        )
-        assert (request.url.path, request.url.params["name"]) == ("/brdf/v1/fits", "a&b")
-        return httpx.Response(200, headers=following, json={"items": [item]})
-
-    item = server.http.get(f"/v1/fits/{fitted}").json()
-    client = Client()
-    client._http = httpx.Client(base_url="http://service/brdf", transport=httpx.MockTransport(answer))
-    assert [fit.id for fit in client.fits(name="a&b")] == [fitted] * 2
 
 
 def refused(status: int, retry_after: str | None = None) -> httpx.Response:

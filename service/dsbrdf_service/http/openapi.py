@@ -13,9 +13,9 @@ from starlette.routing import BaseRoute
 
 import dsbrdf
 from dsbrdf import DSBRDF
+from dsbrdf.output.serialize import model_to_dict
 
 from ..wire.fit_options import DEFAULTS
-from ..wire.model_document import model_document
 from ..wire.points import JSON
 from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, NewName, Problem, Progress
 from . import problems as table
@@ -109,7 +109,7 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasurementDetails": {**_MEASUREMENT, "fits": [EXAMPLE_FIT]},
     "MeasurementList": {"items": [_MEASUREMENT]},
     "FitRequest": {"measurement": EXAMPLE_SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}},
-    "FitDocument": {**_SUMMARY, "warnings": [], "components": [_COMPONENT], "model": model_document(_MODEL)},
+    "FitDocument": {**_SUMMARY, "warnings": [], "components": [_COMPONENT], "model": model_to_dict(_MODEL)},
     "FitList": {"items": [_SUMMARY]},
     "RemovedFit": {"id": EXAMPLE_FIT, "status": "cancelled"},
     "ComponentList": {"items": [_COMPONENT]},

@@ -17,8 +17,6 @@ from ..errors import ProblemError
 Sink = Callable[[bytes], None]
 
 PIECE = 1 << 18
-_BLOCK = 1 << 14  # encoded bytes that are decoded at a time, so that the answer does not depend on how a body was cut
-_MAX_MEMBERS = 10_000
 _MOST_HELD = 64_000_000  # bytes of bodies that one caller may have in memory
 
 
@@ -117,58 +115,34 @@ def decoder(content_encoding: str, sink: Sink) -> tuple[Sink, Callable[[], None]
     if content_encoding not in ("gzip", "x-gzip"):
         detail = f"The content encoding {content_encoding[:40]!r} is not supported; send the body as it is, or as gzip."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
-    members = _GzipDecoder(sink)
-    return members.feed, members.finish
+    member = _GzipDecoder(sink)
+    return member.feed, member.finish
 
 
 class _GzipDecoder:
-    """Decodes one gzip member (RFC 1952), or several one after the other."""
+    """Decodes one gzip member (RFC 1952)."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
-        self._member = _new_member()
-        self._n_members = 1
-        self._inside = False  # a member, after its first byte
-        self._waiting = bytearray()
+        self._member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
 
     def feed(self, data: bytes) -> None:
-        self._waiting += data
-        for start in range(0, len(self._waiting) - _BLOCK + 1, _BLOCK):
-            self._decode(self._waiting[start : start + _BLOCK])
-        del self._waiting[: len(self._waiting) // _BLOCK * _BLOCK]
-
-    def finish(self) -> None:
-        if self._waiting:
-            self._decode(self._waiting)
-        if self._inside:
-            raise _damaged("it is cut off")
-
-    def _decode(self, data: bytes | bytearray) -> None:
-        self._inside = True
         while True:
+            if self._member.eof and data:
+                raise _damaged("it goes on after its end")
             try:
                 decoded = self._member.decompress(data, PIECE)
             except zlib.error as error:
                 raise _damaged(str(error)) from None
             if decoded:
                 self._sink(decoded)
-            if self._member.eof:
-                data = self._member.unused_data
-                self._inside = bool(data)
-                self._n_members += 1
-                if self._n_members > _MAX_MEMBERS:
-                    raise _damaged(f"it has more than {_MAX_MEMBERS} members")
-                self._member = _new_member()
-                if not data:
-                    return
-            elif len(decoded) < PIECE:
+            data = self._member.unconsumed_tail or self._member.unused_data
+            if not data and len(decoded) < PIECE:
                 return
-            else:
-                data = self._member.unconsumed_tail
 
-
-def _new_member() -> "zlib._Decompress":
-    return zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    def finish(self) -> None:
+        if not self._member.eof:
+            raise _damaged("it is cut off")
 
 
 def _damaged(reason: str) -> ProblemError:

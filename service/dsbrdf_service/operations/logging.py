@@ -24,8 +24,6 @@ from typing import Any
 from ..settings import Settings
 
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
-# Characters that would end a line or control a terminal.
-_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 # What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
 _LONGEST = 500  # characters of one value in a line
@@ -47,7 +45,7 @@ def configure(settings: Settings) -> None:
     """Send everything that is logged or warned of in this process to stderr, as `settings` say."""
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
     handler = LogWriter(sys.stderr.fileno())
-    handler.setFormatter(LineFormatter(text=text, colors=text and sys.stderr.isatty()))
+    handler.setFormatter(LineFormatter(text=text))
     handler.addFilter(Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
@@ -98,15 +96,11 @@ class LogWriter(logging.Handler):
 
 
 class LineFormatter(logging.Formatter):
-    """Makes a line of a log record: JSON, or text for a person."""
+    """Makes a line of a log record: JSON, or text for a person, in which texts are as in JSON: on one line."""
 
-    def __init__(self, *, text: bool, colors: bool = False) -> None:
+    def __init__(self, *, text: bool) -> None:
         super().__init__()
-        self._console = None
-        if text:
-            from structlog.dev import ConsoleRenderer  # takes a tenth of the service's start
-
-            self._console = ConsoleRenderer(colors=colors, timestamp_key="time", pad_event_to=0)
+        self._text = text
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line; as text, a traceback adds lines to it."""
@@ -123,8 +117,7 @@ class LineFormatter(logging.Formatter):
         exception = self.formatException(record.exc_info) if record.exc_info else record.exc_text
         if exception:
             line["exception"] = _cut(exception, _LONGEST_TRACEBACK)
-        written = _encode(line) if self._console is None else str(self._console(None, "", _on_one_line(line)))
-        return _mask(written)
+        return _mask(_in_words(line) if self._text else _encode(line))
 
 
 class Repetitions:
@@ -155,15 +148,9 @@ def _cut(value: Any, longest: int) -> Any:
     return f"{_mask(value)[:longest]}... ({len(value)} characters)"
 
 
-def _on_one_line(event: dict[str, Any]) -> dict[str, Any]:
-    """Escape control characters; a traceback keeps its lines, indented so that none looks like one of the log."""
-    for name, value in event.items():
-        if name == "exception":
-            event[name] = "\n".join(f"    {_CONTROLS.sub(_escape, line)}" for line in str(value).split("\n"))
-        elif not isinstance(value, (int, float, type(None))):
-            event[name] = _CONTROLS.sub(_escape, str(value))
-    return event
-
-
-def _escape(match: re.Match[str]) -> str:
-    return match.group().encode("unicode_escape").decode()
+def _in_words(line: dict[str, Any]) -> str:
+    """Return time, level and event, and the rest by name; the lines of a traceback follow, indented."""
+    texts = {name: _encode(value).strip('"') for name, value in line.items() if name != "exception"}
+    first = [f"{texts.pop('time')} {texts.pop('level'):7} {texts.pop('event')}"]
+    traceback = [f"    {_encode(part)[1:-1]}" for part in line.get("exception", "").splitlines()]
+    return "\n".join([" ".join(first + [f"{name}={value}" for name, value in texts.items()]), *traceback])

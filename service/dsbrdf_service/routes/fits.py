@@ -13,6 +13,7 @@ from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, LAYERS, check_holds_component, check_shader_options, export_model
+from dsbrdf.output.serialize import model_to_dict
 
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
@@ -25,7 +26,6 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..wire import schemas
 from ..wire.fit_options import canonical, from_query, from_wire
-from ..wire.model_document import model_document
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
 from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of
@@ -273,6 +273,6 @@ async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
     more = {
         "warnings": fit.report.warnings if fit and fit.report else [],
         "components": fit and fit.components,
-        "model": fit and model_document(fit.model),
+        "model": fit and model_to_dict(fit.model),
     }
     return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

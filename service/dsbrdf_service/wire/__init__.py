@@ -1,4 +1,4 @@
 """From bytes and text to the library's objects, and back.
 
-`schemas` and `model_document` the JSON documents; `fit_options`; `names`; `points` at which values are wanted.
+`schemas` the JSON documents; `fit_options`; `names`; `points` at which values are wanted.
 """

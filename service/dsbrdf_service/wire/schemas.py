@@ -31,7 +31,6 @@ from dsbrdf.output.export import FORMATS, LAYERS, PARTS
 from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
 from .fit_options import DEFAULTS
-from .model_document import ModelDocument
 from .names import MAX_LENGTH
 from .numbers import check_plain
 
@@ -247,7 +246,13 @@ class FitDocument(FitSummary):
     components: Annotated[
         list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
     ]
-    model: ModelDocument | None
+    model: Annotated[
+        dict[str, Any] | None,
+        Field(
+            description="The model's own parameters as its file has them, which `export?format=json` gives: knots in "
+            "radians, and control values, which are no values at angles; for those take `components`, or `/brdf`."
+        ),
+    ]
 
 
 class Removal(_Input):

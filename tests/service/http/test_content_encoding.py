@@ -44,14 +44,11 @@ def decoded(body: bytes, step: int) -> bytes | str:
     return b"".join(parts)
 
 
-def compressed(*parts: bytes) -> bytes:
-    return b"".join(gzip.compress(part, 1) for part in parts)
-
-
 @examples(1)
 @given(parts=contents, step=steps)
-def test_concatenated_members_decode_or_exceed_the_limit(parts: list[bytes], step: int) -> None:
-    whole, body = b"".join(parts), compressed(*parts)
+def test_body_decodes_or_exceeds_the_limit(parts: list[bytes], step: int) -> None:
+    whole = b"".join(parts)
+    body = gzip.compress(whole, 1)
     expected = "The body is too long." if len(whole) > LIMIT else whole
     assert decoded(body, max(step, len(body) // 2000)) == expected
 
@@ -60,23 +57,20 @@ def test_concatenated_members_decode_or_exceed_the_limit(parts: list[bytes], ste
 def test_large_member_decodes_completely(size: int) -> None:
     content = np.random.default_rng(0).integers(0, 4, size, dtype=np.uint8).tobytes()
     for flat in (bytes(size), content):
-        assert decoded(compressed(flat), 1 << 20) == flat
+        assert decoded(gzip.compress(flat, 1), 1 << 20) == flat
 
 
 @examples(3)
 @given(content=st.binary(max_size=400), cut=st.floats(0, 1, exclude_max=True), step=st.integers(1, 500))
 def test_truncated_body_is_refused(content: bytes, cut: float, step: int) -> None:
-    body = compressed(content)
-    part = body[: int(cut * len(body))]
-    for start, whole in ((b"", b""), (compressed(b"first"), b"first")):
-        answer = decoded(start + part, step)
-        assert answer == whole if not part else "is not valid" in str(answer)
+    body = gzip.compress(content)
+    assert "is not valid" in str(decoded(body[: int(cut * len(body))], step))
 
 
 @examples(3)
 @given(content=st.binary(max_size=100), garbage=st.binary(min_size=1, max_size=40), step=st.integers(1, 500))
-def test_garbage_after_a_member_is_refused(content: bytes, garbage: bytes, step: int) -> None:
-    assert "is not valid" in str(decoded(compressed(content) + b"\0" + garbage, step))
+def test_what_comes_after_the_end_is_refused(content: bytes, garbage: bytes, step: int) -> None:
+    assert "is not valid" in str(decoded(gzip.compress(content) + garbage, step))
 
 
 @examples(5)
@@ -88,11 +82,11 @@ def test_garbage_after_a_member_is_refused(content: bytes, garbage: bytes, step:
 def test_damaged_body_gets_one_result_in_any_chunks(
     parts: list[bytes], changes: list[tuple[float, bytes]], step: int
 ) -> None:
-    body = bytearray(compressed(*parts))
+    body = bytearray(gzip.compress(b"".join(parts), 1))
     for place, content in changes:
         start = int(place * len(body))
         body[start : start + len(content)] = content
     whole = decoded(bytes(body), len(body) + 1)
     assert decoded(bytes(body), max(step, len(body) // 2000)) == whole
     if isinstance(whole, bytes):
-        assert whole == (gzip.decompress(bytes(body)) if body else b"")
+        assert whole == gzip.decompress(bytes(body))

@@ -7,7 +7,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.fitting.layer_shares import LABELS
-from dsbrdf.output.serialize import fit_from_json, from_json, layers_from_json, to_json
+from dsbrdf.output.serialize import fit_from_json, layers_from_json, to_json
 from dsbrdf_service.errors import ProblemError
 from dsbrdf_service.jobs.results import LoadedFit
 from tests.support.server import Server, assert_problem
@@ -79,30 +79,6 @@ def test_a_component_without_light_is_not_found(server: Server, stored: str) -> 
     ):
         detail = assert_problem(answer, 404, "not-found")
         assert detail == f"The fit has no component {absent}: it has {there}."
-
-
-def test_the_own_parameters_of_a_model_say_what_they_are(server: Server, fitted: str, stored: str) -> None:
-    spline = server.submit(stored, method="global", n_lobes=1, ring_lobes=0).json()["id"]
-    for fit, interpolation in ((fitted, "linear"), (spline, "spline")):
-        model = from_json(server.http.get(f"/v1/fits/{fit}/export?format=json").text)[0]
-        own = server.http.get(f"/v1/fits/{fit}").json()["model"]
-        assert (own["interpolation"], own["lobe_family"]) == (interpolation, model.lobe)
-        restored = dsbrdf.DSBRDF(
-            theta_diff=np.radians(own["amplitude"]["knots_deg"]),
-            amplitude=own["amplitude"]["control_values"],
-            kappa=own["shape"]["control_values"]["kappa"],
-            gamma=own["shape"]["control_values"]["gamma"],
-            center=np.radians(own["shape"]["control_values"]["center_deg"]),
-            elongation=own["elongation"]["control_values"],
-            shape_theta_diff=np.radians(own["shape"]["knots_deg"]),
-            elongation_theta_diff=np.radians(own["elongation"]["knots_deg"]),
-            delta=own["delta"]["values_at_knots"],
-            interpolation=own["interpolation"],
-            lobe=own["lobe_family"],
-        )
-        theta_half, theta_diff = np.radians([[0.0], [3.0], [20.0], [60.0]]), np.radians([0.0, 17.0, 44.0, 83.0])
-        expected = model.evaluate(theta_half, theta_diff)
-        np.testing.assert_allclose(restored.evaluate(theta_half, theta_diff), expected, rtol=1e-8)
 
 
 def test_the_layers_are_exported_as_a_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
