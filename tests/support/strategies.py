@@ -1,10 +1,7 @@
-"""Hypothesis strategies of more than one test, and how many examples they are given."""
-
-import struct
+"""What several tests with Hypothesis share, and how many examples they are given."""
 
 import numpy as np
 from hypothesis import settings
-from hypothesis import strategies as st
 
 from dsbrdf import DSBRDF
 
@@ -24,22 +21,3 @@ MODEL = DSBRDF(
 def examples(share: float) -> settings:
     """Return settings with a multiple of the number of examples that the profile has."""
     return settings(max_examples=max(1, round(share * settings().max_examples)))
-
-
-@st.composite
-def arrays(draw: st.DrawFn) -> bytes:
-    """A .npy file whose header promises anything."""
-    shape = draw(st.lists(st.one_of(st.integers(0, 4), st.integers(-2, 2**62)), max_size=4).map(tuple))
-    kind = draw(
-        st.sampled_from(["<f8", ">f8", "<f2", "<i8", "|O", "<U9", "|b1", "<c16", "|V8", "<M8[s]", "|S0", "x", ""])
-    )
-    header = draw(
-        st.one_of(
-            st.just(f"{{'descr': {kind!r}, 'fortran_order': {draw(st.booleans())}, 'shape': {shape}, }}"),
-            st.text(st.characters(codec="latin-1"), max_size=60),
-        )
-    ).encode("latin-1")
-    version = draw(st.sampled_from([b"\1\0", b"\2\0", b"\3\0", b"\0\0", b"\xff\xff"]))
-    length = struct.pack("<H" if version == b"\1\0" else "<I", draw(st.sampled_from([len(header), 0, 65535])))
-    values = draw(st.one_of(st.binary(max_size=200), st.just(np.full(18, 0.5).tobytes())))
-    return b"\x93NUMPY" + version + length + header + values

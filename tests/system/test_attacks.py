@@ -13,10 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
-import dsbrdf
 from tests.support import malformed_requests as hostile
 from tests.support.decompression_bombs import BOMBS, JSON, MEASUREMENT, NPY
-from tests.support.malformed_measurements import MALFORMED
 from tests.support.server import QUICK, Server
 
 UPLOADS = 6.0
@@ -93,19 +91,6 @@ def target(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Ta
 def in_pieces(content: bytes) -> Iterator[bytes]:
     for start in range(0, len(content), 1 << 18):
         yield content[start : start + (1 << 18)]
-
-
-def test_malformed_files_are_refused_cheaply(target: Target, data: bytes) -> None:
-    for number, (name, make) in enumerate(MALFORMED.items()):
-        content = make(data)
-        # With a Content-Length and without one, and compressed where that is not what makes them long.
-        path = ("/v1/fits", "/v1/measurements")[number % 2]
-        answer = target.post(name, path, in_pieces(content) if number % 3 == 0 else content)
-        with pytest.raises(dsbrdf.MeasurementFormatError) as raised:
-            dsbrdf.parse_merl(content)
-        assert answer.json()["detail"] == str(raised.value), name
-        assert answer.status_code == (413 if "longer than" in str(raised.value) else 422), name
-    target.close()
 
 
 def test_decompression_bombs_are_refused_cheaply(target: Target) -> None:

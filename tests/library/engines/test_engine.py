@@ -1,6 +1,5 @@
 """What every engine promises, held against each of them: a cluster has real processes here."""
 
-import asyncio
 import multiprocessing
 import os
 import signal
@@ -177,20 +176,6 @@ def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) 
         wait_until(lambda: bool(shares[0] and shares[1]), PATIENCE)
         assert not shares[2]
         assert len(forked(os.getpid())) == 2
-
-
-def test_event_loop_waits_for_a_fit_and_cancels_it(plastic_file: Path) -> None:
-    async def wait_for_two() -> None:
-        fit = await asyncio.wrap_future(engine.submit(FitTask("one", plastic_file, QUICK), ignore))
-        assert isinstance(fit, FitDocument)
-        endless = engine.submit(FitTask("two", plastic_file, ENDLESS), ignore)
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(asyncio.wrap_future(endless), 0.2)
-        await asyncio.to_thread(wait_until, endless.done, PATIENCE)
-
-    with started(LocalEngine(1)) as engine:
-        asyncio.run(wait_for_two())
-        assert not forked(os.getpid())
 
 
 PROGRAM = """

@@ -49,7 +49,7 @@ expected-statuses = ["2xx", "304", "404", "409"]
 expected-statuses = ["4xx"]
 
 
-# DELETE cancels an unfinished fit, which stays; the state machine knows which fits and measurements have to be gone.
+# DELETE cancels an unfinished fit, which stays.
 [checks.use_after_free]
 enabled = false
 
