@@ -3,11 +3,9 @@
 import hashlib
 import json
 import logging
-import math
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -19,7 +17,6 @@ from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import ProblemError
 from ..storage.schema import FitRow, MeasurementRow
-from ..wire.numbers import number_of
 from ..wire.points import JSON
 from ..wire.schemas import Page
 
@@ -38,7 +35,8 @@ _DEFAULT_HEADERS = (
     # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
     (b"cache-control", b"private, no-cache"),
 )
-_PREFERENCE = re.compile(r'(?:[^,"]|"[^"]*"|")+')  # a comma in quotes separates nothing
+_WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
+_ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
 _QUALITY = re.compile(r"(?:^|;)\s*q\s*=\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(?:;|$)")
 _RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
@@ -183,18 +181,12 @@ def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementR
 def preferred_wait(request: Request, default: float, longest: float) -> float:
     """Return the time to wait that ``Prefer`` asks for (RFC 7240) [s]; other preferences are ignored.
 
-    Of a preference that is given more than once the first counts. With ``wait``, ``respond-async`` changes nothing:
-    it says what to do when that time is over, which happens anyway.
+    With ``wait``, ``respond-async`` changes nothing: it says what to do when that time is over, which happens anyway.
     """
-    preferences: dict[str, str] = {}
-    for preference in _PREFERENCE.findall(",".join(request.headers.getlist("prefer"))):
-        name, _, value = preference.partition(";")[0].partition("=")
-        preferences.setdefault(name.strip().lower(), value.strip().strip('"'))
-    with suppress(ValueError):
-        seconds = number_of(preferences.get("wait", ""))
-        if math.isfinite(seconds) and seconds >= 0:
-            return min(seconds, longest)
-    return 0.0 if "respond-async" in preferences else min(default, longest)
+    given = ",".join(request.headers.getlist("prefer"))
+    if wait := _WAIT.search(given):
+        return min(float(wait[1]), longest)
+    return 0.0 if _ASYNC.search(given) else min(default, longest)
 
 
 def accepted_type(request: Request, first: str, second: str) -> str | None:

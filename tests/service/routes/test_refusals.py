@@ -135,8 +135,6 @@ def test_query_options_for_a_stored_measurement_are_refused(server: Server, stor
         ("respond-async, wait=5", 5.0),
         ("respond-async, wait=x", 0.0),
         ("wait=5, wait=6", 5.0),
-        ('foo="a, wait=5"', 30.0),
-        ('foo="a, wait=5", wait=6', 6.0),
         ("wait=1000", 60.0),
         ("wait=x", 30.0),
         ("wait=-1", 30.0),
