@@ -23,8 +23,8 @@ from dsbrdf.data.sample_columns import is_known, sample_columns
 from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.errors import MeasurementFormatError
 
-FEWEST_SAMPLES = 200
-"""Fewer samples than this do not determine a model."""
+FEWEST_SAMPLES = 50
+"""Fewer samples than this do not tell what a material is like."""
 SMALLEST_MAXIMUM = 1e-8
 """The largest value of samples is at least this [1/sr]."""
 LARGEST_WEIGHT = 1e12

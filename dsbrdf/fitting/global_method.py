@@ -47,6 +47,9 @@ _SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(
 _HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 _HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
+USED_ROWS = np.unique(np.concatenate([FIT_ROWS, _SEARCH_ROWS, _HELD_OUT_ROWS]))
+USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, _SEARCH_COLUMNS, _HELD_OUT_COLUMNS]))
+"""Rows and columns of a table that the fit looks at."""
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
 _NEIGHBOURS = 5  # columns
 _DARK = 0.02  # of the mean of a row: residuals of values below are relative to it

@@ -152,6 +152,9 @@ class _Descent:
         lower, upper = self.structure.bounds
         held = (self.unknowns <= lower + 1e-9) & (gradient > 0.0) | (self.unknowns >= upper - 1e-9) & (gradient < 0.0)
         free = np.flatnonzero(~held)
+        if not free.size:
+            self.done = True
+            return
         reduced = matrix[np.ix_(free, free)]
         for _ in range(_TRIES):
             damped = reduced + self.damping * np.diag(np.diag(reduced))

@@ -9,6 +9,11 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
+Of scattered samples, whose directions are where somebody chose to measure:
+
+    relative_rms_left_out = relative_rms at samples that no fit saw
+    relative_rms_expected = relative_rms that is probable over all directions, with and without samples
+
 What people see, over all directions:
 
     albedo_error = mean over theta_out = 0, 30, 60, 75 degrees and channels of |albedo of fit - of data| / of data
@@ -76,6 +81,8 @@ class Metrics:
 
     Attributes
     ----------
+    relative_rms_left_out, relative_rms_expected : float or None
+        Of scattered samples: at samples that no fit saw, and probably over all directions.
     relative_rms, floor, symmetric_floor, male : float or None
         Over the samples used, without a unit.
     excess : float or None
@@ -86,6 +93,8 @@ class Metrics:
         Likeness of a lit sphere: peak signal-to-noise ratio [dB], structural similarity (at most 1).
     """
 
+    relative_rms_left_out: float | None = None
+    relative_rms_expected: float | None = None
     relative_rms: float | None = None
     floor: float | None = None
     symmetric_floor: float | None = None

@@ -21,25 +21,25 @@ from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.paper_method import fit_slicewise
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel, KnotReport
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel
 from dsbrdf.fitting.report_warnings import (
+    LARGEST_EXPECTED,
     accuracy_warnings,
     convergence_sentence,
-    coverage_warnings,
-    error_warnings,
     fit_warnings,
-    unit_warnings,
+    sample_warnings,
 )
-from dsbrdf.fitting.sample_bins import sample_profiles, sample_rows, scattered_metrics
-from dsbrdf.fitting.usual_materials import typical_error, usual_material, with_usual_values
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.fitting.sample_bins import predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.fitting.sample_errors import expected_error, left_out_errors
+from dsbrdf.fitting.sample_prediction import SamplePrediction, thinned, without_outliers
+from dsbrdf.fitting.sample_units import sample_units
 from dsbrdf.process_settings import one_blas_thread
 from dsbrdf.version import versions
 
-_BINNED_ROUNDS = 2  # fits of scattered samples in bins: the second knows how to move them there
-_HELD_OUT = 5  # of which each one scattered sample tells whether a lobe pays
+FEW_SAMPLES = 200
+"""Fewer scattered samples than this are fitted by layers."""
+_EXACT_ROUNDS = 3  # fits of scattered samples where they are: each knows better how to move them to their rows
 _MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of more, so many taken at random
-_EXACT_ROUNDS = 3  # fits of scattered samples where they are
 
 
 @one_blas_thread
@@ -142,54 +142,43 @@ def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Cloc
 def _fit_samples(
     samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: _Clock
 ) -> FitResult:
-    """Fit samples in bins, again with the samples moved to their bins by the model found, then where they are.
-
-    Values of the usual material, with little weight, tell what no sample tells; where a fit of all parameters follows
-    the samples worse than that material, it is the model. A robust fit ends in the bins, where it compares samples
-    with their neighbours.
-    """
+    """Predict a table from samples and fit it; then, if samples are not few, fit the table and the samples together."""
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     samples = samples if options.cosine is None else samples.divided_by_cosine(options.cosine)
-    usual, usual_cost = usual_material(samples)
-    measured, (samples, far) = samples, with_usual_values(samples, usual)
-    clock.lap("usual material")
-    order = np.random.default_rng(0).permutation(len(samples.values))
-    left_out = order % _HELD_OUT == 0
-    parts = samples.take(~left_out), samples.take(left_out)
-    model: DSBRDF | None = None
-    for number in range(_BINNED_ROUNDS):
-        data = sample_profiles(samples, options, model)
-        fitted, held_out = (sample_profiles(part, options, model) for part in parts)
-        clock.lap("profiles")
-        found, mixture = fit_global(
-            data,
-            options,
-            lambda share, done=number: progress(0.9 * (done + share) / _BINNED_ROUNDS),  # type: ignore[misc]
-            clock.lap,
-            (fitted, held_out),
-        )
-        model = found.model
-    exact = samples.take(order < _MOST_EXACT)
-    for _ in range(0 if options.robust else _EXACT_ROUNDS):
-        found, mixture = refine_at_samples(sample_rows(exact, data, options, found.model), mixture, found.growth)
-        clock.lap("refine")
-    is_usual = typical_error(usual, measured) < typical_error(found.model, measured)
-    if is_usual:
-        found = replace(found, model=usual, knots=KnotReport.from_arrays(usual.theta_diff, True, True, 0, False))
-    result = _result(found, data, options, clock, scattered=True)
-    metrics = scattered_metrics(found.model, measured, options.horizon_cutoff)
-    of_units = unit_warnings(measured, usual_cost, np.array(result.report.albedo.albedo))
-    sentences = (*measured.notes, *of_units, *coverage_warnings(far, is_usual=is_usual))
-    if not (is_usual or options.robust):
-        rest = samples.take((order < _MOST_EXACT) & ~left_out)
-        without, _ = refine_at_samples(sample_rows(rest, data, options, found.model), mixture, found.growth)
-        judged = measured.take(left_out[: len(measured.values)])
-        there = scattered_metrics(without.model, judged, options.horizon_cutoff)
-        sentences += tuple(error_warnings(metrics, there))
-        clock.lap("left out")
-    sentences += result.report.warnings
-    return replace(result, report=replace(result.report, metrics=metrics, warnings=sentences))
+    units = sample_units(samples)
+    bright = replace(samples, values=samples.values * units.factor)
+    if options.robust:
+        bright = without_outliers(bright)
+    known = thinned(bright)
+    prediction = SamplePrediction.fit(known)
+    clock.lap("prediction")
+    table = predicted_profiles(bright, prediction, options)
+    clock.lap("profiles")
+    found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
+    if len(bright.values) >= FEW_SAMPLES:
+        chosen = np.random.default_rng(0).permutation(len(bright.values)) < _MOST_EXACT
+        for _ in range(_EXACT_ROUNDS):
+            data = sample_rows(bright.take(chosen), table, options, prediction, found.model)
+            found, mixture = refine_at_samples(data, mixture, found.growth)
+        clock.lap("refine at samples")
+    progress(0.9)
+    left_out, rows = left_out_errors(known, prediction, found.model, options.horizon_cutoff)
+    expected, pairs = expected_error(prediction, found.model)
+    clock.lap("left out")
+    found = replace(found, model=replace(found.model, amplitude=found.model.amplitude / units.factor))
+    result = _result(found, table, options, clock, scattered=True)
+    metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
+    metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
+    matters = expected > LARGEST_EXPECTED
+    sentences = (
+        *samples.notes,
+        *units.sentences,
+        *sample_warnings(samples, metrics, prediction.layers.structures[0].name, FEW_SAMPLES),
+        *result.report.warnings,
+    )
+    report = replace(result.report, metrics=metrics, warnings=sentences, left_out=rows)
+    return replace(result, report=replace(report, measure_next=pairs if matters else ()))
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:

@@ -66,6 +66,24 @@ class DirectionalAlbedo:
     albedo: tuple[tuple[float, ...], ...]  # red, green and blue at each
 
 
+@dataclass(frozen=True)
+class LeftOutErrors:
+    """Error of a fit of scattered samples at those samples of some directions that no fit saw."""
+
+    where: str
+    n_samples: int
+    relative_rms: float
+
+
+@dataclass(frozen=True)
+class SuggestedPair:
+    """Directions at which a sample would tell much [degrees]; phi is the azimuth from one to the other."""
+
+    theta_in_deg: float
+    theta_out_deg: float
+    phi_deg: float
+
+
 @dataclass(frozen=True, repr=False)
 class FitReport:
     """What a fit did and how good it is.
@@ -88,6 +106,9 @@ class FitReport:
         Time of each step, by its name [s].
     options, versions : FitOptions, Versions
         Of the fit; the versions are those of the algorithm, this library and what it computes with.
+    left_out, measure_next : tuple of LeftOutErrors, tuple of SuggestedPair
+        Of scattered samples only: errors at samples left out, and where to measure next if the error that is expected
+        over all directions is large, the most useful pair first.
     """
 
     warnings: tuple[str, ...]
@@ -102,6 +123,8 @@ class FitReport:
     timings: dict[str, float] = field(hash=False)
     options: FitOptions
     versions: Versions
+    left_out: tuple[LeftOutErrors, ...] = ()
+    measure_next: tuple[SuggestedPair, ...] = ()
 
     def __repr__(self) -> str:
         error = self.metrics.relative_rms

@@ -8,20 +8,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
-from dsbrdf.fitting.usual_materials import FAR, usual_material
 from dsbrdf.model.dsbrdf import DSBRDF
 
 _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
 _LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
 _LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
 _LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
+_TOO_BRIGHT = 1.05  # of scattered samples: then their unit is wrong
 _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
 
 
@@ -36,7 +35,7 @@ def fit_warnings(
 ) -> Iterator[str]:
     """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
 
-    Of a model of scattered samples that is far too bright `unit_warnings` speaks.
+    Of scattered samples that are far too bright `dsbrdf.fitting.sample_units` speaks.
     """
     if not np.all(knots.converged):
         yield convergence_sentence(knots, in_slices=in_slices)
@@ -96,55 +95,34 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
         )
 
 
-_MUCH_FAR = 0.1  # of the directions
-_MUCH_LARGER, _WORTH_A_WORD = 2.0, 0.05  # errors at samples left out
-_TOO_BRIGHT = 1.05  # albedo; noise may lift that of a white material above 1
-_UNITS = ((np.pi, "1/pi (are they radiance factors?)"), (100.0, "1/100 (are they per cent?)"))
-_OTHERWISE = "1/1500 or what else their unit is in 1/sr"
-_EXPLAINS = 0.5  # of the cost, that values divided by a cosine have if they were multiplied by it
-_BADLY_EXPLAINED = 0.2  # cost for each sample, of values that no known material has; those of materials have up to 1
+LARGEST_EXPECTED = 0.1
+"""Expected error over all directions from which on a report says where to measure next."""
+_LARGE, _MUCH_LARGER, _WORTH_A_WORD = 0.3, 2.0, 0.05  # errors
 
 
-def coverage_warnings(far: float, *, is_usual: bool) -> Iterator[str]:
-    """Sentences about the share of directions without a sample nearby, and samples that no free fit can follow."""
-    if is_usual:
+def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:
+    """Sentences about how far a fit of samples is from the material; `structure` is what explains them best."""
+    here, left_out, expected = metrics.relative_rms, metrics.relative_rms_left_out, metrics.relative_rms_expected
+    if here is None or left_out is None or expected is None:
+        return
+    if len(samples.values) < few:
         yield (
-            "A fit of all parameters follows the samples worse than a material that is like others: the model is that "
-            "material, with one specular and one diffuse lobe; more samples would tell more."
+            f"{len(samples.values)} samples are few: the model is that of layers ({structure}) that were fitted to the "
+            "samples and corrected near them; more samples would tell more."
         )
-    if far > _MUCH_FAR:
+    if here > _LARGE:
         yield (
-            f"{far:.0%} of the directions have no sample within {np.degrees(FAR):.0f} degrees: there the model is what "
-            "materials are usually like, and not measured."
+            f"The model misses the samples by {here:.0%} of their size: look for values that are no measurements, for "
+            "wrong units of the angles, and for a mirror direction on the wrong side."
         )
-
-
-def error_warnings(fitted: Metrics, left_out: Metrics) -> Iterator[str]:
-    """A sentence where samples that a fit left out tell of a larger error than the samples of the fit."""
-    here, there = fitted.relative_rms, left_out.relative_rms
-    if here is not None and there is not None and there >= max(_MUCH_LARGER * here, _WORTH_A_WORD):
+    if left_out >= max(_MUCH_LARGER * here, _WORTH_A_WORD):
         yield (
-            f"At samples left out of a fit relative_rms is {there:.3g}, at those of the fit {here:.3g}: highlights "
-            "have too few samples, and between them the error is more like the larger one."
+            f"At samples left out of a fit relative_rms is {left_out:.3g}, at those of the fit {here:.3g}: between the "
+            "samples the error is more like the larger one."
         )
-
-
-def unit_warnings(samples: ScatteredSamples, usual_cost: float, albedo: Array) -> Iterator[str]:
-    """Sentences about values that are probably not those of a BRDF in 1/sr.
-
-    `usual_cost` is that of the usual material of the samples, `albedo` the fit's at some angles and in all channels.
-    """
-    largest = float(albedo.max())
-    if largest > _TOO_BRIGHT:
-        remedy = next((words for factor, words in _UNITS if largest <= factor * _TOO_BRIGHT), _OTHERWISE)
+    if expected > LARGEST_EXPECTED:
         yield (
-            f"The model reflects {largest:.3g} times the light that it receives: the values are not those of a BRDF in "
-            f"1/sr; multiply them by {remedy}."
+            f"Over all directions an error of {expected:.0%} is to be expected: where there are no samples, the model "
+            "is what layers that explain the samples are like there; measure_next has the directions that would tell "
+            "most."
         )
-    for side in ("in", "out"):
-        cost = usual_material(samples.divided_by_cosine(side))[1] if usual_cost > _BADLY_EXPLAINED else np.inf
-        if cost < _EXPLAINS * usual_cost:
-            yield (
-                f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a "
-                f'usual material, and as they are they are not; if so, set cosine to "{side}".'
-            )

@@ -1,8 +1,9 @@
 """Scattered samples as what the fit works on, without a table in between.
 
-For the search a sample is put into the nearest of the rows and columns of the grid that the fit uses, and into its bin
-of phi_diff. Once there is a model, the sample is multiplied by the ratio of its values there and where the sample was
-taken. The last fits take each sample where it is, but for its theta_diff, which is moved by less than a degree.
+What is predicted from the samples (`dsbrdf.fitting.sample_prediction`) fills the rows, columns and bins of phi_diff
+that the fit of a table uses, and is fitted as a table is. The last fit takes each sample where it is too, but for its
+theta_diff, which is moved by less than a degree: in units of the signal, all samples count as much as the whole table,
+of which a node counts less where samples are near.
 """
 
 import numpy as np
@@ -12,31 +13,33 @@ from dsbrdf.data.geometry import above_horizon, half_difference
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, fit_weights, weight_per_sample
+from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, USED_COLUMNS, USED_ROWS, fit_weights
 from dsbrdf.fitting.least_squares import FitData
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.sample_prediction import SamplePrediction
 from dsbrdf.model.dsbrdf import DSBRDF
 
-_LARGEST_RATIO = 16.0  # a model that differs by more between a sample and its bin is not to be trusted with moving it
+_MODEL_ERROR = 0.015  # relative, that lobes have at best: a node that is as uncertain counts half
+_LEAST_SHARE = 1e-3  # of its weight that a node keeps among samples
+_LARGEST_RATIO = 16.0  # between values at a sample and at the next whole degree of theta_diff
 
 
-def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRDF | None = None) -> Profiles:
-    """Put samples into bins, moved there by a model that was fitted to them, if there is one."""
-    angles = half_difference(samples.omega_in, samples.omega_out)
-    cells, cell = np.unique(_cells(*angles), axis=1, return_inverse=True)
-    values = samples.values
-    if model is not None:
-        values = values * _ratio(_mean_in_cells(model, cells)[cell], model.evaluate_unmasked(*angles))
-    shape = (THETA_DIFF.size, THETA_HALF.size, N_BINS)
-    weight, mean = np.zeros((3, *shape)), np.zeros((3, *shape))
-    total = np.bincount(cell, samples.weight)
-    for channel in range(3):
-        weight[channel][*cells] = total
-        mean[channel][*cells] = np.bincount(cell, samples.weight * values[:, channel]) / total
-    cos2_phi = np.zeros(shape)
+def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
+    """The table that is predicted from samples: the rows and columns that a fit looks at."""
+    cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
     count = _nodes_in_cells(cells)
-    cos2_phi[*cells] = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / count.sum(axis=1)
+    cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
+    total = count.sum(axis=1)
+    squared_cosine = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / total
+    angles = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(squared_cosine))
+    shape = (THETA_DIFF.size, THETA_HALF.size, N_BINS)
+    weight, mean, cos2_phi = np.zeros((3, *shape)), np.zeros((3, *shape)), np.zeros(shape)
+    weight[:, *cells], mean[:, *cells], cos2_phi[*cells] = (
+        total,
+        prediction.evaluate_unmasked(*angles).T,
+        squared_cosine,
+    )
     over_phi = weight.sum(axis=3)
     level = np.sum(weight * mean, axis=3) / np.where(over_phi > 0.0, over_phi, 1.0)
     within = np.sum(weight * (mean - level[..., np.newaxis]) ** 2, axis=3)
@@ -45,18 +48,34 @@ def sample_profiles(samples: ScatteredSamples, options: FitOptions, model: DSBRD
     return Profiles(level, over_phi, within, folded, *made, samples.name, samples.sha256)
 
 
-def sample_rows(samples: ScatteredSamples, binned: Profiles, options: FitOptions, model: DSBRDF) -> FitData:
-    """Put samples into rows of whole degrees of theta_diff, each at its own theta_half and phi_diff.
+def sample_rows(
+    samples: ScatteredSamples, table: Profiles, options: FitOptions, prediction: SamplePrediction, model: DSBRDF
+) -> FitData:
+    """Put samples, and the table that is predicted from them, into rows of whole degrees of theta_diff.
 
-    They are moved to their rows by a model that was fitted to them, and get the weights of the same samples in bins.
+    Samples are moved to their rows by the model that was found, and weighted among each other as nodes of the table.
     """
-    angles = half_difference(samples.omega_in, samples.omega_out)
-    weight = weight_per_sample(binned, fit_weights(binned, options))[:, *_cells(*angles)] * samples.weight
-    theta_half, theta_diff, phi_diff = angles
+    weight, folded = fit_weights(table, options), table.folded
+    cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)
+    cells = cells[:, np.isin(cells[0], FIT_ROWS) & np.isin(cells[1], FIT_COLUMNS)]
+    predicted, counted = folded.mean[:, *cells], weight[:, *cells]
+    each = weight / np.where(folded.weight > 0.0, folded.weight, 1.0)
+    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
+    at_sample = each[:, *_cells(theta_half, theta_diff, phi_diff)] * samples.weight
     row = _nearest(THETA_DIFF, theta_diff)
-    at_row = model.evaluate_unmasked(theta_half, THETA_DIFF[row], phi_diff)
-    values = samples.values * _ratio(at_row, model.evaluate_unmasked(*angles))
-    return FitData.from_samples(values, weight.T, row, theta_half, phi_diff)
+    there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
+    values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
+    share = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
+    nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
+    spread, unknown = prediction.spread(*nodes), prediction.unknown_share(*nodes)
+    counted = counted * np.maximum(unknown * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _LEAST_SHARE)
+    return FitData.from_samples(
+        np.concatenate([values, predicted.T]),
+        np.concatenate([share * at_sample.T, counted.T]),
+        np.concatenate([row, cells[0]]),
+        np.concatenate([theta_half, nodes[0]]),
+        np.concatenate([phi_diff, nodes[2]]),
+    )
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
@@ -83,33 +102,13 @@ def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
     return np.stack([row, column, bin_of])
 
 
-def _ratio(there: Array, here: Array) -> Array:
-    return np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
-
-
 def _nearest(axis: Array, angles: Array) -> Indices:
     """Index of the nearest of ascending angles."""
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
 
 
 def _nodes_in_cells(cells: Indices) -> Array:
-    """What each node of phi_diff, from 0 to 90 degrees, counts in each cell, shape (cells, 91).
-
-    Those above the horizon count, as in a measurement on the grid, or all where none is.
-    """
+    """What each node of phi_diff, from 0 to 90 degrees, counts in each cell, those above the horizon (cells, 91)."""
     row, column, bin_of = cells
-    members = SAMPLES_IN_BIN.T[bin_of]
     above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
-    counted = members * above
-    return np.where(counted.any(axis=1, keepdims=True), counted, members)
-
-
-def _mean_in_cells(model: DSBRDF, cells: Indices) -> Array:
-    """Mean of the model over the nodes of each cell, shape (cells, 3)."""
-    count = _nodes_in_cells(cells)
-    at, node = np.nonzero(count)
-    row, column, _ = cells[:, at]
-    values = model.evaluate_unmasked(THETA_HALF[column], THETA_DIFF[row], PHI_DIFF[node])
-    weighted = values * count[at, node, np.newaxis]
-    sums = np.stack([np.bincount(at, weighted[:, channel], len(count)) for channel in range(3)], axis=1)
-    return np.asarray(sums / count.sum(axis=1, keepdims=True))
+    return np.asarray(SAMPLES_IN_BIN.T[bin_of] * above)

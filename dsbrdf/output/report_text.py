@@ -176,6 +176,17 @@ def bands_table(report: FitReport) -> list[str]:
     return lines
 
 
+def samples_tables(report: FitReport) -> list[str]:
+    """Return tables of the errors at samples left out, and of the directions to measure next; empty without samples."""
+    lines = [f"{'samples left out':<32}{'samples':>9}{'relative_rms':>14}"] if report.left_out else []
+    lines += [f"{row.where:<32}{row.n_samples:>9}{row.relative_rms:>14.4f}" for row in report.left_out]
+    if report.measure_next:
+        lines += ["", f"{'measure next':<14}{'theta_in':>10}{'theta_out':>11}{'phi':>7}"]
+        pairs = report.measure_next
+        lines += [f"{'':<14}{p.theta_in_deg:>9.0f}°{p.theta_out_deg:>10.0f}°{p.phi_deg:>6.0f}°" for p in pairs]
+    return lines
+
+
 def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> list[str]:
     """Return the components of a model and their layers, then, if asked for, the model's lobes in one channel."""
     components = component_documents(model)
@@ -188,7 +199,12 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
     lines += model_text(result.model, lobes=lobes, channel=channel)
-    for table in (growth_table(result.report), selection_table(result.report), bands_table(result.report)):
+    for table in (
+        samples_tables(result.report),
+        growth_table(result.report),
+        selection_table(result.report),
+        bands_table(result.report),
+    ):
         lines += ["", *table] if table else []
     return [*lines, ""]
 

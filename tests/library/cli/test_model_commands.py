@@ -296,7 +296,7 @@ def test_compare_a_measurement_with_its_fit(
     lines = printed("compare", plastic_file, model_file, "-o", picture).splitlines()
     assert lines[0].split() == ["plastic", "plastic"]
     assert lines[1].split() == ["kind", "measurement", "2", "lobes"]
-    (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms")]
+    (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms ")]
     assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
     pixels = pixels_of(picture)
     assert pixels.shape == (256, 3 * 256, 3)

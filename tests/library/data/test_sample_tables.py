@@ -219,7 +219,7 @@ OFF_UNIT = np.hstack([spherical(ANGLES)[0] * 1.05, spherical(ANGLES)[1], RGB])
 NO_Z = table((*VECTORS[:5], "z", *CHANNELS), np.hstack([*spherical(ANGLES), RGB]))
 WRONG = [
     (WORDS[0].encode(), "There are 0 samples; a fit needs at least "),
-    ("\n".join(WORDS[:100]).encode(), "There are 99 samples; a fit needs at least 200."),
+    ("\n".join(WORDS[:40]).encode(), "There are 39 samples; a fit needs at least 50."),
     (table() + b"1;" * 70_000, "cannot be split into cells: one is longer than 131072 characters, or a quotation mark"),
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     ("\n".join(WORDS[1:]).encode(), f"The table begins with '{WORDS[1]}' and has no line that names its columns"),

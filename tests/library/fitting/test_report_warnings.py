@@ -106,7 +106,8 @@ def test_errors_far_above_the_floor_are_named(
 
 
 def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
-    assert "highlights have too few samples" in fit(EXAMPLE, n_lobes=3, ring_lobes=0).report.warnings[0]
+    warnings = fit(EXAMPLE).report.warnings
+    assert any("between the samples the error is more like the larger one" in sentence for sentence in warnings)
 
 
 @pytest.fixture(scope="module")
