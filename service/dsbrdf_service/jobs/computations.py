@@ -8,7 +8,6 @@ import asyncio
 import errno
 import os
 import weakref
-from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
@@ -17,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import mkstemp
 from typing import Any, Literal, TypeVar, get_args
+from weakref import WeakValueDictionary
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -35,40 +35,25 @@ Place = Literal["short", "medium", "long"]
 
 
 class FairTurns:
-    """At most `count` turns at once in one event loop; owners alternate, and each is served in the order it came."""
+    """At most `count` turns at once; owners alternate, and each is served in the order it came.
+
+    Of each owner one waits among those of all owners, who are served in their order; the others wait behind it.
+    """
 
     def __init__(self, count: int = 1) -> None:
-        self._free = count
-        self._waiting: dict[str, deque[asyncio.Future[None]]] = {}  # by owner; the next to be served comes first
+        self._places = asyncio.Semaphore(count)
+        self._queues: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # by owner, while one waits
 
     @asynccontextmanager
     async def turn(self, owner: str) -> AsyncIterator[None]:
         """Wait for the turn of an owner, and hold it during the block."""
-        granted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.setdefault(owner, deque()).append(granted)
-        self._serve()
+        queue = self._queues.setdefault(owner, asyncio.Lock())
+        async with queue:
+            await self._places.acquire()
         try:
-            await granted
             yield
         finally:
-            if granted.done() and not granted.cancelled():  # also where it was cancelled just after it was granted
-                self._free += 1
-                self._put_last(owner)
-                self._serve()
-
-    def _serve(self) -> None:
-        while self._waiting and self._free:
-            owner, waiting = next(iter(self._waiting.items()))
-            granted = waiting.popleft()
-            self._put_last(owner)
-            if not granted.done():  # else cancelled while it waited
-                self._free -= 1
-                granted.set_result(None)
-
-    def _put_last(self, owner: str) -> None:
-        """Put an owner behind all others who wait now."""
-        if more := self._waiting.pop(owner, None):
-            self._waiting[owner] = more
+            self._places.release()
 
 
 class MadeFile:
