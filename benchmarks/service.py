@@ -43,11 +43,11 @@ _NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
 _RAW = {"Content-Type": "application/octet-stream"}
 _LIBRARY = """
 import json, sys, time, dsbrdf
-from dsbrdf.output.serialize import to_json
+from dsbrdf.engines.local import document_of
 begin, used = time.perf_counter(), time.process_time()
 measurement = dsbrdf.read_merl(sys.argv[1])
 result = dsbrdf.fit(measurement, **json.loads(sys.argv[2]))
-to_json(result.model, result.report)
+document_of(result)
 print(time.perf_counter() - begin, time.process_time() - used)
 """
 

@@ -35,6 +35,7 @@ _PROGRESS_INTERVAL = 0.2  # between two messages of a fit; each costs time on th
 _LOOK_INTERVAL = 0.5  # between two looks at the cluster
 _POLL_INTERVAL = 0.1  # between two looks at a fit
 _TIMEOUT = 5.0  # for the scheduler to answer
+_START_TIMEOUT = 60.0  # for new workers to answer, which start the server of their child processes
 
 logger = logging.getLogger(__name__)
 
@@ -150,7 +151,10 @@ class DaskEngine:
             raise ConnectionError("it has been started again")
         known = {address: self._workers.get(address, "is new") for address in about["workers"]}
         others = [address for address, reason in known.items() if reason is not None]
-        answers = client.run(unusable_because, asdict(versions()), workers=others, on_error="return") if others else {}
+        answers: dict[str, Any] = {}
+        if others:
+            of_run = {"workers": others, "on_error": "return", "callback_timeout": _START_TIMEOUT}
+            answers = client.run(unusable_because, asdict(versions()), **of_run)
         for address, answer in answers.items():
             reason = f"cannot run dsbrdf ({answer!r})" if isinstance(answer, Exception) else answer
             if reason is not None and reason != self._workers.get(address):

@@ -4,6 +4,7 @@ import atexit
 import os
 import shutil
 
+import dsbrdf.engines.local  # noqa: F401 (what workers run)
 from dsbrdf.data.grid import nodes_above_horizon
 from dsbrdf.engines.worker_process import SERVER_FOLDER
 
