@@ -114,7 +114,7 @@ def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) 
     # The cursor stays valid when fits come and go.
     submit(16)
     assert server.http.delete(f"/v1/fits/{page.json()['items'][1]['id']}").json()["status"] == "deleted"
-    while "next" in page.links:
+    while "next" in page.links and len(pages) < 9:
         page = server.http.get(page.links["next"]["url"])
         pages.append(numbers(page.json()["items"]))
     assert pages == [[15, 14], [13, 12], [11]]
