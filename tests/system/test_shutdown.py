@@ -272,7 +272,8 @@ def test_limit_of_the_whole_service_is_the_limit_of_each_fit(own_server: Callabl
     server.http.post("/v1/fits", params=QUICK, content=data)  # the helpers have imported all that they will
     for limit_mb, fault in ((1024, None), (200, ("compute", "MemoryLimit"))):  # both less than the service allows
         for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
-            resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
+            _, most = resource.prlimit(pid, resource.RLIMIT_AS)
+            resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, most))
         fit = server.http.post("/v1/fits", params={**QUICK, "em_iterations": limit_mb // 10}, content=data).json()
         assert (fit["error"] and (fit["error"]["origin"], fit["error"]["type"])) == fault
     assert "Traceback" not in server.log.read_text()

@@ -127,8 +127,8 @@ class _GzipDecoder:
         self._member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
 
     def feed(self, data: bytes) -> None:
-        while True:
-            if self._member.eof and data:
+        while data:
+            if self._member.eof:
                 raise _damaged("it goes on after its end")
             try:
                 decoded = self._member.decompress(data, PIECE)
@@ -137,8 +137,6 @@ class _GzipDecoder:
             if decoded:
                 self._sink(decoded)
             data = self._member.unconsumed_tail or self._member.unused_data
-            if not data and len(decoded) < PIECE:
-                return
 
     def finish(self) -> None:
         if not self._member.eof:
