@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve docs test quick check audit fix bench soak prove lock clean
+.PHONY: help demo serve docs test quick check types audit fix bench soak prove lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
@@ -50,6 +50,12 @@ check: $(READY)  ## check format, lint, types and security
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml dsbrdf service
+
+TSC := .venv/typescript
+
+types:  ## check the types of the page's modules
+	@mkdir -p $(TSC) && cp .ci/package.json .ci/package-lock.json $(TSC)/ && npm ci --silent --prefix $(TSC)
+	$(TSC)/node_modules/.bin/tsc --project .ci/tsconfig.json
 
 audit: $(READY)  ## check the pinned dependencies for known vulnerabilities
 	@$(BIN)/python .ci/audit.py

@@ -27,7 +27,7 @@ from .http.request_body import Bodies
 from .http.request_log import RequestLogMiddleware
 from .jobs.computations import Computations
 from .jobs.jobs import Jobs
-from .jobs.results import FitViews, ModelCache
+from .jobs.results import ModelCache
 from .operations.metrics import Metrics
 from .operations.readiness import Readiness
 from .routes import about, brdf, figures, fits, measurements, page
@@ -85,8 +85,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
-        views = FitViews(store, models)
-        parts = settings, store, jobs, models, views, keys, metrics, readiness, computations, Bodies()
+        parts = settings, store, jobs, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
@@ -134,6 +133,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
         lifespan=_lifespan,
+        openapi_url=None,  # it is one of the static files
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # every resource has one path
@@ -145,7 +145,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, brdf.measured, measurements.router, about.router, page.pages, page.router)
+    routers = (*of_fits, brdf.measured, measurements.router, about.router, page.router)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:

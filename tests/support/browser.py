@@ -1,9 +1,13 @@
 """Pages of the service in a headless Chromium, and what the browser says of them; tests without one are skipped."""
 
+import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import urlsplit
 
+import httpx
 import pytest
 
 from tests.support.webgl import CHROMIUM, SOFTWARE_RENDERER
@@ -14,10 +18,12 @@ pytest.importorskip("playwright", reason='"playwright" is not installed')
 
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
-__all__ = ["PAINTED", "Page", "Visit", "Visitor", "expect", "new_context", "running_browser"]
+__all__ = ["PAINTED", "SPHERE", "Browser", "Page", "Visit", "Visitor", "expect", "new_context", "running_browser"]
 
-PAINTED = "canvas[data-painted]"
+SPHERE = ".sphere canvas"
+PAINTED = f"{SPHERE}[data-painted]"
 _PATIENCE = 60_000  # milliseconds until what should appear on a page is given up, on a busy machine
+_PAGE = re.compile(r"/(fits/\w+|measurements/\w+|compare|docs(/[\w.-]+)?|page/[\w.-]+|openapi\.json)?")
 # The browser reports each answer above 399 itself; the page shows what it says.
 _REPORTED = "Failed to load resource: the server responded with a status of 4"
 
@@ -35,14 +41,13 @@ def running_browser() -> Iterator[Browser]:
 
 
 def new_context(browser: Browser, site: str, key: str | None, **options: Any) -> BrowserContext:
-    """Return what keeps cookies and files of its own in a browser, signed in if there is a key."""
+    """Return what keeps storage and files of its own in a browser, signed in if there is a key."""
     # Without a graphics card a sphere of many pixels takes seconds.
     options = {"device_scale_factor": 0.25, **options}
     context = browser.new_context(base_url=site, **options)
     context.set_default_timeout(_PATIENCE)
     if key is not None:
-        cookie = {"name": "dsbrdf_key", "value": key, "url": site, "httpOnly": True, "sameSite": "Strict"}
-        context.add_cookies([cookie])  # type: ignore[list-item]  # a dict with these members
+        context.add_init_script(f"sessionStorage.setItem({json.dumps(f'key of {site}/')}, {json.dumps(key)})")
     return context
 
 
@@ -50,7 +55,8 @@ Visit = Callable[..., "Visitor"]
 
 
 class Visitor:
-    """Someone who looks at pages of one site; `close` checks that nothing went wrong and nothing came from elsewhere.
+    """Someone who looks at pages of one site; `close` checks that nothing went wrong, nothing came from elsewhere, and
+    all that came is static or described by the OpenAPI document.
 
     `requests` are what the page has asked for: method, address and type of the body.
     """
@@ -79,5 +85,22 @@ class Visitor:
         self.page.close()
         assert self.faults == []
         assert self.requests
-        elsewhere = [url for _, url, _ in self.requests if not url.startswith((f"{self.site}/", "data:"))]
-        assert elsewhere == []
+        asked = [
+            (method, url) for method, url, _ in self.requests if not url.startswith(("data:", f"blob:{self.site}/"))
+        ]
+        assert [url for _, url in asked if not url.startswith(f"{self.site}/")] == []
+        described = _described(self.site)
+        for method, url in asked:
+            path = urlsplit(url).path
+            assert (method == "GET" and _PAGE.fullmatch(path)) or any(
+                pattern.fullmatch(path) and method in methods for pattern, methods in described
+            ), f"{method} {path} is not described"
+
+
+def _described(site: str) -> list[tuple[re.Pattern[str], set[str]]]:
+    """The paths that the OpenAPI document has, and their methods; HEAD goes with GET."""
+    paths: dict[str, dict[str, Any]] = httpx.get(f"{site}/openapi.json").json()["paths"]
+    return [
+        (re.compile(re.sub(r"\{\w+\}", r"[^/]+", path)), {name.upper() for name in methods} | {"HEAD"})
+        for path, methods in paths.items()
+    ]

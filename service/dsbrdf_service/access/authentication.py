@@ -3,9 +3,6 @@
 A key is needed where other machines can reach the service. On loopback the local user needs none; the request must then
 be this user's own: not one from a page of another site in the user's browser, nor one to a foreign host name that has
 been made to resolve to this machine.
-
-The web page sends the key in a cookie. Browsers send cookies of their own accord, so with one a request may change
-something only if it comes from a page of the service itself.
 """
 
 import math
@@ -15,23 +12,19 @@ from collections import Counter
 from time import monotonic
 
 from starlette.requests import Request
-from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ..errors import InvalidKeyError, ProblemError
 from ..http.limits import check_head
-from ..http.pages import PAGE_PATHS, STATIC_FILES, sign_in_page
 from ..http.problems import problem_of, problem_response
-from ..http.request_log import HEALTH, SAFE_METHODS
+from ..http.request_log import HEALTH
+from ..http.static_files import PAGE_PATHS, STATIC_FILES
 from ..settings import Settings
 from ..storage.schema import Caller
 from .keys import ActiveKey, Keys
 
 # They show nothing that belongs to a key.
-OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", "/sign-in", "/sign-out", *STATIC_FILES))
-
-COOKIE = "dsbrdf_key"
-_KEY_IN_COOKIE = re.compile(rb"(?:^|;) *dsbrdf_key=([^;]*)")
+OPEN_PATHS = frozenset(("/health/live", "/health/ready", "/openapi.json", *STATIC_FILES))
 
 CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
 CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
@@ -64,7 +57,8 @@ class AuthenticationMiddleware:
             self._check(scope)
             caller = self._begin(scope)
         except (ProblemError, sqlite3.Error) as error:  # the latter where keys cannot be read
-            await self._refusal(scope, problem_of(Request(scope), error))(scope, receive, send)
+            refusal = problem_response(problem_of(Request(scope), error), scope["path"])
+            await refusal(scope, receive, send)
             return
         try:
             await self._app(scope, receive, send)
@@ -104,46 +98,32 @@ class AuthenticationMiddleware:
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""
         check_head(scope)
-        if scope["path"] in OPEN_PATHS:
+        if scope["path"] in OPEN_PATHS or PAGE_PATHS.fullmatch(scope["path"]):
             return
         key = self._key(scope)
         scope[CALLER] = _LOCAL if key is None else key.caller
         if not scope["path"].isprintable():  # a route would take a line break for the end of the path
             raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
 
-    def _refusal(self, scope: Scope, error: ProblemError) -> Response:
-        """Return the problem document; to a person who looks at a page without a key, the page to sign in."""
-        anonymous = error.kind == "unauthorized" and b"authorization" not in dict(scope["headers"])
-        if anonymous and self._needs_key and scope["method"] == "GET" and PAGE_PATHS.fullmatch(scope["path"]):
-            return sign_in_page(scope["path"], "", error.headers)
-        return problem_response(error, scope["path"])
-
     def _key(self, scope: Scope) -> ActiveKey | None:
         """Return the key of a request, and count it; None is the local user, who needs none."""
         headers: _Headers = scope["headers"]
-        if sent := [value for name, value in headers if name == b"authorization"]:
-            scheme, _, text = sent[0].partition(b" ")
-            # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
-            key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
-            if key is None:
-                raise InvalidKeyError
-        else:
-            # Another page of the host can set a cookie of this name too, for any path.
-            key = next((key for text in keys_in_cookies(headers) if (key := self._keys.find(text))), None)
-            if key is None:  # also one that has been revoked since its owner signed in
-                self._check_local(scope)
-                return None
-            if scope["method"] not in SAFE_METHODS and not same_origin(headers):
-                detail = "A key in a cookie changes something only from the pages of the service itself."
-                raise ProblemError("foreign-origin", detail)
+        sent = [value for name, value in headers if name == b"authorization"]
+        if not sent:
+            self._check_local(headers)
+            return None
+        scheme, _, text = sent[0].partition(b" ")
+        # A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
+        key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
+        if key is None:
+            raise InvalidKeyError
         if seconds := key.rate_limit.take():
             detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
             raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
         return key
 
-    def _check_local(self, scope: Scope) -> None:
-        """Check that it is the local user who asks; a link of another site may lead this user to a page."""
-        headers: _Headers = scope["headers"]
+    def _check_local(self, headers: _Headers) -> None:
+        """Check that it is the local user who asks."""
         if self._needs_key:
             detail = "An API key is needed here; send it as 'Authorization: Bearer <key>'."
             raise ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})
@@ -152,26 +132,12 @@ class AuthenticationMiddleware:
             if not all(_LOCAL_NAME.fullmatch(host) for host in hosts):
                 detail = "Without an API key the service answers to 127.0.0.1, localhost and names without a dot only."
                 raise ProblemError("misdirected", detail)
-            is_link = (b"sec-fetch-dest", b"document") in headers and PAGE_PATHS.fullmatch(scope["path"])
-            if from_another_site(headers) and not (is_link and scope["method"] == "GET"):
+            if _from_another_site(headers):
                 detail = "Without an API key the service does not answer to pages of other sites."
                 raise ProblemError("foreign-origin", detail)
 
 
-def keys_in_cookies(headers: _Headers) -> list[bytes]:
-    """Return what cookies of a request give as keys."""
-    return _KEY_IN_COOKIE.findall(b"; ".join(value for name, value in headers if name == b"cookie"))
-
-
-def same_origin(headers: _Headers) -> bool:
-    """Return whether a browser says that a request comes from a page of this service."""
-    given = dict(headers)
-    if b"sec-fetch-site" in given:
-        return given[b"sec-fetch-site"] == b"same-origin"
-    return b"origin" in given and not from_another_site(headers)
-
-
-def from_another_site(headers: _Headers) -> bool:
+def _from_another_site(headers: _Headers) -> bool:
     """Return whether a browser says that a page of another site has sent a request."""
     hosts = [value for name, value in headers if name == b"host"]
     origins = [value.partition(b"://")[2] for name, value in headers if name == b"origin"]

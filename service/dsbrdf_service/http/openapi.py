@@ -99,6 +99,7 @@ _SUMMARY: dict[str, Any] = {
     "finished": _FINISHED,
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
+    "likeness": "very close (41.2 dB)",
 }
 EXAMPLE_POINTS: dict[str, Any] = {
     "angles": {"value": {"theta_half_deg": [0, 10], "theta_diff_deg": [0, 30], "phi_diff_deg": [90, 45]}},

@@ -27,7 +27,7 @@ _SECURITY_HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-resource-policy", b"same-origin"),
-    (b"vary", b"Authorization, Cookie"),
+    (b"vary", b"Authorization"),
 )
 # Of the headers that a response may give itself: the page of the documentation has a policy of its own.
 _DEFAULT_HEADERS = (

@@ -9,14 +9,14 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from io import BytesIO
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
@@ -49,12 +49,8 @@ FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
     "residual": residual_figure,
 }
-LIGHT_STEP = 5
-"""Angles of the light in polar plots are multiples of it [degrees]."""
-LARGEST_LIGHT = 85
-POLAR_ANGLES = np.arange(-89, 90)  # of the viewer, negative on the light's side [degrees]
-_SIZE = 256
-_DARKEST = 1e-6  # as in `interpolate`; the shader of the page subtracts it [1/sr]
+_THUMBNAIL = 112  # pixels along a side
+_DARKEST = 1e-6  # as in `interpolate` [1/sr]
 
 
 @dataclass(frozen=True)
@@ -68,34 +64,6 @@ class StoredMeasurement:
     def mapped(self) -> Measurement:
         """Return the measurement, whose file is mapped."""
         return replace(map_merl(self.path, self.sha256), name=self.name or self.sha256[:12])
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """What is drawn of a fit beside its measurement; values in 1/sr, None where the measurement is not stored."""
-
-    exposure: float  # what the radiance of the pictures was multiplied by
-    pictures: dict[str, bytes]  # PNG files: the fit and, if the measurement is still stored, it and the difference
-    measured: Array | None  # means over phi_diff (channel, theta_diff, theta_half), NaN where there are no data
-    polar: Array | None  # in the plane of incidence (light, viewer, channel)
-
-
-def view_step(model: DSBRDF, stored: StoredMeasurement | None, horizon_cutoff: float | None, _: OnProgress) -> Drawn:
-    """Return what a page shows of a fit, beside its measurement if that is still stored."""
-    fit = render_sphere(model, size=_SIZE)
-    normals = sphere_normals(_SIZE)[1]
-    if stored is None:
-        factor = exposure(fit, normals)
-        return Drawn(factor, {"fit": encode_png(displayed(fit, factor))}, None, None)
-    measurement = stored.mapped()
-    reference = render_sphere(measurement, size=_SIZE)
-    factor = exposure(reference, normals)
-    pictures = {"fit": displayed(fit, factor), "measured": displayed(reference, factor)}
-    pictures["difference"] = _difference(pictures["measured"], pictures["fit"])
-    reduced = profiles(measurement, horizon_cutoff=horizon_cutoff)
-    means = np.where(reduced.weight > 0.0, reduced.mean, np.nan)
-    polar = interpolate(measurement).evaluate(*in_plane(np.arange(0, LARGEST_LIGHT + 1, LIGHT_STEP)))
-    return Drawn(factor, {name: encode_png(picture) for name, picture in pictures.items()}, means, polar)
 
 
 def sphere_step(
@@ -131,24 +99,56 @@ def _difference(measured: Array, fit: Array) -> Array:
     return np.clip(DIFFERENCE_GAIN * np.abs(measured - fit), 0.0, 1.0)
 
 
-def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
-    """Return logarithms of a measurement at all nodes, as float16 (theta_half, theta_diff, phi_diff, channel).
+def spheres_step(
+    model: DSBRDF, parts: list[Component], stored: StoredMeasurement | None, size: int, _: OnProgress
+) -> bytes:
+    """Return one PNG of spheres under three lights: measured, fit and difference, or the fit alone; then its parts.
 
-    Between nodes linear interpolation of them is that of `interpolate`; `_DARKEST` is added to each value.
+    All have the exposure of the measurement, or of the fit where there is none.
+    """
+    shown = ([] if stored is None else [stored.mapped()]) + [model, *parts]
+    radiance = [render_sphere(material, size=size) for material in shown]
+    factor = exposure(radiance[0], sphere_normals(size)[1])
+    pictures = [displayed(image, factor) for image in radiance]
+    if stored is not None:
+        pictures.insert(2, _difference(pictures[0], pictures[1]))
+    return encode_png(np.concatenate(pictures, axis=1))
+
+
+def thumbnail_step(model: DSBRDF, stored: StoredMeasurement | None, _: OnProgress) -> bytes:
+    """Return the PNG of a small sphere in the environment: the fit, its left half measured where that is stored."""
+    image = render_sphere(model, lighting="environment", size=_THUMBNAIL)
+    factor = exposure(image, sphere_normals(_THUMBNAIL)[1])
+    if stored is not None:
+        half = _THUMBNAIL // 2
+        image[:, :half] = render_sphere(stored.mapped(), lighting="environment", size=_THUMBNAIL)[:, :half]
+    return encode_png(displayed(image, factor))
+
+
+def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
+    """Return a .npy of ln(value + 1e-6) of a measurement at all nodes, float16 (theta_half, theta_diff, phi_diff, RGB).
+
+    Between nodes linear interpolation of them is that of `interpolate`.
     """
     known = interpolate(stored.mapped())
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
     tables = [np.log(values.ravel()[source] * scale + _DARKEST) for values, scale, source in channels]
-    return np.stack(tables, axis=-1).astype("<f2").tobytes()
+    return _npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2"))
 
 
-def environment_step(
-    source: ReflectanceModel | StoredMeasurement, panorama: NDArray[np.float32] | None, _: OnProgress
+def radiance_step(
+    source: ReflectanceModel | StoredMeasurement, lighting: str | NDArray[np.float32], size: int, _: OnProgress
 ) -> bytes:
-    """Return the linear RGB radiance of a sphere under environment light, as float32 rows from the top."""
+    """Return a .npy of a sphere's linear RGB radiance, float32 rows from the top; the light may be a panorama."""
     shown = source.mapped() if isinstance(source, StoredMeasurement) else source
-    lighting = "environment" if panorama is None else EnvironmentMap.from_pixels(panorama)
-    return render_sphere(shown, lighting=lighting, size=_SIZE).astype("<f4").tobytes()
+    around = lighting if isinstance(lighting, str) else EnvironmentMap.from_pixels(lighting)
+    return _npy(render_sphere(shown, lighting=around, size=size).astype("<f4"))
+
+
+def _npy(array: NDArray[Any]) -> bytes:
+    file = BytesIO()
+    np.save(file, array)
+    return file.getvalue()
 
 
 def figure_step(
@@ -193,12 +193,3 @@ def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, in
             file.flush()
             os.fsync(file.fileno())
     return hashlib.sha256(content).hexdigest(), len(content), valid_nodes
-
-
-def in_plane(lights: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Half and difference angles of each light and each viewer in one plane with the normal, (lights, viewers)."""
-    theta_in, theta_out = np.radians(-lights[:, None]), np.radians(POLAR_ANGLES)
-    omega_in, omega_out = (
-        np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1) for theta in (theta_in, theta_out)
-    )
-    return half_difference(omega_in, omega_out)

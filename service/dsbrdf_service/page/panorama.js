@@ -1,7 +1,9 @@
 // Reads a panorama of one's own, 360 by 180 degrees: a Radiance .hdr file, or a picture that the browser shows.
 export const [WIDTH, HEIGHT] = [256, 128];
 
-// Returns linear RGB of WIDTH by HEIGHT pixels, each the mean of what it covers; throws what is wrong with the file.
+/** @typedef {(pixel: number, channel: number) => number} Pixels */
+
+/** Linear RGB of WIDTH by HEIGHT pixels, each the mean of what it covers; throws what is wrong with the file. @param {File} file */
 export async function readPanorama(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   const isRadiance = String.fromCharCode(...bytes.subarray(0, 2)) === "#?";
@@ -10,18 +12,19 @@ export async function readPanorama(file) {
   return shrink(width, height, values);
 }
 
+/** @param {File} file */
 async function picture(file) {
   const bitmap = await createImageBitmap(file).catch(() => null);
   if (!bitmap) throw new Error(`${file.name} is no picture that the browser can show, and no .hdr file.`);
   const { width, height } = bitmap;
-  const context = new OffscreenCanvas(width, height).getContext("2d");
+  const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(width, height).getContext("2d"));
   context.drawImage(bitmap, 0, 0);
   const { data } = context.getImageData(0, 0, width, height);
   const linear = Float32Array.from({ length: 256 }, (_, i) => (i > 10 ? ((i / 255 + 0.055) / 1.055) ** 2.4 : i / 255 / 12.92));
-  return { width, height, values: (i, channel) => linear[data[4 * i + channel]] };
+  return { width, height, values: /** @type {Pixels} */ ((i, channel) => linear[data[4 * i + channel]]) };
 }
 
-// Four bytes a pixel: three mantissas and an exponent, which stand in rows of their own where they are run-length encoded.
+/** Four bytes a pixel: three mantissas and an exponent, which stand in rows of their own where they are run-length encoded. @param {Uint8Array} bytes */
 function radiance(bytes) {
   const head = new TextDecoder("latin1").decode(bytes.subarray(0, 4096));
   const size = /\n\n-Y (\d+) \+X (\d+)\n/.exec(head);
@@ -50,11 +53,13 @@ function radiance(bytes) {
     }
   }
   if (at > bytes.length) throw new Error("The .hdr file is cut off.");
-  return { width, height, values: (i, channel) => pixels[4 * i + channel] * 2 ** (pixels[4 * i + 3] - 136) };
+  return { width, height, values: /** @type {Pixels} */ ((i, channel) => pixels[4 * i + channel] * 2 ** (pixels[4 * i + 3] - 136)) };
 }
 
+/** @param {number} width @param {number} height @param {Pixels} values */
 function shrink(width, height, values) {
   const result = new Float32Array(3 * WIDTH * HEIGHT);
+  /** @param {number} i @param {number} count @param {number} size */
   const range = (i, count, size) => [Math.floor((i * size) / count), Math.max(Math.ceil(((i + 1) * size) / count), 1)];
   for (let row = 0; row < HEIGHT; ++row) {
     const [top, bottom] = range(row, HEIGHT, height);
@@ -70,7 +75,7 @@ function shrink(width, height, values) {
   return result;
 }
 
-// The panorama turned by degrees: what was in front stands to the right.
+/** The panorama turned by degrees: what was in front stands to the right. @param {Float32Array} panorama @param {number} degrees */
 export function turned(panorama, degrees) {
   const columns = Math.round((degrees / 360) * WIDTH) % WIDTH;
   const result = new Float32Array(panorama.length);

@@ -17,7 +17,7 @@ from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.request_body import Bodies
 from ..jobs.computations import Computations
 from ..jobs.jobs import Jobs
-from ..jobs.results import FitViews, ModelCache
+from ..jobs.results import ModelCache
 from ..jobs.steps import StoredMeasurement
 from ..operations.metrics import Metrics
 from ..operations.readiness import Readiness
@@ -36,7 +36,6 @@ class Context:
     store: Store
     jobs: Jobs
     models: ModelCache
-    views: FitViews
     keys: Keys
     metrics: Metrics
     readiness: Readiness

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -30,6 +30,10 @@ NPY = "application/x-npy"
 _KNOWN = (*ANGLES, PHI_DIFF, *DIRECTIONS)
 _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
+_POINTS = (
+    "(n, 2) or (n, 3), theta_half, theta_diff and phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out"
+)
+_PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 _CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
 _STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
@@ -121,7 +125,9 @@ def from_npy(data: bytes) -> Points:
 
     Raises InvalidArgumentError if the bytes are not such an array, ProblemError if there are too many points.
     """
-    array = _read_npy(data).astype(np.float64)
+    array = read_npy(data, lambda shape: shape[1:] in _NPY_SHAPES, _POINTS)
+    check_count(len(array))
+    array = array.astype(np.float64)
     if array.shape[1:] in ((2,), (3,)):
         return from_angles(*array.T)
     pairs = array.reshape(-1, 2, 3)
@@ -135,8 +141,13 @@ def check_count(n_points: int) -> None:
         raise ProblemError("too-large", detail)
 
 
-def _read_npy(data: bytes) -> NDArray[Any]:
-    """Return the array of a .npy file, which is not copied, without trusting its header."""
+def panorama_from_npy(data: bytes) -> NDArray[Any]:
+    """Return the panorama that a .npy file holds; raise InvalidArgumentError if it holds none."""
+    return read_npy(data, lambda shape: len(shape) == 3 and shape[1:] == (2 * shape[0], 3), _PANORAMA)
+
+
+def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: str) -> NDArray[Any]:
+    """Return the array of a .npy file, which is not copied, without trusting its header; `wanted` says what it is."""
     stream = BytesIO(data[: _LONGEST_NPY_HEADER + 64])
     try:
         version = npy.read_magic(stream)
@@ -146,16 +157,12 @@ def _read_npy(data: bytes) -> NDArray[Any]:
         raise InvalidArgumentError("The body is not a .npy file of version 1.0 or 2.0.") from None
     if dtype.kind != "f" or dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {dtype}; it must hold float64 or float32.")
-    if shape[1:] not in _NPY_SHAPES or type(shape[0]) is not int:  # NumPy takes True for a length
-        raise InvalidArgumentError(
-            f"The array has the shape {str(shape)[:60]}; it must be (n, 2) or (n, 3), theta_half, theta_diff and "
-            "phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out."
-        )
+    if not allowed(shape) or type(shape[0]) is not int:  # NumPy takes True for a length
+        raise InvalidArgumentError(f"The array has the shape {str(shape)[:60]}; it must be {wanted}.")
     expected = math.prod(shape) * dtype.itemsize
     rest = len(data) - stream.tell()
     if min(shape, default=0) < 0 or expected != rest:
         raise InvalidArgumentError(f"The array's header promises {expected} bytes of values, the body has {rest}.")
-    check_count(shape[0])
     flat = np.frombuffer(data, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran_order else "C")
 

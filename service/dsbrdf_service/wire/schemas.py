@@ -17,6 +17,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     WithJsonSchema,
+    computed_field,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -27,6 +28,7 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.render import LIGHTINGS
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS
+from dsbrdf.output.report_text import likeness
 
 from ..errors import validation_sentence
 from ..storage.schema import FitRow, MeasurementRow, Status
@@ -238,6 +240,12 @@ class FitSummary(BaseModel):
     algorithm: Annotated[str, Field(description="Version of the fit algorithm.")]
     library: Annotated[str, Field(description="Version of the library that accepted the fit.")]
 
+    @computed_field(description="How alike lit spheres of measurement and fit look, in words and dB.")  # type: ignore[prop-decorator]
+    @property
+    def likeness(self) -> str | None:
+        """What `metrics.psnr` says in words."""
+        return None if self.metrics is None or self.metrics.psnr is None else likeness(self.metrics.psnr)
+
 
 class FitDocument(FitSummary):
     """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
@@ -356,20 +364,36 @@ class Export(_Input):
     sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
 
 
-class Sphere(_Input):
+class Picture(_Input):
+    """How large to draw."""
+
+    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
+
+
+class FitPicture(Picture):
+    """What of a fit to draw, and how large."""
+
+    component: _Component = None
+
+
+class Sphere(Picture):
     """What to draw."""
 
     lighting: Annotated[
         Literal[*LIGHTINGS],  # type: ignore[valid-type]
         Field(description="Three lights, or a sky with sun and window."),
     ] = "three_lights"
-    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
 
 
-class FitSphere(Sphere):
-    """What of a fit to draw."""
+class FitRadiance(Sphere):
+    """What of a fit to light."""
 
     component: _Component = None
+
+
+class FitSphere(FitRadiance):
+    """What of a fit to draw."""
+
     exposure: Annotated[
         Literal["fit", "measurement"],
         Field(description="Whose whole sphere sets the exposure; pictures to be compared have one exposure."),

@@ -1,20 +1,14 @@
-"""Authentication: nothing but a valid key lets anyone in, whatever the path, the header or the host.
-
-On the page, the key in a cookie serves pages of the service itself and nobody else.
-"""
+"""Authentication: nothing but a valid key lets anyone in, whatever the path, the header, the cookie or the host."""
 
 import hashlib
 import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from dsbrdf_service.routes import page
-from tests.support.application import application
 from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
@@ -88,7 +82,7 @@ def test_every_route_requires_a_key(guarded: Guarded) -> None:
 
 
 UNUSUAL_PATHS = """
-    / //v1/fits /v1/fits/ /V1/fits /v1/fits?/health/live /v1/fits;/health/live /v1/fits%00/health/live /health/live%0A
+    //v1/fits /v1/fits/ /V1/fits /v1/fits?/health/live /v1/fits;/health/live /v1/fits%00/health/live /health/live%0A
     /health/live/ //health/live /HEALTH/live /health/live/../../v1/fits /health/live%2f..%2f..%2fv1%2ffits /docs/
     /docs/../v1/fits /docs/page.js/ /docs/page.js/../../v1/fits /openapi.json/../v1/fits /%2e%2e/v1/fits /metrics
     http://localhost/v1/fits http://localhost/health/live/../../v1/fits *
@@ -173,15 +167,9 @@ ORIGINS = ("https://evil.example", "null", "http://localhost:1", "", "127.0.0.1"
     [*(("Origin", origin) for origin in ORIGINS), ("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Site", "same-site")],
 )
 def test_requests_of_pages_of_other_sites_are_refused(server: Server, name: str, value: str) -> None:
-    for method, path in (("GET", "/v1/fits"), ("GET", "/"), ("POST", "/v1/fits"), ("POST", "/v1/measurements")):
+    for method, path in (("GET", "/v1/fits"), ("POST", "/v1/fits"), ("POST", "/v1/measurements")):
         answer = server.http.request(method, path, headers={name: value})
         assert "other sites" in assert_problem(answer, 403, "foreign-origin")
-
-
-def test_page_that_a_person_opens_is_answered(server: Server) -> None:
-    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
-    for sent in ({"Sec-Fetch-Site": "none"}, {"Sec-Fetch-Site": "same-origin"}, link):
-        assert server.http.get("/", headers=sent).status_code == 200
 
 
 def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
@@ -192,101 +180,20 @@ def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
         assert_problem(server.http.get("/v1/fits", headers={"Authorization": wrong}), 401, "unauthorized")
 
 
-FORM = {"Content-Type": "application/x-www-form-urlencoded"}
+def test_key_in_a_cookie_counts_for_nothing(guarded: Guarded) -> None:
+    for name in ("key", "dsbrdf_key", "Authorization"):
+        for value in (key_of(guarded), f"Bearer {key_of(guarded)}"):
+            cookie = {"Cookie": f"{name}={value}"}
+            assert_problem(guarded.server.http.get("/v1/fits", headers=cookie), 401, "unauthorized")
+            answer = guarded.server.http.get("/v1/fits", headers=guarded.bob | cookie)
+            assert answer.content == guarded.server.http.get("/v1/fits", headers=guarded.bob).content
+            assert "set-cookie" not in answer.headers
 
 
-def address_of(guarded: Guarded) -> str:
-    return str(guarded.server.http.base_url).rstrip("/")
-
-
-def cookie_of(guarded: Guarded) -> dict[str, str]:
-    return {"Cookie": f"other=1; dsbrdf_key={key_of(guarded)}"}
-
-
-def sign_in(guarded: Guarded, origin: str, wanted: str = "/") -> httpx.Response:
-    headers = {**FORM, "Origin": origin}
-    body = f"key={key_of(guarded)}&wanted={wanted}"
-    # Not with the client that tests share, which would keep the cookie.
-    return httpx.post(f"{address_of(guarded)}/sign-in", content=body, headers=headers)
-
-
-def test_key_in_a_cookie_reads_as_one_in_the_header(guarded: Guarded) -> None:
-    read = guarded.server.http.get
-    assert read("/v1/fits", headers=cookie_of(guarded)).content == read("/v1/fits", headers=guarded.alice).content
-    assert read("/", headers=cookie_of(guarded)).status_code == 200
-
-
-@pytest.mark.parametrize("value", ["", "x", "dsbrdf_000000000000_" + "A" * 43])
-def test_cookie_without_a_valid_key_counts_for_nothing(guarded: Guarded, value: str) -> None:
-    answer = guarded.server.http.get("/v1/fits", headers={"Cookie": f"dsbrdf_key={value}"})
-    assert_problem(answer, 401, "unauthorized")
-
-
-def test_cookie_of_another_page_of_the_host_does_not_hide_the_key(guarded: Guarded) -> None:
-    planted = f"dsbrdf_key=planted; {cookie_of(guarded)['Cookie']}; dsbrdf_key=x"
-    assert guarded.server.http.get("/v1/fits", headers={"Cookie": planted}).status_code == 200
-    page = guarded.server.http.get("/", headers={"Cookie": planted})
-    assert page.status_code == 200
-    assert "sign-out" in page.text
-
-
-def test_cookie_changes_something_for_pages_of_the_service_only(guarded: Guarded) -> None:
-    own, path = {"Origin": address_of(guarded)}, f"/v1/fits/{'0' * 32}"
-    foreign = [{}, {"Origin": "null"}, {"Origin": "http://elsewhere.example"}]
-    foreign += [{**own, "Sec-Fetch-Site": site} for site in ("same-site", "cross-site", "none")]
-    for sent in foreign:
-        answer = guarded.server.http.delete(path, headers={**cookie_of(guarded), **sent})
-        assert "pages of the service itself" in assert_problem(answer, 403, "foreign-origin")
-    for sent in (own, {"Sec-Fetch-Site": "same-origin"}):
-        assert_problem(guarded.server.http.delete(path, headers={**cookie_of(guarded), **sent}), 404, "not-found")
-
-
-def test_sign_in_sets_a_cookie_that_scripts_cannot_read_and_is_secure_under_https(guarded: Guarded) -> None:
-    answer = sign_in(guarded, address_of(guarded), f"/fits/{'0' * 32}")
-    assert (answer.status_code, answer.headers["location"]) == (303, f"./fits/{'0' * 32}")
-    assert answer.headers["set-cookie"] == f"dsbrdf_key={key_of(guarded)}; HttpOnly; Path=/; SameSite=strict"
-    origin = address_of(guarded).replace("http:", "https:")
-    assert "; Secure" in sign_in(guarded, origin).headers["set-cookie"]
-
-
-@pytest.mark.parametrize("wanted", ["//elsewhere.example", "https://elsewhere.example/", "/v1/fits", "/fits/..", ""])
-def test_sign_in_leads_to_pages_of_the_service_only(guarded: Guarded, wanted: str) -> None:
-    assert sign_in(guarded, address_of(guarded), wanted).headers["location"] == "./"
-
-
-def test_sign_in_from_another_site_or_with_a_wrong_key_sets_nothing(guarded: Guarded) -> None:
-    wrong = guarded.server.http.post("/sign-in", content="key=x", headers={**FORM, "Origin": address_of(guarded)})
-    for answer, status in ((sign_in(guarded, "http://elsewhere.example"), 403), (wrong, 401)):
-        assert answer.status_code == status
-        assert "set-cookie" not in answer.headers
-        assert 'role="alert"' in answer.text
-        assert key_of(guarded) not in answer.text
-
-
-@pytest.mark.anyio
-async def test_form_that_does_not_arrive_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "_FORM_SECONDS", 0.05)
-    async with application(tmp_path, monkeypatch) as running:
-        answer = await running.ask("/sign-in", "", "POST", b"key=x", stalled=True).end()
-        assert answer.status == 408
-        assert b"longer than the 0.05 s" in answer.body
-
-
-def test_sign_out_removes_the_cookie_but_not_for_pages_of_other_sites(guarded: Guarded) -> None:
-    for sent in ({"Sec-Fetch-Site": "cross-site"}, {"Origin": "http://elsewhere.example"}):
-        answer = guarded.server.http.post("/sign-out", headers={**cookie_of(guarded), **sent})
-        assert_problem(answer, 403, "foreign-origin")
-        assert "set-cookie" not in answer.headers
-    answer = guarded.server.http.post("/sign-out", headers=cookie_of(guarded))
-    assert answer.status_code == 303
-    assert 'dsbrdf_key=""; ' in answer.headers["set-cookie"]
-    assert "Max-Age=0" in answer.headers["set-cookie"]
-
-
-def test_page_without_a_key_asks_for_it_and_the_api_answers_as_ever(guarded: Guarded) -> None:
-    read = guarded.server.http.get
-    page = read("/")
-    assert (page.status_code, page.headers["www-authenticate"]) == (401, "Bearer")
-    assert "<h1>Sign in</h1>" in page.text
-    assert_problem(read("/", headers={"Authorization": "Bearer x"}), 401, "unauthorized")
-    assert_problem(read(f"/fits/{'0' * 32}/view"), 401, "unauthorized")
+def test_addresses_of_forms_and_private_answers_are_not_there(guarded: Guarded) -> None:
+    fit = "0" * 32
+    gone = ["/sign-in", "/sign-out", *(f"/fits/{fit}/{part}" for part in ("view", "measured.bin", "profiles/0"))]
+    for path in gone:
+        for method in ("GET", "POST"):
+            answer = guarded.server.http.request(method, path, headers=guarded.alice)
+            assert_problem(answer, 404, "not-found")

@@ -17,7 +17,7 @@ from starlette.types import Message
 from dsbrdf.engines.engine import FitLimits
 from dsbrdf.fitting import decomposition
 from dsbrdf_service.access.authentication import CALLER_NAME
-from dsbrdf_service.jobs import results, steps
+from dsbrdf_service.jobs import steps
 from dsbrdf_service.jobs.computations import Computations, FairTurns
 from dsbrdf_service.routes import brdf, figures, fits, uploads
 from dsbrdf_service.storage.schema import Caller
@@ -31,7 +31,7 @@ Block = Callable[[object, str], Blocked]
 _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
 EXPORT, SPHERE = f"{FIT_PATH}/export?format=bsdf", f"{FIT_PATH}/figures/sphere.png?size=16"
-VIEW = [f"/fits/{FIT}/{part}" for part in ("view", "profiles/0", "polar/45")]
+SPHERES = f"{FIT_PATH}/figures/spheres.png?size=16"
 COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
 OF_COMPONENTS = [
     FIT_PATH,
@@ -39,7 +39,6 @@ OF_COMPONENTS = [
     f"{FIT_PATH}/components/diffuse/brdf?{_ANGLES}",
     f"{FIT_PATH}/export?format=json&component=layers",
     f"{SPHERE}&component=diffuse",
-    f"/fits/{FIT}",
 ]
 LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
 
@@ -81,7 +80,7 @@ async def until_waiting(running: Application, n_requests: int) -> None:
     [
         (fits, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
         (figures, "sphere_step", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
-        (results, "view_step", [*VIEW, *VIEW]),
+        (figures, "spheres_step", [SPHERES, SPHERES]),
     ],
 )
 async def test_what_nobody_waits_for_is_not_computed(
@@ -95,15 +94,6 @@ async def test_what_nobody_waits_for_is_not_computed(
     again = await running.ask(targets[-1], key).end()
     assert again.status == 200
     assert len(blocked.calls) <= 2
-
-
-async def test_view_of_a_page_is_computed_once(running: Application, key: str, block: Block) -> None:
-    blocked = block(results, "view_step")
-    asked = [running.ask(target, key) for target in (*VIEW, f"/fits/{FIT}/spheres/fit.png")]
-    await until_waiting(running, 4)
-    blocked.may_return.set()
-    assert [(await one.end()).status for one in asked] == [200] * 4
-    assert len(blocked.calls) == 1
 
 
 async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,8 @@ import httpx
 import pytest
 
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.image_metrics import exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
 from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
@@ -49,8 +51,8 @@ class Site:
         return from_json(self.read(f"/v1/fits/{fit}/export?format=json").text)[0]
 
     def exposure(self, fit: str) -> float:
-        factor: float = self.read(f"/fits/{fit}/view").json()["exposure"]
-        return factor
+        """What the page multiplies the radiance of a fit by: its sphere of 128 pixels gives it."""
+        return exposure(render_sphere(self.model(fit), size=128), sphere_normals(128)[1])
 
     def submit(self, data: bytes, name: str, *, prefer: str = "wait=60", **options: Any) -> str:
         headers = {**self.header, "Content-Type": "application/octet-stream", "Prefer": prefer}
@@ -85,7 +87,7 @@ def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]"
 def visit(
     browser: "Browser", site: Site, signed_in: "Mapping[bool, BrowserContext]"
 ) -> "Iterator[Callable[..., Visitor]]":
-    """Open a page, for a key or with options of its own in a browser without cookies and files.
+    """Open a page, for a key or with options of its own in a browser with storage of its own.
 
     Afterwards nothing may have gone wrong.
     """

@@ -1,8 +1,5 @@
 """Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
 
-import html
-import re
-
 import pytest
 
 from dsbrdf import FitOptions
@@ -139,12 +136,3 @@ def test_fit_gets_another_name_or_none(server: Server, fitted: str) -> None:
     for wrong in ({"name": "a/b"}, {"name": ""}, {"name": 3}, {}, {"name": "a", "status": "failed"}):
         assert_problem(server.http.patch(path, json=wrong), 422, "invalid-argument")
     assert_problem(server.http.patch(f"/v1/fits/{'0' * 32}", json={"name": "a"}), 404, "not-found")
-
-
-def test_older_fits_of_the_page_are_others(server: Server, fitted: str, stored: str) -> None:
-    server.submit(stored, em_iterations=7)
-    page = server.http.get("/?limit=1").text
-    (older,) = re.findall(r'href="\./(\?[^"]*cursor[^"]*)"', page)
-    pages = page, server.http.get("/" + html.unescape(older)).text
-    listed = [fit["id"] for fit in server.http.get("/v1/fits", params={"limit": 2}).json()["items"]]
-    assert [re.findall(r"fits/([0-9a-f]{32})", text)[0] for text in pages] == listed

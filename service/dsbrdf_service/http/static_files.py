@@ -1,0 +1,69 @@
+"""Files of the web page, and of the page that shows the OpenAPI document: what is in them belongs to nobody's key.
+
+Nothing is loaded from elsewhere, so they work without the internet. Addresses in them are relative, so that they hold
+behind a proxy that adds a prefix.
+"""
+
+import gzip
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from .responses import tagged_reply
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+"""What a page may load: its own scripts and styles, the answers of the service, and pictures that scripts make."""
+PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
+"""Addresses of the one page, which says itself what is wrong with an address."""
+_GZIP = re.compile(r"(?:^|,)\s*gzip\s*(?:,|$|;(?!\s*q\s*=\s*0(?:\.0*)?\s*(?:,|$)))")
+_TYPES = {"js": "text/javascript", "css": "text/css", "html": "text/html; charset=utf-8"}
+
+
+@dataclass(frozen=True)
+class StaticFile:
+    """A file as it is sent: its bytes, and its media type."""
+
+    content: bytes
+    media_type: str
+
+    @cached_property
+    def compressed(self) -> bytes:
+        """The same for who accepts gzip."""
+        return gzip.compress(self.content, mtime=0)
+
+    def reply(self, request: Request) -> Response:
+        """Return the file, or 304 if the client has it."""
+        headers = {"Vary": "Accept-Encoding"}
+        if self.media_type.startswith("text/html"):
+            headers["Content-Security-Policy"] = POLICY
+        content = self.content
+        if _GZIP.search(request.headers.get("accept-encoding", "").lower()):
+            content, headers["Content-Encoding"] = self.compressed, "gzip"
+        return tagged_reply(request, content, self.media_type, headers)
+
+
+def _read(file: Traversable) -> StaticFile:
+    return StaticFile(file.read_bytes(), _TYPES[file.name.rpartition(".")[2]])
+
+
+_OURS = files(__name__.partition(".")[0]) / "page"
+_SWAGGER_UI = files("fastapi_offline") / "static"
+_PAGE = _read(_OURS / "index.html")
+_PAGE_BELOW = StaticFile(_PAGE.content.replace(b'="./', b'="../'), _PAGE.media_type)
+STATIC_FILES = {f"/docs/{name}": _read(_SWAGGER_UI / name) for name in ("swagger-ui-bundle.js", "swagger-ui.css")}
+STATIC_FILES |= {f"/page/{file.name}": _read(file) for file in _OURS.iterdir() if file.name.endswith((".js", ".css"))}
+STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
+"""What else is sent, by path."""
+
+
+def page_at(path: str) -> StaticFile:
+    """Return the page for one of its addresses: from one that is a level deeper, its files are a level higher."""
+    return _PAGE_BELOW if path.count("/") > 1 else _PAGE

@@ -1,0 +1,118 @@
+// WebGL 2 programs that light a sphere: by a GLSL function of the fit, by the table of the measurement, or by pictures of
+// what is seen in an environment.
+
+/** @typedef {{program: WebGLProgram, at: (name: string) => WebGLUniformLocation | null}} Program */
+
+const VERTEX = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
+// The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame. With the
+// exposure 0 the colour is the radiance itself.
+const MAIN = `
+uniform float size, exposure, wipe, zoom;
+uniform int count, show;
+uniform bool surrounded;
+uniform vec2 highlight;
+uniform vec3 towards[3], irradiance[3];
+uniform highp sampler3D table;
+uniform sampler2D around, around_measured;
+out vec4 colour;
+vec3 measured(vec3 a, vec3 b) {
+  vec3 total = a + b, difference = a - b;
+  float radius = length(total.xy), sum = length(total);
+  vec2 heading = radius > 0.0 ? total.xy / radius : vec2(1.0, 0.0);
+  float along = (dot(heading, difference.xy) * total.z - radius * difference.z) / sum;
+  float across = heading.x * difference.y - heading.y * difference.x;
+  vec3 angles = degrees(vec3(atan(across, along + 1e-12), atan(length(difference), sum), atan(radius, total.z)));
+  vec3 node = vec3(angles.x, angles.y, sqrt(90.0 * angles.z)) + 0.5;
+  return exp(textureLod(table, node / vec3(180.0, 90.0, 90.0), 0.0).rgb) - 1e-6;
+}
+vec3 seen(vec2 at, bool real) {
+  vec3 normal = vec3(at, sqrt(1.0 - dot(at, at))), radiance = vec3(0.0);
+  vec3 along = normalize(vec3(normal.z, 0.0, -normal.x)), aside = cross(normal, along);
+  vec3 omega_out = vec3(along.z, aside.z, normal.z);
+  vec2 place = vec2(at.x, -at.y) * min(1.0, 0.985 / length(at)) * 0.5 + 0.5;
+  if (surrounded) radiance = real ? textureLod(around_measured, place, 0.0).rgb : textureLod(around, place, 0.0).rgb;
+  else for (int light = 0; light < count; ++light) {
+    vec3 omega_in = vec3(dot(along, towards[light]), dot(aside, towards[light]), dot(normal, towards[light]));
+    if (omega_in.z <= 0.0) continue;
+    radiance += (real ? measured(omega_in, omega_out) : material(omega_in, omega_out)) * omega_in.z * irradiance[light];
+  }
+  if (exposure == 0.0) return radiance;
+  vec3 linear = clamp(radiance * exposure, 0.0, 1.0);
+  vec3 curved = 1.055 * pow(max(linear, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
+  return mix(curved, 12.92 * linear, vec3(lessThanEqual(linear, vec3(0.0031308))));
+}
+void main() {
+  vec2 on_screen = gl_FragCoord.xy * 2.0 / size - 1.0;
+  vec2 at = highlight + (on_screen - highlight) / zoom;
+  if (dot(at, at) >= 1.0) { colour = vec4(0.0); return; }
+  bool left = on_screen.x < wipe;
+  if (show == 3) colour = vec4(4.0 * abs(seen(at, true) - seen(at, false)), 1.0);
+  else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) colour = vec4(1.0);
+  else colour = vec4(seen(at, show == 1 || (show == 2 && left)), 1.0);
+}`;
+
+/** @param {WebGL2RenderingContext} gl @param {number} kind @param {string} source */
+function compile(gl, kind, source) {
+  const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
+  gl.shaderSource(shader, source);
+  gl.compileShader(shader);
+  return shader;
+}
+
+/**
+ * A program from the functions of a material, and the call of the one that has its values for the directions a and b.
+ * @param {WebGL2RenderingContext} gl @param {string} functions @param {string} call @returns {Program}
+ */
+export function programOf(gl, functions, call) {
+  const material = `${functions}\nuniform vec3 shown;\nvec3 material(vec3 a, vec3 b) { return ${call}; }`;
+  const program = /** @type {WebGLProgram} */ (gl.createProgram());
+  gl.attachShader(program, compile(gl, gl.VERTEX_SHADER, VERTEX));
+  const fragment = compile(gl, gl.FRAGMENT_SHADER, HEAD + material + MAIN);
+  gl.attachShader(program, fragment);
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+    throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);
+  }
+  gl.useProgram(program);
+  ["table", "around", "around_measured"].forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(program, name), unit));
+  return { program, at: (name) => gl.getUniformLocation(program, name) };
+}
+
+/**
+ * Puts values into the texture of a unit: 0 holds a table of three dimensions, the others pictures.
+ * @param {WebGL2RenderingContext} gl @param {number} unit @param {number[]} size @param {Uint16Array | Float32Array} values
+ */
+export function setTexture(gl, unit, [width, height, depth], values) {
+  const target = unit === 0 ? gl.TEXTURE_3D : gl.TEXTURE_2D;
+  const type = values instanceof Uint16Array ? gl.HALF_FLOAT : gl.FLOAT;
+  gl.activeTexture(gl.TEXTURE0 + unit);
+  gl.bindTexture(target, gl.createTexture());
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  if (unit === 0) gl.texImage3D(target, 0, gl.RGB16F, width, height, depth, 0, gl.RGB, type, values);
+  else gl.texImage2D(target, 0, gl.RGB16F, width, height, 0, gl.RGB, type, values);
+  for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(target, filter, gl.LINEAR);
+  for (const wrap of [gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(target, wrap, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(target, gl.TEXTURE_WRAP_S, unit === 0 ? gl.REPEAT : gl.CLAMP_TO_EDGE); // phi_diff is periodic
+}
+
+/**
+ * The radiance that `draw` writes into a picture of its own, four numbers a pixel; null where none can hold it.
+ * @param {WebGL2RenderingContext} gl @param {number} size @param {() => void} draw
+ */
+export function radianceOf(gl, size, draw) {
+  if (!gl.getExtension("EXT_color_buffer_float")) return null;
+  const [frame, buffer] = [gl.createFramebuffer(), gl.createRenderbuffer()];
+  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+  gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+  gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32F, size, size);
+  gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
+  draw();
+  const pixels = new Float32Array(4 * size * size);
+  gl.readPixels(0, 0, size, size, gl.RGBA, gl.FLOAT, pixels);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.deleteFramebuffer(frame);
+  gl.deleteRenderbuffer(buffer);
+  return pixels;
+}
