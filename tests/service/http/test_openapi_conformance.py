@@ -25,9 +25,10 @@ SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "1", "queue
 
 # What a document cannot say, so that a request may conform to it and yet be refused with 422: that two parameters
 # exclude each other, are as long as each other, or are unit vectors; that knots increase; which formats hold a
-# component; what a MERL file holds, and (400) that a body is encoded as its header says. Of the components, a fit has
-# those that have light (404).
+# component; what a MERL file or a panorama holds, and (400) that a body is encoded as its header says. Of the
+# components, a fit has those that have light (404).
 CONFIG = """
+hooks = "hooks.py"
 headers = {{ Authorization = "{key}" }}
 continue-on-failure = true
 request-timeout = 60.0
@@ -83,6 +84,16 @@ checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
 [[operations]]
 include-operation-id = ["submit_fit", "upload_measurement"]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "422"]
+
+[[operations]]
+include-operation-id = ["light_fit_by_panorama", "light_measurement_by_panorama"]
+checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
+"""
+# A .npy body is bytes, as that of any other file.
+HOOKS = """
+import schemathesis
+
+schemathesis.serializer.alias("application/x-npy", "application/octet-stream")
 """
 
 
@@ -103,6 +114,7 @@ def test_service_conforms_to_its_openapi_document(
     names = {"fit": fit["id"], "measurement": measurement, "key": header["Authorization"]}
     config.write_text(CONFIG.format(examples=EXAMPLES, **names))
     seed = os.environ.get("DSBRDF_SCHEMA_SEED", "1")
+    (tmp_path / "hooks.py").write_text(HOOKS)
     command = [str(Path(sys.executable).parent / "schemathesis"), "--config-file", str(config), "run", "--no-color"]
     command += [f"--seed={seed}", "--report=json", f"--report-json-path={report}"]
     command.append(str(server.http.base_url.join("/openapi.json")))
