@@ -53,7 +53,8 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     url = f"/v1/measurements/{sha256}"
     senders, drawers = {url: {}, f"{url}#a part": {"Range": "bytes=0-11"}}, [f"{url}/figures/sphere.png"]
     drawers += [f"/v1/fits/{fit}/figures/{figure}" for figure in ("profiles.png", "residual.svg")]
-    drawers += [f"/fits/{fit}/{part}" for part in ("view", "spheres/measured.png", "profiles/0")]
+    drawers += [f"/v1/fits/{fit}/figures/{picture}.png" for picture in ("spheres", "thumbnail")]
+    drawers += [f"{url}/{array}.npy" for array in ("table", "figures/sphere")]
     assert server.http.get(url).content == data  # so it was right not long ago
     (path,) = server.files()
     harm(path)
