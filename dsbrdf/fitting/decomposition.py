@@ -6,7 +6,7 @@ that any model has a decomposition. In a structure with the diffuse light d of g
 part of a model f is
 
     min(f, d (1 + (f / g - 1) w)),      w = (d / g)**3 (f < g ? 1 : q / (1 + q)),
-    q = (tan(theta_half) / tan(8 degrees))**4.
+    q = (tan(theta_half) / tan(30 degrees))**4.
 
 Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
 mirror direction, where q is small, light that the layers lack is a halo of the highlight. Where there is a ground

@@ -14,7 +14,7 @@ LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """Border between the specular spike and the specular lobe [rad of theta_half]."""
-HALO = float(np.tan(np.radians(8.0))) ** 2
+HALO = float(np.tan(np.radians(30.0))) ** 2
 """tan(theta_half)**2 up to which most of what the layers miss is the highlight's."""
 _TRANSITION = 3  # power of the diffuse part's share with which it takes what the layers miss
 _TINY, _LARGEST_RATIO = 1e-300, 1e100

@@ -24,6 +24,8 @@ _FREEDOM, _GAUSSIAN = 4.0, 1e9  # degrees of freedom of Student's t
 _HELD = 1e-3  # standard deviation of what is not free
 _CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
 """Mean of three channels, and two differences of unit length."""
+_RISES = np.array([[-0.6, 0.8], [0.8, 0.6]])
+"""Axes of a rise's exponents: glass is at 0, Schlick's law at about 1.5 of the first; all else is rare."""
 
 Range: TypeAlias = tuple[float, float]
 """Mean and standard deviation."""
@@ -55,35 +57,39 @@ def _prior(
     means, deviations = np.array(others).T
     lower, upper = np.array([bounds[0]] * 3 + list(bounds[1:])).T
     colors = _CONTRASTS / np.array([[color[1]], [tint], [tint]])
+    whiten = np.diag(1.0 / deviations)
+    if kind is SpecularLayer:
+        whiten[1:3, 1:3] = whiten[1:3, 1:3] @ _RISES
     return LayerPrior(
         kind,
         is_diffuse,
         np.concatenate([np.full(3, color[0]), means]),
-        block_diag(colors, np.diag(1.0 / deviations)),
+        block_diag(colors, whiten),
         np.concatenate([[_FREEDOM, _GAUSSIAN, _GAUSSIAN], np.full(means.size, _FREEDOM)]),
         lower,
         upper,
     )
 
 
-_SPECULAR_BOUNDS = (
-    (-12.0, np.log(3.0)), (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)),
-    (np.log(0.6), np.log(20.0)), (-0.5, 1.5), (-0.5, 2.0),
+_RISE = ((0.0, 1.0), (0.0, 0.15))  # along `_RISES`
+_SPECULAR_BOUNDS = (  # of all but the colour
+    (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
+    (-0.5, 1.5), (-0.5, 2.0),
 )  # fmt: skip
 
 
-def _specular(color: Range, tint: float, *, under_coat: bool = False) -> LayerPrior:
+def _specular(color: Range, tint: float, *, brightest: float = 3.0, under_coat: bool = False) -> LayerPrior:
     """A surface of any roughness up to 0.7: a rougher one and a matte ground cannot be told apart."""
+    bounds = ((-12.0, np.log(brightest)), *_SPECULAR_BOUNDS)
     others = (
         (-0.1, 0.4),  # F90
-        (0.0, 0.15),
-        (0.0, 0.15),
+        *_RISE,
         (np.log(0.12), 1.5),  # alpha
         (np.log(2.0), 0.5),  # kappa, that of GGX
         (0.5, 0.3),
         (1.0, 0.3) if under_coat else (0.0, _HELD),
     )
-    return _prior(SpecularLayer, color, tint, others, _SPECULAR_BOUNDS, is_diffuse=False)
+    return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
 
 
 def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
@@ -91,12 +97,13 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
     return _prior(DiffuseLayer, (np.log(0.15), 1.5), 1.0, exponents, bounds)
 
 
-_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03)
+_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, brightest=0.2)  # diamond has 0.17
+_COAT = _specular((np.log(0.045), 0.35), 0.03)  # or the peak of a metal with haze, which is as bright as metal
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
 _HIGHLIGHT_UNDER_COAT = _specular((np.log(0.15), 1.2), 0.7, under_coat=True)
-_GROUND = _diffuse(((0.5, 0.5), (0.0, 0.4), (0.0, 0.4), (0.0, 0.3), (0.0, 0.5), (0.0, 0.4)))
+_GROUND = _diffuse(((0.5, 0.5), (0.0, 0.4), (0.0, 0.4), (0.0, 0.3), (0.0, 0.25), (0.0, 0.4)))
 _YARN = _diffuse(((0.0, 0.2), (0.0, 0.4), (0.0, 0.8), (0.0, 0.4), (0.0, 0.6), (0.0, 0.4)))
 _SHEEN = _prior(SheenLayer, (np.log(0.02), 1.5), 0.5, ((2.5, 2.0),) * 2, ((-12.0, 2.0), (0.0, 8.0), (0.0, 8.0)))
 _RETRO = _prior(
@@ -108,8 +115,8 @@ _FIBRES = _prior(
     SpecularLayer,
     (np.log(0.045), 0.35),
     0.05,
-    ((-0.1, 0.4), (0.0, 0.15), (0.0, 0.15), (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
-    (*_SPECULAR_BOUNDS[:4], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[6:]),
+    ((-0.1, 0.4), *_RISE, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
+    ((-12.0, np.log(0.2)), *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
 )
 
 
@@ -187,7 +194,7 @@ STRUCTURES = (
     LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE),
     LayerStructure("metal", (_METAL,), 0.0, _ONE),
     LayerStructure("highlight over diffuse", (_HIGHLIGHT, _GROUND), 6.0, _ONE),
-    LayerStructure("coat over highlight over diffuse", (_DIELECTRIC, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
-    LayerStructure("coat over metal", (_DIELECTRIC, _METAL_UNDER_COAT), 2.0, _TWO),
-    LayerStructure("two dielectric highlights over diffuse", (_DIELECTRIC, _DIELECTRIC, _GROUND), 2.0, _TWO),
+    LayerStructure("coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
+    LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO),
+    LayerStructure("two dielectric highlights over diffuse", (_COAT, _DIELECTRIC, _GROUND), 2.0, _TWO),
 )

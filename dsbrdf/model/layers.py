@@ -1,7 +1,8 @@
 """Physical layers: surfaces that reflect and grounds that scatter light, each with a handful of parameters.
 
-With u = 1 - cos(theta_diff), Schlick's weight s = u**5 and the cosines to the normal of both directions, a **specular
-layer** is a rough surface of microfacets (Cook and Torrance 1982),
+With u = 1 - cos(theta_diff), the cosines to the normal of both directions, and s(cos) how far the reflectance of glass
+has risen from normal (0) to grazing incidence (1) by Fresnel's equations, a **specular layer** is a rough surface of
+microfacets (Cook and Torrance 1982), with s at theta_diff,
 
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-kappa / cos(theta_half)**4.
@@ -13,7 +14,7 @@ clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
-with X the logarithm of Schlick's transmittances both ways, Burley's retro-reflection (2012), s, the limb term
+with X the logarithm of what passes glass both ways, (1 - s(cos_in)) (1 - s(cos_out)), Burley's retro-reflection (2012), s, the limb term
 log(2 / (cos_in + cos_out)), sin(theta_half)**2 and the angular term of Oren and Nayar (1994). **Sheen**, the light of
 fibres at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** is GGX about the direction back to the
 light.
@@ -49,7 +50,7 @@ class Points(NamedTuple):
     log_squared_secant: Array
     cos_in: Array
     cos_out: Array
-    schlick: Array
+    fresnel: Array  # s at theta_diff
     passed: Array  # log of the light that passes a clear coat both ways
     rise: Array  # u and u**2, (2, N)
     ground: Array  # X of the diffuse layer, (6, N)
@@ -64,14 +65,14 @@ class Points(NamedTuple):
         cos_in, cos_out = np.maximum(level - swing, LEAST_COSINE), np.maximum(level + swing, LEAST_COSINE)
         squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, LARGEST_TANGENT)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
-        to_in, to_out, schlick = (1.0 - cos_in) ** 5, (1.0 - cos_out) ** 5, rise**5
+        to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
         # sin(theta_in) sin(theta_out) cos(phi_in - phi_out), over the larger cosine where it is positive
         along = 2.0 * cos_diff**2 - 1.0 - cos_in * cos_out
         passed = np.log((1.0 - to_in) * (1.0 - to_out))
         ground = (
             passed,
             cos_diff**2 * (to_in + to_out),
-            schlick,
+            fresnel,
             np.log(2.0 / (cos_in + cos_out)),
             sin_half**2,
             np.where(along > 0.0, along / np.maximum(cos_in, cos_out), along),
@@ -81,7 +82,7 @@ class Points(NamedTuple):
             log_squared_secant=np.log1p(squared_tangent),
             cos_in=cos_in,
             cos_out=cos_out,
-            schlick=schlick,
+            fresnel=fresnel,
             passed=passed + 2.0 * np.log(1.0 - COAT_F0),
             rise=np.stack([rise, rise**2]),
             ground=np.stack(ground),
@@ -113,7 +114,7 @@ class SpecularLayer:
     alpha, kappa : float
         Roughness, and exponent of the tails: 2 is GGX, less is a longer tail.
     rise : tuple of float
-        q1 and q2, how far the reflectance leaves Schlick's law.
+        q1 and q2, how far the reflectance leaves that of glass.
     masking, under_coat : float
         b and t.
     """
@@ -155,8 +156,8 @@ class SpecularLayer:
         surface = _Surface(points, *np.exp(unknowns[6:8]))
         masking = unknowns[8]
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
-        own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.schlick))
-        grazing = np.exp(unknowns[3]) * shape * points.schlick
+        own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
+        grazing = np.exp(unknowns[3]) * shape * points.fresnel
         by_alpha, by_kappa, by_masking = surface.derivatives(masking)
         relative = np.stack([*points.rise, by_alpha, by_kappa, by_masking, points.passed])
         return Linearized(own + grazing, own, relative, grazing)
@@ -168,7 +169,7 @@ class SpecularLayer:
             + np.array(self.rise) @ points.rise
             + self.under_coat * points.passed
         )
-        return np.array(self.f0)[:, np.newaxis] * (shape * (1.0 - points.schlick)) + self.f90 * shape * points.schlick
+        return np.array(self.f0)[:, np.newaxis] * (shape * (1.0 - points.fresnel)) + self.f90 * shape * points.fresnel
 
 
 class _Surface:
@@ -201,6 +202,14 @@ class _Surface:
         apart = -by_in / (points.cos_in + self._seen_in) - by_out / (points.cos_out + self._seen_out)
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
         return by_alpha, self._kappa * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
+
+
+def fresnel_rise(cosine: Array) -> Array:
+    """How far the reflectance of glass (index 1.5) has risen from normal (0) to grazing incidence (1), shape (...)."""
+    refracted = np.sqrt(1.25 + cosine**2)  # cosine in the glass, times its index
+    across = (refracted - cosine) / (refracted + cosine)
+    ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
+    return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))
 
 
 def tail_norm(kappa: float) -> tuple[float, float]:
@@ -334,7 +343,7 @@ class LayeredModel(RenderableModel):
 
     def layer_values(self, points: Points) -> Array:
         """Values of each layer, shape (layers, 3, N) [1/sr]."""
-        return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.schlick.size)
+        return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.fresnel.size)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""

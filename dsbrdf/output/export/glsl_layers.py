@@ -48,7 +48,7 @@ def layer_functions(layers: Sequence[Layer]) -> str:
         text += _SURFACE
     text += "".join(function for kind, function in _FUNCTIONS.items() if kind in kinds)
     limits = {"COSINE": LEAST_COSINE, "TANGENT": LARGEST_TANGENT, "RISE": LEAST_RISE, "SINE2": LEAST_SINE**2}
-    limits["CLEAR"] = -2.0 * float(np.log(1.0 - COAT_F0))
+    limits |= {"COAT": COAT_F0, "CLEAR": -2.0 * float(np.log(1.0 - COAT_F0))}
     return filled(text, {word: literal(value) for word, value in limits.items()})
 
 
@@ -115,16 +115,14 @@ _HEADER = """\
 // vec3 dsbrdf(vec3 omega_in, vec3 omega_out) is a measured BRDF as the sum of a few physical layers, without cosine,
 // in 1/sr for linear red, green and blue. Directions are unit vectors away from the surface, in the frame whose z axis
 // is the normal; below the horizon it is 0. Needs GLSL ES 3.00 (WebGL 2) or GLSL 3.30; mediump is too coarse.
-#ifdef GL_ES
 precision highp float;
-#endif
 
 """
 
 _PAIR = """\
 struct dsbrdf_Pair {
-  vec2 cosines, grazing;              // of both directions: cosine to the normal, Schlick's weight
-  float swing2, rise, fresnel;        // of theta_diff: squared sine, 1 - cosine, Schlick's weight
+  vec2 cosines; vec3 risen;           // to the normal; the rise of glass's reflectance there and at theta_diff, 0 to 1
+  float swing2, rise;                 // of theta_diff: squared sine, 1 - cosine
   float sine2, tangent2, passed;      // of theta_half, squared; logarithm of the light that passes a surface both ways
 };
 
@@ -133,11 +131,13 @@ dsbrdf_Pair dsbrdf_pair(vec3 omega_in, vec3 omega_out) {
   vec3 total = omega_in + omega_out, difference = omega_in - omega_out;
   float total2 = max(dot(total, total), 1e-30), difference2 = dot(difference, difference);
   p.cosines = clamp(vec2(omega_in.z, omega_out.z), COSINE, 1.0);
-  p.grazing = pow(1.0 - p.cosines, vec2(5.0));
-  p.passed = log((1.0 - p.grazing.x) * (1.0 - p.grazing.y));
   p.swing2 = difference2 / (total2 + difference2);
   p.rise = p.swing2 / (1.0 + sqrt(1.0 - p.swing2));
-  p.fresnel = pow(p.rise, 5.0);
+  vec3 cosine = vec3(p.cosines, 1.0 - p.rise), refracted = sqrt(1.25 + cosine * cosine);
+  vec3 across = (refracted - cosine) / (refracted + cosine);
+  vec3 ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0);
+  p.risen = max(0.5 * across * across * (1.0 + ratio * ratio) - COAT, 0.0) / (1.0 - COAT);
+  p.passed = log((1.0 - p.risen.x) * (1.0 - p.risen.y));
   p.sine2 = min(dot(total.xy, total.xy) / total2, 1.0);
   p.tangent2 = min(dot(total.xy, total.xy) / max(total.z * total.z, 1e-30), TANGENT);
   return p;
@@ -159,10 +159,10 @@ float dsbrdf_surface(dsbrdf_Pair p, float tangent2, vec4 facets) {
 
 _FUNCTIONS: dict[type[Layer], str] = {
     SpecularLayer: """\
-// bend: how far reflectance leaves Schlick's law (two numbers), and 1 for what is seen through a clear coat.
+// bend: how far reflectance leaves that of glass (two numbers), and 1 for what is seen through a clear coat.
 vec3 dsbrdf_specular(dsbrdf_Pair p, vec3 f0, float f90, vec4 facets, vec3 bend) {
   float bent = dot(bend, vec3(p.rise, p.rise * p.rise, p.passed - CLEAR));
-  return log(mix(f0, vec3(f90), p.fresnel)) + (dsbrdf_surface(p, p.tangent2, facets) + bent);
+  return log(mix(f0, vec3(f90), p.risen.z)) + (dsbrdf_surface(p, p.tangent2, facets) + bent);
 }
 
 """,
@@ -176,11 +176,11 @@ vec3 dsbrdf_retro(dsbrdf_Pair p, vec3 color, vec4 facets) {
 
 """,
     DiffuseLayer: """\
-// Exponents of light that passes the surface, retro-reflection, Schlick's weight; limb, theta_half, Oren and Nayar.
+// Exponents of light that passes the surface, retro-reflection, rise; limb, theta_half, Oren and Nayar.
 vec3 dsbrdf_diffuse(dsbrdf_Pair p, vec3 albedo, vec3 first, vec3 second) {
   float limb = log(2.0 / (p.cosines.x + p.cosines.y)), along = 1.0 - 2.0 * p.swing2 - p.cosines.x * p.cosines.y;
   if (along > 0.0) along /= max(p.cosines.x, p.cosines.y);
-  vec3 ground = vec3(p.passed, (1.0 - p.swing2) * (p.grazing.x + p.grazing.y), p.fresnel);
+  vec3 ground = vec3(p.passed, (1.0 - p.swing2) * (p.risen.x + p.risen.y), p.risen.z);
   return log(albedo / 3.14159265) + (dot(first, ground) + dot(second, vec3(limb, p.sine2, along)));
 }
 

@@ -22,13 +22,21 @@ def metal(alpha: float, kappa: float = 2.0) -> LayeredModel:
     return LayeredModel((SpecularLayer(F0, 1.0, alpha, kappa, (0.0, 0.0), 0.0, 0.0),))
 
 
+def glass(theta: Array) -> Array:
+    """Reflectance of glass, the mean of both polarisations, by Snell's law and the sines and tangents of the angles."""
+    refracted = np.arcsin(np.sin(theta) / 1.5)
+    crossed = np.sin(theta - refracted) / np.sin(theta + refracted)
+    within = np.tan(theta - refracted) / np.tan(theta + refracted)
+    return np.asarray(0.5 * (crossed**2 + within**2))
+
+
 def microfacets(theta_half: Array, theta_diff: Array, phi_diff: Array, alpha: float, slopes: Array) -> Array:
-    """Cook and Torrance's model with Schlick's Fresnel law and GGX's height-correlated masking; (n, 3)."""
+    """Cook and Torrance's model with Fresnel's equations and GGX's height-correlated masking; (n, 3)."""
     omega_in, omega_out = directions(theta_half, theta_diff, phi_diff)
     height = 1.0 / np.pi / alpha**2 / np.cos(theta_half) ** 4 * slopes
     length = [0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / w[:, 2] ** 2 - 1.0)) - 1.0) for w in (omega_in, omega_out)]
     masking = 1.0 / (1.0 + length[0] + length[1])
-    fresnel = np.array(F0) + (1.0 - np.array(F0)) * (1.0 - np.cos(theta_diff[:, None])) ** 5
+    fresnel = np.array(F0) + (1.0 - np.array(F0)) * (glass(theta_diff)[:, None] - 0.04) / 0.96
     return fresnel * (height * masking / (4.0 * omega_in[:, 2] * omega_out[:, 2]))[:, None]
 
 
