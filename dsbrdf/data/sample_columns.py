@@ -27,6 +27,7 @@ _GREY, _WEIGHT = "value", "weight"
 _FORMS = (VECTORS, _HALF_DIFFERENCE, _THETAS)  # of directions
 _DEGREES, _RADIANS = ("deg", "degree", "degrees", "°"), ("rad", "radian", "radians")
 _PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "sr⁻¹", "per sr", "1 / sr")
+_WAVELENGTHS = ("wavelength", "lambda", "wl", "λ")
 _NO_UNIT = ("", "1", "-", "none")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
@@ -80,6 +81,12 @@ def sample_columns(table: TextTable) -> tuple[Array, list[str]]:
     values = CHANNELS if places.keys() >= {*CHANNELS} else (_GREY,)
     if not places.keys() >= {*values}:
         raise _missing("values", CHANNELS, table, places)
+    for name in table.names:
+        if _meaning(name)[0] in _WAVELENGTHS:
+            raise MeasurementFormatError(
+                f"The column {name!r} has wavelengths, which would be averaged to grey: give a table with red, green "
+                "and blue in linear sRGB, or one for each wavelength."
+            )
     phis = [name for name in _PHIS if form is _THETAS and name in places]
     used = [*form, *phis, *values, *([_WEIGHT] if _WEIGHT in places else [])]
     for name in used:
@@ -167,6 +174,8 @@ def _notes(
             "The table has no phi: all directions are taken to lie in one plane, and theta_out = theta_in to be the "
             "mirror direction."
         )
+    if phis == ["phi_out"]:
+        yield "The table has no phi_in: it is taken to be 0, so that the mirror direction has phi_out = 180."
     others = [name for place, name in enumerate(table.names) if place not in read]
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")

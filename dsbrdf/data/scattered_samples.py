@@ -162,6 +162,8 @@ _LARGEST_FILE = 1 << 30  # [bytes]
 _LOWEST_COSINE = 1e-6  # of a direction above the horizon: sines and cosines of angles in degrees are rounded
 _TABLE_TOLERANCE = 0.02
 _ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
+_FEW_VALUES, _MANY_EQUAL, _FAR_OFF = 10, 4, 3.0  # different values; equal ones; a factor to the next value
+_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
 _LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
 
 
@@ -192,7 +194,11 @@ def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
     above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
-    values = _without_noise(numbers[used, 6:9], notes)
+    values = numbers[used, 6:9]
+    is_grey = bool(np.all(values == values[:, :1]))
+    if values.size:
+        notes += _repeated(values[:, 0])
+    values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
     return ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
 
 
@@ -226,6 +232,21 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     counts = "it counts" if count == 1 else "they count"
     notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
     return np.maximum(values, 0.0)
+
+
+def _repeated(values: Array) -> list[str]:
+    """Name the smallest and the largest value where many samples have it and the next one is far off."""
+    found, counts = np.unique(values, return_counts=True)
+    if found.size < _FEW_VALUES:
+        return []
+    least = max(_FAR_OFF * found[0], _CLEARLY_LIT * float(np.median(values)))
+    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
+    return [
+        f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
+        "what is missing, write nan there."
+        for which, place, is_far in extremes
+        if is_far and counts[place] >= _MANY_EQUAL
+    ]
 
 
 def _left_out(rows: Mask, fault: str) -> list[str]:

@@ -166,7 +166,10 @@ def _fit_samples(
     left_out, rows = left_out_errors(known, prediction, found.model, options.horizon_cutoff)
     expected, pairs = expected_error(prediction, found.model)
     clock.lap("left out")
-    found = replace(found, model=replace(found.model, amplitude=found.model.amplitude / units.factor))
+    amplitude = found.model.amplitude / units.factor
+    if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit
+        amplitude = np.broadcast_to(amplitude.mean(axis=0), amplitude.shape).copy()
+    found = replace(found, model=replace(found.model, amplitude=amplitude))
     result = _result(found, table, options, clock, scattered=True)
     metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
     metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)

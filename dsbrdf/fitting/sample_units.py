@@ -39,6 +39,14 @@ def sample_units(samples: ScatteredSamples) -> SampleUnits:
     """Compare samples as they are with samples times a factor, and divided by a cosine."""
     asked = thinned(samples, _MOST)
     layers = SampleLayers.fit(asked)
+    turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
+    if SampleLayers.fit(turned).evidence < layers.evidence - _MORE_PROBABLE:
+        said = (
+            "The brightest samples lie back towards the light, where mirrors have theirs on the other side: if light "
+            "and viewer have the same phi in the mirror direction here, add 180 degrees to phi_in, or in a table "
+            "without phi change the sign of theta_in."
+        )
+        return SampleUnits(1.0, (said,))
     if not _is_possible(layers):
         return _other_unit(asked)
     found = {side: SampleLayers.fit(asked.divided_by_cosine(side)).evidence for side in ("in", "out")}

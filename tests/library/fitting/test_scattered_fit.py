@@ -218,6 +218,21 @@ def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[s
     assert all(word in said[0] for word in words)
 
 
+@pytest.mark.parametrize("plane", [True, False])
+def test_a_mirror_direction_on_the_wrong_side_is_named(plane: bool, truth: dsbrdf.DSBRDF) -> None:
+    samples = in_plane(truth) if plane else scattered_samples(truth, 300)
+    turned = ScatteredSamples.from_arrays(samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, samples.values)
+    assert "lie back towards the light" in sample_units(turned).sentences[0]
+    assert not sample_units(samples).sentences
+
+
+def test_a_grey_material_has_three_equal_channels(truth: dsbrdf.DSBRDF) -> None:
+    samples = noisy(scattered_samples(truth, 300))
+    grey = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values[:, [1, 1, 1]])
+    amplitude = dsbrdf.fit(grey, n_lobes=2, ring_lobes=0).model.amplitude
+    np.testing.assert_array_equal(amplitude, amplitude[[1, 1, 1]])
+
+
 def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 300)
 
