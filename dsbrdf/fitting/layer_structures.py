@@ -71,6 +71,8 @@ def _prior(
     )
 
 
+_WEAK = (-12.0, np.log(0.2))  # as bright as a dielectric can be: diamond has 0.17
+_STRONG = (-12.0, np.log(3.0))
 _RISE = ((0.0, 1.0), (0.0, 0.15))  # along `_RISES`
 _SPECULAR_BOUNDS = (  # of all but the colour
     (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
@@ -78,9 +80,9 @@ _SPECULAR_BOUNDS = (  # of all but the colour
 )  # fmt: skip
 
 
-def _specular(color: Range, tint: float, *, brightest: float = 3.0, under_coat: bool = False) -> LayerPrior:
+def _specular(color: Range, tint: float, *, strength: Range = _STRONG, under_coat: bool = False) -> LayerPrior:
     """A surface of any roughness up to 0.7: a rougher one and a matte ground cannot be told apart."""
-    bounds = ((-12.0, np.log(brightest)), *_SPECULAR_BOUNDS)
+    bounds = (strength, *_SPECULAR_BOUNDS)
     others = (
         (-0.1, 0.4),  # F90
         *_RISE,
@@ -97,7 +99,7 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
     return _prior(DiffuseLayer, (np.log(0.15), 1.5), 1.0, exponents, bounds)
 
 
-_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, brightest=0.2)  # diamond has 0.17
+_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_WEAK)
 _COAT = _specular((np.log(0.045), 0.35), 0.03)  # or the peak of a metal with haze, which is as bright as metal
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
@@ -116,7 +118,7 @@ _FIBRES = _prior(
     (np.log(0.045), 0.35),
     0.05,
     ((-0.1, 0.4), *_RISE, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
-    ((-12.0, np.log(0.2)), *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
+    (_WEAK, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
 )
 
 

@@ -14,10 +14,10 @@ clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
-with X the logarithm of what passes glass both ways, (1 - s(cos_in)) (1 - s(cos_out)), Burley's retro-reflection (2012), s, the limb term
-log(2 / (cos_in + cos_out)), sin(theta_half)**2 and the angular term of Oren and Nayar (1994). **Sheen**, the light of
-fibres at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** is GGX about the direction back to the
-light.
+with X the logarithm of what passes glass both ways, (1 - s(cos_in)) (1 - s(cos_out)), Burley's retro-reflection (2012),
+s, the limb term log(2 / (cos_in + cos_out)), sin(theta_half)**2 and the angular term of Oren and Nayar (1994).
+**Sheen**, the light of fibres at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** is GGX about
+the direction back to the light.
 
 The unknowns of a layer, which a fit looks for, are the logarithms of the three channels of its colour, then of its
 other parameters or, where these can be negative, the parameters themselves.
