@@ -161,7 +161,9 @@ def test_errors_at_samples_left_out_and_over_all_directions_are_those_of_new_sam
     metrics = result.report.metrics
     assert true is not None
     assert metrics.relative_rms_left_out == pytest.approx(true, rel=1.0)
-    assert metrics.relative_rms_expected == pytest.approx(true, rel=1.0)
+    # What is expected everywhere may be too careful, but never half of what is true.
+    assert metrics.relative_rms_expected is not None
+    assert true / 2.0 < metrics.relative_rms_expected < 3.0 * true
     counts = {row.where: row.n_samples for row in result.report.left_out}
     assert sum(count for where, count in counts.items() if where.startswith("theta_out")) == 300
     assert 10 < counts["theta_half below 10 degrees"] < 300
