@@ -78,13 +78,6 @@ def sphere_step(
     return encode_png(displayed(image, factor))
 
 
-def difference_step(model: DSBRDF, stored: StoredMeasurement, lighting: str, size: int, _: OnProgress) -> bytes:
-    """Return the PNG of the difference of a fit's sphere and its measurement's, with the measurement's exposure."""
-    fit, reference = (render_sphere(shown, lighting=lighting, size=size) for shown in (model, stored.mapped()))
-    factor = exposure(reference, sphere_normals(size)[1])
-    return encode_png(_difference(displayed(reference, factor), displayed(fit, factor)))
-
-
 def measured_step(
     stored: StoredMeasurement, theta_half: Array, theta_diff: Array, phi_diff: Array, _: OnProgress
 ) -> Array:
@@ -93,10 +86,6 @@ def measured_step(
     values = known.evaluate(theta_half, theta_diff, phi_diff)
     values[~known.is_measured(theta_half, theta_diff, phi_diff)] = np.nan
     return values
-
-
-def _difference(measured: Array, fit: Array) -> Array:
-    return np.clip(DIFFERENCE_GAIN * np.abs(measured - fit), 0.0, 1.0)
 
 
 def spheres_step(
@@ -111,7 +100,7 @@ def spheres_step(
     factor = exposure(radiance[0], sphere_normals(size)[1])
     pictures = [displayed(image, factor) for image in radiance]
     if stored is not None:
-        pictures.insert(2, _difference(pictures[0], pictures[1]))
+        pictures.insert(2, np.clip(DIFFERENCE_GAIN * np.abs(pictures[0] - pictures[1]), 0.0, 1.0))
     return encode_png(np.concatenate(pictures, axis=1))
 
 

@@ -45,10 +45,10 @@ from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, Meas
 from .dependencies import (
     NO_QUERY,
     Context,
-    Sha256,
-    TheCaller,
     TheContext,
     TheFit,
+    TheLoadedFit,
+    TheMeasurement,
     caller_of,
     context_of,
     fit_key,
@@ -158,12 +158,11 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
 @measured.get(
     "", response_model=MeasuredValues, summary="A measurement's values", responses=_OF_MEASUREMENT, openapi_extra=_QUERY
 )
-async def get_measured_values(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+async def get_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
 
     A value is null where no node beside it was measured, as below the horizon.
     """
-    stored = await context.stored_measurement(caller.owner, sha256)
     points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
     return await _measured_reply(request, context, stored, points, JSON)
 
@@ -175,11 +174,10 @@ async def get_measured_values(request: Request, context: TheContext, caller: The
     responses=_OF_MEASUREMENT | _POST_RESPONSES,
     openapi_extra=_BATCH,
 )
-async def post_measured_values(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+async def post_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
     await no_query(request)
     media_type = _answer_type(request)
-    stored = await context.stored_measurement(caller.owner, sha256)
     return await _measured_reply(request, context, stored, await _batch(request, context), media_type)
 
 
@@ -190,13 +188,12 @@ async def post_measured_values(request: Request, context: TheContext, caller: Th
     summary="The components of a fit",
     responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished"),
 )
-async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
+async def get_components(request: Request, fit: TheLoadedFit) -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
 
     Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
     """
-    document = ComponentList.model_validate({"items": (await context.models.get(fit)).components})
-    return tagged_reply(request, document)
+    return tagged_reply(request, ComponentList.model_validate({"items": fit.components}))
 
 
 async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:

@@ -17,7 +17,7 @@ from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.request_body import Bodies
 from ..jobs.computations import Computations
 from ..jobs.jobs import Jobs
-from ..jobs.results import ModelCache
+from ..jobs.results import LoadedFit, ModelCache
 from ..jobs.steps import StoredMeasurement
 from ..operations.metrics import Metrics
 from ..operations.readiness import Readiness
@@ -89,6 +89,18 @@ async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
 
 
 TheFit = Annotated[FitKey, Depends(fit_key)]
+
+
+async def _loaded_fit(context: TheContext, fit: TheFit) -> LoadedFit:
+    return await context.models.get(fit)
+
+
+async def _measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> StoredMeasurement:
+    return await context.stored_measurement(caller.owner, sha256)
+
+
+TheLoadedFit = Annotated[LoadedFit, Depends(_loaded_fit)]
+TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
 
 
 def name_of(request: Request) -> str | None:

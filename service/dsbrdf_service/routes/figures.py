@@ -1,11 +1,12 @@
 """Pictures of fits and of measurements."""
 
 import hashlib
-from collections.abc import Callable, Hashable
-from typing import Annotated, Any
+from collections.abc import Awaitable, Callable, Hashable
+from functools import partial
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Depends, Path, Query, Request
 from numpy.typing import NDArray
 from starlette.responses import Response
 
@@ -20,7 +21,6 @@ from ..http.responses import not_modified, tag_of
 from ..jobs.steps import (
     FIGURES,
     StoredMeasurement,
-    difference_step,
     figure_step,
     radiance_step,
     sphere_step,
@@ -28,150 +28,144 @@ from ..jobs.steps import (
     table_step,
     thumbnail_step,
 )
-from ..storage.schema import FitKey
 from ..wire.fit_options import from_wire
 from ..wire.points import NPY, panorama_from_npy
-from ..wire.schemas import Figure, FitPicture, FitRadiance, FitSphere, Picture, Sphere
-from .dependencies import NO_REPETITION, Context, Sha256, TheCaller, TheContext, TheFit
+from ..wire.schemas import Figure, FitPicture, FitSphere, Picture, Sphere
+from .dependencies import NO_REPETITION, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
+
+_Route = TypeVar("_Route", bound=Callable[..., Any])
 
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
 
-_MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml"}
-PNG = _MEDIA_TYPES["png"]
-_PICTURE = openapi.response("The picture.", {PNG: openapi.file(PNG)}) | openapi.NOT_MODIFIED
-_FIGURE = openapi.response("The figure.", {kind: openapi.file(kind) for kind in _MEDIA_TYPES.values()})
-_ARRAY = openapi.response("The array.", {NPY: openapi.file(NPY)})
+_MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
+_IMAGES = ("png", "svg")
 _MAX_PANORAMA = 16_000_000  # bytes
-_PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)})
-_BODY_PROBLEMS = openapi.problems(
-    "not-found", "measurement-damaged", "fit-not-finished", "invalid-argument", "too-large", *openapi.BODY_PROBLEMS
-)
 _Figure = Annotated[
     str,
     Path(pattern=f"^({'|'.join(FIGURES)})$", description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
 ]
-_ImageFormat = Annotated[
-    str, Path(pattern=f"^({'|'.join(_MEDIA_TYPES)})$", description="`png` or `svg`.", examples=["svg"])
-]
+_ImageFormat = Annotated[str, Path(pattern=f"^({'|'.join(_IMAGES)})$", description="`png` or `svg`.", examples=["svg"])]
 
 
-@router.get(
-    "/fits/{fit_id}/figures/sphere.png",
-    response_class=Response,
-    summary="A lit sphere of a fit",
-    responses=_PICTURE | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
-)
-async def draw_sphere(
+def _get(path: str, summary: str, *problems: str, formats: tuple[str, ...] = ("png",)) -> Callable[[_Route], _Route]:
+    """Return the decorator of a route that answers with what it draws, in one of these formats."""
+    content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
+    responses = openapi.response("What is drawn.", content) | openapi.NOT_MODIFIED
+    responses |= openapi.problems("not-found", "measurement-damaged", "invalid-argument", *problems)
+    return router.get(path, response_class=Response, summary=summary, responses=responses)
+
+
+def _post_panorama(path: str, summary: str, *problems: str) -> Callable[[_Route], _Route]:
+    """Return the decorator of a route that lights a sphere by the panorama in the body."""
+    responses = openapi.response("The array.", {NPY: openapi.file(NPY)}) | openapi.problems(
+        "not-found", "measurement-damaged", "invalid-argument", "too-large", *openapi.BODY_PROBLEMS, *problems
+    )
+    body = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)})
+    return router.post(path, response_class=Response, summary=summary, responses=responses, openapi_extra=body)
+
+
+async def _drawing(request: Request, context: TheContext, caller: TheCaller) -> Callable[..., Awaitable[Response]]:
+    return partial(_drawn, request, context.in_process, caller.owner)
+
+
+async def _drawn(
     request: Request,
-    context: TheContext,
-    fit: TheFit,
-    wanted: Annotated[FitSphere, Query()],
+    in_process: Callable[..., Awaitable[bytes]],
+    owner: str,
+    step: Callable[..., bytes],
+    *arguments: Any,
+    of: Hashable = None,
 ) -> Response:
-    """Return a picture of a sphere of the fit, or of one component, with the exposure of the fit or its measurement.
+    """Return what `step` draws, unless the client has it: its address, its owner and what it is `of` determine it."""
+    path = request.scope["path"]
+    key = owner, path, request.url.query, of
+    headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+    if known := not_modified(request, headers):
+        return known
+    content = await in_process(request, key, step, *arguments)
+    return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
+
+
+Draw = Annotated[Callable[..., Awaitable[Response]], Depends(_drawing)]
+
+
+async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
+    """Return the panorama in the body, and its digest."""
+    media_type_of(request, NPY)
+    async with context.bodies.received(request, _MAX_PANORAMA, request.scope[CALLER_NAME]) as body:
+        pixels = panorama_from_npy(body).astype(np.float32)
+        return pixels, hashlib.sha256(body).digest()
+
+
+async def _measurement_if_any(context: TheContext, fit: TheFit) -> StoredMeasurement | None:
+    """Return the measurement of a fit, unless it is not stored any more or is a table of samples."""
+    try:
+        return await context.stored_measurement(fit.owner, (await context.fit_row(fit)).measurement)
+    except ProblemError as error:
+        if error.kind != "not-found":
+            raise
+        return None
+
+
+_Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
+_MeasurementIfAny = Annotated[StoredMeasurement | None, Depends(_measurement_if_any)]
+
+
+@_get("/fits/{fit_id}/figures/sphere.png", "A lit sphere of a fit", "fit-not-finished")
+async def draw_sphere(draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitSphere, Query()]) -> Response:
+    """Return a picture of a sphere of the fit, or of one component, with the exposure of the fit.
 
     The 99th percentile of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
-    loaded = await context.models.get(fit)
-    part = loaded.model if wanted.component is None else loaded.part(wanted.component)
-    exposed = loaded.model if wanted.exposure == "fit" else await _measurement_of(context, fit)
-    step = sphere_step, exposed, part, wanted.lighting, wanted.size
-    return await drawn_reply(request, context, PNG, ("sphere", fit, wanted.model_dump_json()), *step)
+    part = None if wanted.component is None else fit.part(wanted.component)
+    return await draw(sphere_step, fit.model, part, wanted.lighting, wanted.size)
 
 
-@router.get(
-    "/fits/{fit_id}/figures/difference.png",
-    response_class=Response,
-    summary="How a sphere of a fit differs from its measurement's",
-    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument"),
-)
-async def draw_difference(
-    request: Request,
-    context: TheContext,
-    fit: TheFit,
-    wanted: Annotated[Sphere, Query()],
-) -> Response:
-    """Return four times the difference of the pictures of fit and measurement, both with the measurement's exposure."""
-    model, stored = (await context.models.get(fit)).model, await _measurement_of(context, fit)
-    step = difference_step, model, stored, wanted.lighting, wanted.size
-    return await drawn_reply(request, context, PNG, ("difference", fit, wanted.model_dump_json()), *step)
-
-
-@router.get(
-    "/fits/{fit_id}/figures/spheres.png",
-    response_class=Response,
-    summary="Spheres of a fit side by side",
-    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument"),
-)
+@_get("/fits/{fit_id}/figures/spheres.png", "Spheres of a fit side by side", "fit-not-finished")
 async def draw_spheres(
-    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[Picture, Query()]
+    draw: Draw, fit: TheLoadedFit, stored: _MeasurementIfAny, wanted: Annotated[Picture, Query()]
 ) -> Response:
     """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
 
     All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
     """
-    loaded, stored = await context.models.get(fit), await _measurement_if_any(context, fit)
-    key = "spheres", fit, stored and stored.sha256, wanted.size
-    step = spheres_step, loaded.model, list(loaded.decomposition), stored, wanted.size
-    return await drawn_reply(request, context, PNG, key, *step)
+    parts = list(fit.decomposition)
+    return await draw(spheres_step, fit.model, parts, stored, wanted.size, of=stored and stored.sha256)
 
 
-@router.get(
-    "/fits/{fit_id}/figures/thumbnail.png",
-    response_class=Response,
-    summary="A small picture of a fit",
-    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument"),
-)
-async def draw_thumbnail(request: Request, context: TheContext, fit: TheFit) -> Response:
+@_get("/fits/{fit_id}/figures/thumbnail.png", "A small picture of a fit", "fit-not-finished")
+async def draw_thumbnail(draw: Draw, fit: TheLoadedFit, stored: _MeasurementIfAny) -> Response:
     """Return a small sphere in the environment: the fit, and on the left its measurement if it is stored on a grid."""
-    model, stored = (await context.models.get(fit)).model, await _measurement_if_any(context, fit)
-    key = "thumbnail", fit, stored and stored.sha256
-    return await drawn_reply(request, context, PNG, key, thumbnail_step, model, stored)
+    return await draw(thumbnail_step, fit.model, stored, of=stored and stored.sha256)
 
 
-@router.get(
-    "/fits/{fit_id}/figures/sphere.npy",
-    response_class=Response,
-    summary="Radiance of a lit sphere of a fit",
-    responses=_ARRAY | openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
-)
-async def light_fit(
-    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[FitRadiance, Query()]
-) -> Response:
+@_get("/fits/{fit_id}/figures/sphere.npy", "Radiance of a lit sphere of a fit", "fit-not-finished", formats=("npy",))
+async def light_fit(draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitSphere, Query()]) -> Response:
     """Return the linear RGB radiance of a sphere of the fit or a component: float32 (size, size, 3), from the top."""
-    part = (await context.models.get(fit)).part(wanted.component)
-    key = "radiance", fit, wanted.model_dump_json()
-    return await drawn_reply(request, context, NPY, key, radiance_step, part, wanted.lighting, wanted.size)
+    return await draw(radiance_step, fit.part(wanted.component), wanted.lighting, wanted.size)
 
 
-@router.post(
-    "/fits/{fit_id}/figures/sphere.npy",
-    response_class=Response,
-    summary="Radiance of a sphere of a fit in a panorama",
-    responses=_ARRAY | _BODY_PROBLEMS,
-    openapi_extra=_PANORAMA,
-)
+@_post_panorama("/fits/{fit_id}/figures/sphere.npy", "Radiance of a sphere of a fit in a panorama", "fit-not-finished")
 async def light_fit_by_panorama(
-    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[FitPicture, Query()]
+    draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitPicture, Query()], panorama: _Panorama
 ) -> Response:
     """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
-    part = (await context.models.get(fit)).part(wanted.component)
-    pixels, digest = await _panorama(request, context)
-    key = "panorama", fit, wanted.model_dump_json(), digest
-    return await drawn_reply(request, context, NPY, key, radiance_step, part, pixels, wanted.size)
+    pixels, digest = panorama
+    return await draw(radiance_step, fit.part(wanted.component), pixels, wanted.size, of=digest)
 
 
-@router.get(
+@_get(
     "/fits/{fit_id}/figures/{figure}.{image_format}",
-    response_class=Response,
-    summary="A figure of a fit",
-    responses=_FIGURE
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "measurement-damaged", "fit-not-finished", "invalid-argument", "not-installed"),
+    "A figure of a fit",
+    "fit-not-finished",
+    "not-installed",
+    formats=_IMAGES,
 )
 async def draw_figure(
-    request: Request,
+    draw: Draw,
     context: TheContext,
-    fit: TheFit,
+    key: TheFit,
+    fit: TheLoadedFit,
     figure: _Figure,
     image_format: _ImageFormat,
     wanted: Annotated[Figure, Query()],
@@ -182,113 +176,38 @@ async def draw_figure(
     their own lobes; `lobes` its lobes in the model; `parameters` height, half width, tail and elongation of the
     components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
     """
-    model = (await context.models.get(fit)).model
-    row = await context.fit_row(fit)
-    stored = await context.stored_measurement(fit.owner, row.measurement, row.name)
+    row = await context.fit_row(key)
+    stored = await context.stored_measurement(key.owner, row.measurement, row.name)
     require("plot", "matplotlib", purpose="figures")
-    step = figure_step, figure, image_format, model, stored, from_wire(row.options).horizon_cutoff, wanted.dark
-    key = "figure", fit, row.name, figure, image_format, wanted.dark
-    return await drawn_reply(request, context, _MEDIA_TYPES[image_format], key, *step)
+    cutoff = from_wire(row.options).horizon_cutoff
+    return await draw(figure_step, figure, image_format, fit.model, stored, cutoff, wanted.dark, of=row.name)
 
 
-@router.get(
-    "/measurements/{sha256}/figures/sphere.png",
-    response_class=Response,
-    summary="A lit sphere of a measurement",
-    responses=_PICTURE | openapi.problems("not-found", "measurement-damaged", "invalid-argument"),
-)
-async def draw_measurement(
-    request: Request,
-    context: TheContext,
-    caller: TheCaller,
-    sha256: Sha256,
-    wanted: Annotated[Sphere, Query()],
-) -> Response:
+@_get("/measurements/{sha256}/figures/sphere.png", "A lit sphere of a measurement")
+async def draw_measurement(draw: Draw, stored: TheMeasurement, wanted: Annotated[Sphere, Query()]) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
-    stored = await context.stored_measurement(caller.owner, sha256)
-    step = sphere_step, stored, None, wanted.lighting, wanted.size
-    return await drawn_reply(request, context, PNG, ("measured", caller.owner, sha256, wanted.model_dump_json()), *step)
+    return await draw(sphere_step, stored, None, wanted.lighting, wanted.size)
 
 
-@router.get(
-    "/measurements/{sha256}/figures/sphere.npy",
-    response_class=Response,
-    summary="Radiance of a lit sphere of a measurement",
-    responses=_ARRAY | openapi.NOT_MODIFIED | openapi.problems("not-found", "measurement-damaged", "invalid-argument"),
-)
-async def light_measurement(
-    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, wanted: Annotated[Sphere, Query()]
-) -> Response:
+@_get("/measurements/{sha256}/figures/sphere.npy", "Radiance of a lit sphere of a measurement", formats=("npy",))
+async def light_measurement(draw: Draw, stored: TheMeasurement, wanted: Annotated[Sphere, Query()]) -> Response:
     """Return the linear RGB radiance of a sphere of the measurement: float32 (size, size, 3), top row first."""
-    stored = await context.stored_measurement(caller.owner, sha256)
-    key = "radiance", caller.owner, sha256, wanted.model_dump_json()
-    return await drawn_reply(request, context, NPY, key, radiance_step, stored, wanted.lighting, wanted.size)
+    return await draw(radiance_step, stored, wanted.lighting, wanted.size)
 
 
-@router.post(
-    "/measurements/{sha256}/figures/sphere.npy",
-    response_class=Response,
-    summary="Radiance of a sphere of a measurement in a panorama",
-    responses=_ARRAY | _BODY_PROBLEMS,
-    openapi_extra=_PANORAMA,
-)
+@_post_panorama("/measurements/{sha256}/figures/sphere.npy", "Radiance of a sphere of a measurement in a panorama")
 async def light_measurement_by_panorama(
-    request: Request, context: TheContext, caller: TheCaller, sha256: Sha256, wanted: Annotated[Picture, Query()]
+    draw: Draw, stored: TheMeasurement, wanted: Annotated[Picture, Query()], panorama: _Panorama
 ) -> Response:
     """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
-    stored = await context.stored_measurement(caller.owner, sha256)
-    pixels, digest = await _panorama(request, context)
-    key = "panorama", caller.owner, sha256, wanted.size, digest
-    return await drawn_reply(request, context, NPY, key, radiance_step, stored, pixels, wanted.size)
+    pixels, digest = panorama
+    return await draw(radiance_step, stored, pixels, wanted.size, of=digest)
 
 
-@router.get(
-    "/measurements/{sha256}/table.npy",
-    response_class=Response,
-    summary="A measurement at all nodes, without gaps",
-    responses=_ARRAY | openapi.NOT_MODIFIED | openapi.problems("not-found", "measurement-damaged", "invalid-argument"),
-)
-async def get_table(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+@_get("/measurements/{sha256}/table.npy", "A measurement at all nodes, without gaps", formats=("npy",))
+async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     """Return ln(value + 1e-6) at the nodes of the MERL grid: float16 (theta_half, theta_diff, phi_diff, RGB), 8.7 MB.
 
     Linear interpolation of it is the measurement as the spheres show it; a texture of a graphics card can hold it.
     """
-    stored = await context.stored_measurement(caller.owner, sha256)
-    return await drawn_reply(request, context, NPY, ("table", caller.owner, sha256), table_step, stored)
-
-
-async def _panorama(request: Request, context: Context) -> tuple[NDArray[np.float32], bytes]:
-    """Return the panorama in the body, and its digest."""
-    media_type_of(request, NPY)
-    async with context.bodies.received(request, _MAX_PANORAMA, request.scope[CALLER_NAME]) as body:
-        pixels = panorama_from_npy(body).astype(np.float32)
-        return pixels, hashlib.sha256(body).digest()
-
-
-async def _measurement_if_any(context: Context, fit: FitKey) -> StoredMeasurement | None:
-    """Return the measurement of a fit, unless it is not stored any more or is a table of samples."""
-    try:
-        return await _measurement_of(context, fit)
-    except ProblemError as error:
-        if error.kind != "not-found":
-            raise
-        return None
-
-
-async def _measurement_of(context: Context, fit: FitKey) -> StoredMeasurement:
-    return await context.stored_measurement(fit.owner, (await context.fit_row(fit)).measurement)
-
-
-async def drawn_reply(
-    request: Request,
-    context: Context,
-    media_type: str,
-    key: tuple[Hashable, ...],
-    step: Callable[..., bytes],
-    *arguments: Any,
-) -> Response:
-    """Return what `step` draws, unless the client has it; `key` determines it and names its owner."""
-    headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
-    if known := not_modified(request, headers):
-        return known
-    return Response(await context.in_process(request, key, step, *arguments), 200, headers, media_type)
+    return await draw(table_step, stored)

@@ -385,19 +385,10 @@ class Sphere(Picture):
     ] = "three_lights"
 
 
-class FitRadiance(Sphere):
-    """What of a fit to light."""
-
-    component: _Component = None
-
-
-class FitSphere(FitRadiance):
+class FitSphere(Sphere):
     """What of a fit to draw."""
 
-    exposure: Annotated[
-        Literal["fit", "measurement"],
-        Field(description="Whose whole sphere sets the exposure; pictures to be compared have one exposure."),
-    ] = "fit"
+    component: _Component = None
 
 
 class Figure(_Input):

@@ -47,16 +47,15 @@ def test_the_sphere_of_a_measurement_has_its_own_exposure(
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
 
 
-def test_fit_and_measurement_are_compared_with_one_exposure(
+def test_spheres_side_by_side_have_one_exposure(
     server: Server, fitted: str, model: dsbrdf.DSBRDF, plastic: dsbrdf.Measurement
 ) -> None:
-    url = f"/v1/fits/{fitted}/figures"
-    fit, measured = (dsbrdf.render_sphere(shown, size=32) for shown in (model, plastic))
-    factor = exposure(measured, sphere_normals(32)[1])
-    answer = server.http.get(f"{url}/sphere.png", params={"size": "32", "exposure": "measurement"})
-    assert_shows(answer, displayed(fit, factor))
-    difference = DIFFERENCE_GAIN * np.abs(displayed(fit, factor) - displayed(measured, factor))
-    assert_shows(server.http.get(f"{url}/difference.png", params={"size": "32"}), np.minimum(difference, 1.0))
+    radiance = [dsbrdf.render_sphere(shown, size=32) for shown in (plastic, model, *dsbrdf.decompose(model))]
+    factor = exposure(radiance[0], sphere_normals(32)[1])
+    measured, fit, *components = (displayed(image, factor) for image in radiance)
+    difference = np.minimum(DIFFERENCE_GAIN * np.abs(fit - measured), 1.0)
+    answer = server.http.get(f"/v1/fits/{fitted}/figures/spheres.png", params={"size": "32"})
+    assert_shows(answer, np.concatenate([measured, fit, difference, *components], axis=1))
 
 
 def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted: str) -> None:
