@@ -195,8 +195,7 @@ class Client:
             own_name, measurement = measurement.name, encode_merl(measurement)
         sha256 = hashlib.sha256(measurement).hexdigest()
         try:
-            # A byte of the file, not its document: the service compares the file with its name before.
-            self._call("GET", f"/v1/measurements/{sha256}", headers={"Range": "bytes=0-0"})
+            self._call("GET", f"/v1/measurements/{sha256}", headers={"If-None-Match": f'"{sha256}"'})
         except ServiceError as error:
             if error.problem.get("status") != 404:
                 raise
@@ -214,7 +213,7 @@ class Client:
         left = self._patience
         while True:
             answer = self._http.request(method, url, params=params, **request)
-            if answer.is_success:
+            if answer.is_success or answer.status_code == 304:
                 return answer
             seconds = answer.headers.get("retry-after", "")
             retry_after = float(seconds) if seconds.isdecimal() else None

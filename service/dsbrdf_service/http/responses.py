@@ -15,7 +15,6 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
-from ..errors import ProblemError
 from ..storage.schema import FitRow, MeasurementRow
 from ..wire.points import JSON
 from ..wire.schemas import Page
@@ -38,8 +37,6 @@ _DEFAULT_HEADERS = (
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
-_QUALITY = re.compile(r"(?:^|;)\s*q\s*=\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(?:;|$)")
-_RANGE = re.compile(r"bytes=(?=[0-9]|-[0-9])([0-9]{0,18})-([0-9]{0,18})", re.IGNORECASE)
 
 
 def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
@@ -95,78 +92,59 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
     return Response(None, 304, dict(headers)) if is_current else None
 
 
-class OpenFileResponse(FileResponse):
-    """A file that is open before anything is sent, so that it is sent to its end even if it is deleted meanwhile.
+class _WholeFile(FileResponse):
+    """An open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it."""
 
-    If the whole of it has not the digest `sha256`, its last piece is kept back, which breaks the connection: the client
-    learns that it has not got what the ETag says. Raises FileNotFoundError if the file has been deleted already.
-    """
-
-    def __init__(self, path: Path, headers: Mapping[str, str], media_type: str, sha256: str) -> None:
-        self._sha256 = sha256
-        self._file = path.open("rb")
-        number = self._file.fileno()
-        super().__init__(
-            f"/dev/fd/{number}",
-            headers=headers,
-            media_type=media_type,
-            stat_result=os.fstat(number),
-        )
+    def __init__(self, descriptor: int, headers: Mapping[str, str]) -> None:
+        super().__init__(f"/dev/fd/{descriptor}", headers=headers, stat_result=os.fstat(descriptor))
+        for name in {"etag", "last-modified", "accept-ranges"} - {name.lower() for name in headers}:
+            del self.headers[name]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the file, or the part of it that is asked for."""
+        headers = [header for header in scope["headers"] if header[0] != b"range"]
+        await super().__call__({**scope, "headers": headers}, receive, send)
+
+
+class OpenFileResponse(_WholeFile):
+    """A file that is opened before anything is sent.
+
+    If it has not the digest `sha256`, its last piece is kept back, which breaks the connection: the client learns that
+    it has not got what the ETag says. Raises FileNotFoundError if the file has been deleted already.
+    """
+
+    def __init__(self, path: Path, headers: Mapping[str, str], sha256: str) -> None:
+        self._sha256 = sha256
+        self._file = path.open("rb")
+        super().__init__(self._file.fileno(), headers)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the file."""
         digest = hashlib.sha256()
         held: Message | None = None
-        status = 0
 
         async def hold_back(message: Message) -> None:
-            nonlocal held, status
+            nonlocal held
             if held is not None:
                 await send(held)
-            held, status = message, message.get("status", status)
+            held = message
             digest.update(message.get("body", b""))
 
         with self._file:
             await super().__call__(scope, receive, hold_back)
         if held is None or held.get("more_body", True):  # the client has gone
             return
-        if status == 200 and digest.hexdigest() != self._sha256:
-            logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
-        else:
+        if digest.hexdigest() == self._sha256:
             await send(held)
+        else:
+            logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
 
 
-class MadeFileResponse(FileResponse):
+class MadeFileResponse(_WholeFile):
     """A file without a name, which has been made for the requests that are answered with it; it `keeps` it open."""
 
     def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str]) -> None:
-        super().__init__(f"/dev/fd/{descriptor}", headers=headers, stat_result=os.fstat(descriptor))
+        super().__init__(descriptor, headers)
         self._keeps = keeps
-        for name in ("etag", "last-modified", "accept-ranges"):  # of this file, which the next request does not get
-            del self.headers[name]
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the whole file."""
-        headers = [header for header in scope["headers"] if header[0] != b"range"]
-        await super().__call__({**scope, "headers": headers}, receive, send)
-
-
-def check_range(request: Request, size: int) -> None:
-    """Check that a file of `size` bytes has the range of bytes that the request asks for (RFC 9110, section 14.2).
-
-    A ``Range`` that is not one range of bytes is ignored: it is removed from the request.
-
-    Raises ProblemError if the range begins beyond the end.
-    """
-    found = _RANGE.fullmatch(request.headers.get("range", ""))
-    first, last = (found[1], found[2]) if found else ("", "")
-    if first and last and int(last) < int(first):
-        found = None
-    if found is None:
-        request.scope["headers"] = [header for header in request.scope["headers"] if header[0] != b"range"]
-    elif (first and int(first) >= size) or (not first and int(last) == 0):
-        detail = f"The range begins beyond the end of the file, which has {size} bytes."
-        raise ProblemError("range-not-satisfiable", detail, {"Content-Range": f"bytes */{size}"})
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
@@ -189,22 +167,9 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
     return 0.0 if _ASYNC.search(given) else min(default, longest)
 
 
-def accepted_type(request: Request, first: str, second: str) -> str | None:
-    """Return which of two media types ``Accept`` prefers, the first where it takes both alike; None if neither.
-
-    A quality of the type itself counts before that of a range.
-    """
-    ranges: dict[str, float] = {}
-    for entry in ",".join(request.headers.getlist("accept")).lower().split(","):
-        media_type, _, parameters = entry.partition(";")
-        quality = _QUALITY.search(parameters)
-        if media_type.strip():
-            weight = min(float(quality[1]), 1.0) if quality else 1.0
-            ranges[media_type.strip()] = max(ranges.get(media_type.strip(), 0.0), weight)
-
-    of_range = ranges.get("application/*", ranges.get("*/*", 0.0 if ranges else 1.0))
-    # A type that is named counts more.
-    for_first, for_second = ranges.get(first, 0.5 * of_range), ranges.get(second, 0.25 * of_range)
-    if not (for_first or for_second):
-        return None
-    return second if for_second > for_first else first
+def prefers(request: Request, wanted: str, other: str) -> bool:
+    """Return whether ``Accept`` names one media type, and not the other before it; its weights are not read."""
+    named = [
+        entry.partition(";")[0].strip() for entry in ",".join(request.headers.getlist("accept")).lower().split(",")
+    ]
+    return wanted in named and other not in named[: named.index(wanted)]

@@ -19,10 +19,9 @@ from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..access.authentication import CALLER_NAME
-from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
-from ..http.responses import accepted_type, tagged_reply
+from ..http.responses import prefers, tagged_reply
 from ..jobs.results import LoadedFit
 from ..jobs.steps import StoredMeasurement, measured_step
 from ..operations.metrics import Metrics
@@ -119,7 +118,7 @@ _BATCH = openapi.body(
 )
 _GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished", "invalid-argument")
 _POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
-    "not-found", "not-acceptable", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
+    "not-found", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
 )
 _OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged", "invalid-argument")
 _get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
@@ -177,7 +176,7 @@ async def get_measured_values(request: Request, context: TheContext, stored: The
 async def post_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
     await no_query(request)
-    media_type = _answer_type(request)
+    media_type = NPY if prefers(request, NPY, JSON) else JSON
     return await _measured_reply(request, context, stored, await _batch(request, context), media_type)
 
 
@@ -204,17 +203,10 @@ async def _values_of_query(request: Request, context: Context, fit: FitKey, labe
 
 async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     await no_query(request)
-    media_type = _answer_type(request)
+    media_type = NPY if prefers(request, NPY, JSON) else JSON
     loaded = await _loaded(context, fit, label)
     points = await _batch(request, context)
     return await _reply(request, context, loaded.part(label), points, media_type)
-
-
-def _answer_type(request: Request) -> str:
-    media_type = accepted_type(request, JSON, NPY)
-    if media_type is None:
-        raise ProblemError("not-acceptable", f"The values are available as {JSON} or {NPY}; accept one of them.")
-    return media_type
 
 
 async def _measured_reply(

