@@ -21,7 +21,8 @@ import dsbrdf
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.output.figures import encode_figure, overview_figure
+from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.output.figures import overview_figure
 from dsbrdf.output.report_text import component_layers_table, components_table, metrics_lines
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import compare_spheres

@@ -13,7 +13,7 @@ from dsbrdf.data.merl import write_merl
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.figures import encode_figure
+from dsbrdf.output.figure_parts import encode_figure
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure
 from dsbrdf.data.grid import CHANNELS, THETA_HALF
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
-from dsbrdf.output.figures import CHANNEL_COLOURS
+from dsbrdf.output.figure_parts import CHANNEL_COLOURS
 
 __all__ = ["FIGURE"]
 

@@ -17,7 +17,7 @@ from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.image_metrics import displayed
 from dsbrdf.model.render import Source, render_sphere, sphere_normals
-from dsbrdf.output.figures import encode_figure
+from dsbrdf.output.figure_parts import encode_figure
 
 __all__ = ["Claim", "Made", "PaperFigure", "Row", "Verdict", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
 

@@ -19,7 +19,6 @@ from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
 from dsbrdf.cli.commands import Whole
 from dsbrdf.cli.parameters import DEFAULT, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
-from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
 from dsbrdf.engines.engine import Engine
@@ -150,13 +149,12 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
     """Write a figure of each fit into a folder, and yield what to print."""
-    from dsbrdf.output.figures import encode_figure
+    from dsbrdf.output.figure_parts import encode_figure
     from dsbrdf.output.notebook import plot_result
 
     for item in items:
         if item.result is not None:
-            measurement = read_measurement(item.file)
-            figure = plot_result(item.result, measurement if isinstance(measurement, Measurement) else None)
+            figure = plot_result(item.result, read_measurement(item.file))
             path = folder / f"{item.file.stem}.png"
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"

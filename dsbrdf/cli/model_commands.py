@@ -23,7 +23,7 @@ from dsbrdf.cli.parameters import (
     SourceFile,
     named_in_errors,
     named_part,
-    read_grid,
+    read_measured,
     read_model,
     read_source,
 )
@@ -33,23 +33,26 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.hdr_image import SUFFIXES as PANORAMA_SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
-from dsbrdf.data.reduction import profiles
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, read_samples
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, read_samples
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.fitting.sample_errors import relative_rms
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export.rgl import rgl_bsdf
-from dsbrdf.output.figures import IMAGE_FORMATS, encode_figure, overview_figure, parameters_figure
+from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
+from dsbrdf.output.notebook import plot_fit
+from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
+from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
@@ -294,7 +297,7 @@ def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, jso
     if "panels" in about:
         print(f"from left to right: {', '.join(about['panels'])}")
         psnr = "infinite" if about["psnr"] is None else f"{about['psnr']:.1f} dB"
-        print(f"likeness of the first two: PSNR {psnr}, SSIM {about['ssim']:.4f}")
+        print(f"likeness of the first two under this light: PSNR {psnr}, SSIM {about['ssim']:.4f}")
 
 
 def _check_png(output: Path) -> None:
@@ -334,7 +337,7 @@ def _comparison(first: Path, second: Path, look: Look) -> tuple[Array, dict[str,
 
 
 def plot(
-    model: ModelFile,
+    model: Path,
     measurement: Path | None = None,
     /,
     *,
@@ -346,9 +349,11 @@ def plot(
 
     Parameters
     ----------
+    model
+        A .json file from dsbrdf fit.
     measurement
-        What was fitted: draws its profiles, the fit and the components; without it, the parameters over
-        theta_diff.
+        What was fitted: draws its profiles, the fit and the components, or a table's samples beside the fit, and the
+        residual; without it, the parameters over theta_diff. It may also come first.
     output
         The file to write: .png, .svg or .pdf.
     lobes
@@ -359,48 +364,68 @@ def plot(
         raise InvalidArgumentError(
             f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
         )
-    fitted, _ = read_model(model)
+    if measurement is not None and model.suffix.lower() in MEASUREMENTS:
+        model, measurement = measurement, model
+    fitted, report = read_model(model)
     if measurement is None:
-        figure = parameters_figure(fitted, title=model.stem, model_lobes=lobes)
+        what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
     else:
-        figure = overview_figure(profiles(read_grid(measurement)), fitted, model_lobes=lobes)
+        measured = read_measured(measurement)
+        is_table = isinstance(measured, ScatteredSamples)
+        what = "samples, fit and residual" if is_table else "profiles, fit and components"
+        figure = plot_fit(fitted, measured, FitOptions() if report is None else report.options, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
-    what = "parameters over theta_diff" if measurement is None else "profiles, fit and components"
     print_written(output, what, image_format, json=json)
 
 
 def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | None = None, json: Json = False) -> None:
-    """Compare two models or measurements.
+    """Compare two models or measurements, or a table of samples with a model.
 
     Parameters
     ----------
     output
-        Write a picture, a .png file: both spheres with the exposure of the first, and their difference.
+        Write a picture, a .png file: both spheres with the exposure of the first, and their difference; or the samples,
+        the fit and the residual.
     """
     if output is not None:
         _check_png(output)
     paths = (first, second)
     sources, columns = zip(*(_source(path) for path in paths), strict=True)
-    found = compare_spheres(*sources, with_components=False)
-    if output is not None:
-        write_atomically(output, [encode_png(side_by_side(found.panels))])
-    if json:
+    tables = [source for source in sources if isinstance(source, ScatteredSamples)]
+    if tables:
+        model, report = read_model(second if sources[0] is tables[0] else first)
+        side = None if report is None else report.options.cosine
+        samples = tables[0] if side is None else tables[0].divided_by_cosine(side)
+        found_values = model.evaluate_directions(samples.omega_in, samples.omega_out)
+        error = relative_rms(found_values, samples.values, samples.weight)
+        likeness, sentence = {"relative_rms": error}, f"at the {len(samples.values)} samples: relative_rms {error:.4g}"
+        picture = None if output is None else encode_figure(samples_figure(samples, model))
+        shown = "samples, fit and residual"
+    else:
+        found = compare_spheres(*sources, with_components=False)
         likeness = {"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim}
+        sentence = f"likeness of their lit spheres {found.light}: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}"
+        picture = None if output is None else encode_png(side_by_side(found.panels))
+        shown = f"both spheres, and their difference times {DIFFERENCE_GAIN:g}"
+    if output is not None and picture is not None:
+        write_atomically(output, [picture])
+    if json:
         items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
         print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
         return
     print(f"{'':<16}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
     for name in columns[0]:
         print(f"{name:<16}" + "".join(f"{_cell(column[name]):>22}" for column in columns))
-    print(f"likeness of their lit spheres: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}")
+    print(sentence)
     if output is not None:
-        print(f"{output}: both spheres, and their difference times {DIFFERENCE_GAIN:g}")
+        print(f"{output}: {shown}")
 
 
 def _source(path: Path) -> tuple[Any, dict[str, Any]]:
     """Read a model or a measurement, and return it with what is known of it."""
     if path.suffix.lower() in MEASUREMENTS:
-        return read_grid(path), {"kind": "measurement", "numbers": None} | dict.fromkeys(METRICS)
+        kind = "samples" if path.suffix.lower() in TABLE_SUFFIXES else "measurement"
+        return read_measured(path), {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
     model, report = read_model(path)
     metrics = {name: None if report is None else report.metrics[name] for name in METRICS}
     return model, {"kind": lobes_phrase(model), "numbers": model.n_numbers} | metrics

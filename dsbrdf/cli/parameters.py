@@ -15,7 +15,7 @@ from dsbrdf.cli.commands import Whole
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
@@ -26,7 +26,7 @@ from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
 
 ModelFile = Annotated[Path, Parameter(help="A .json file from dsbrdf fit.")]
-SourceFile = Annotated[Path, Parameter(help="A .json model, or a .binary or .bsdf measurement.")]
+SourceFile = Annotated[Path, Parameter(help="A .json model, a .binary or .bsdf measurement, or a table of samples.")]
 RequiredFiles = Annotated[Path, Parameter(required=True)]
 OutputFile = Annotated[Path, Parameter(alias="-o", metavar="FILE")]
 ComponentName = Annotated[
@@ -167,10 +167,16 @@ def named_in_errors(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from error
 
 
+def read_measured(path: Path) -> Measurement | ScatteredSamples:
+    """Read a measurement; an error names the file."""
+    with named_in_errors(path):
+        return read_measurement(path)
+
+
 def read_grid(path: Path) -> Measurement:
     """Read a measurement on the grid (``.binary`` or ``.bsdf``); an error names the file."""
+    measurement = read_measured(path)
     with named_in_errors(path):
-        measurement = read_measurement(path)
         if not isinstance(measurement, Measurement):
             raise InvalidArgumentError("scattered samples are no measurement on a grid; fit them first")
         return measurement

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dsbrdf.data.measurement import Measurement
+    from dsbrdf.data.scattered_samples import ScatteredSamples
 
 
 @dataclass(frozen=True)
@@ -173,18 +174,18 @@ class FitResult:
 
         export(self, path, file_format)
 
-    def plot(self, measurement: Measurement | None = None) -> Figure:
+    def plot(self, measured: Measurement | ScatteredSamples | None = None) -> Figure:
         """Draw the fit; needs matplotlib.
 
         Parameters
         ----------
-        measurement : Measurement, optional
-            What was fitted. With it, the figure has its profiles, the fit and the lobes; without, the parameters over
-            theta_diff.
+        measured : Measurement or ScatteredSamples, optional
+            What was fitted. Of a measurement, the figure has its profiles, the fit and the components; of samples, them
+            beside the fit, and the residual. Without it, the figure has the parameters over theta_diff.
         """
         from dsbrdf.output.notebook import plot_result
 
-        return plot_result(self, measurement)
+        return plot_result(self, measured)
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Figures of a fit, in the style of Nishino 2009, Figure 1, and of how parameters run over theta_diff.
+"""Figures of a fit, in the style of Nishino 2009, Figure 1.
 
 Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
 be made in any thread. Matplotlib is the extra ``plot``.
@@ -10,26 +10,34 @@ the diffuse part, and the peak on a linear axis, as in the paper.
 
 from __future__ import annotations
 
-from io import BytesIO
 from itertools import compress
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.extras import require
-from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.layer_shares import LABELS
+from dsbrdf.output.figure_parts import (
+    CHANNEL_COLOURS,
+    LOBE_COLOURS,
+    PAIR_WIDTH,
+    ROW,
+    draw_legend,
+    empty_figure,
+    figure_of_rows,
+    set_ticks,
+)
 from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import SphereComparison, cut_out
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, FigureBase, SubFigure
+    from matplotlib.figure import Figure, FigureBase
 
     from dsbrdf.data.reduction import Profiles
     from dsbrdf.model.dsbrdf import DSBRDF
@@ -39,30 +47,20 @@ if TYPE_CHECKING:
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """The slices that are drawn by default [rad]."""
-IMAGE_FORMATS = ("png", "svg", "pdf")
-"""Formats of `encode_figure`."""
-
-CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
-LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
 PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
-_ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
-_STYLES = ("-", "--", "-.", ":")
-_PAIR_WIDTH, _TITLE, _ROW, _SPHERES = 5.5, 0.4, 3.4, 2.5  # of two panels, and heights of what is drawn, in inches
 _ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
+_SPHERES = 2.5  # height [inches]
 _LARGEST_PERCENT = 100.0  # larger residuals have the colour of this one
 _RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
 _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
-_MOST = 6  # ticks of a logarithmic axis
-_TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
-_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
 
 
 def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Row (a) of `overview_figure` alone."""
     rows = _nearest_rows(DEFAULT_THETA_DIFF)
-    figure, (row,) = _figure_of_rows(profiles.name, len(rows), [_ROW])
+    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW])
     _profiles_row(row, profiles, model, rows)
     return figure
 
@@ -70,7 +68,7 @@ def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
     """Row (b) of `overview_figure` alone, in red."""
     rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
-    figure, (row,) = _figure_of_rows(title, len(rows), [_ROW])
+    figure, (row,) = figure_of_rows(title, len(rows), [ROW])
     _parts_row(row, profiles, model, rows, 0, model_lobes)
     return figure
 
@@ -111,14 +109,14 @@ def overview_figure(
     if channel not in CHANNELS:
         raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
     rows = _nearest_rows(theta_diff)
-    heights = [_ROW, _ROW] if spheres is None else [_ROW, _ROW, _SPHERES]
-    figure, (above, below, *rest) = _figure_of_rows(profiles.name, len(rows), heights)
+    heights = [ROW, ROW] if spheres is None else [ROW, ROW, _SPHERES]
+    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(rows), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
     _profiles_row(above, profiles, model, rows)
     _parts_row(below, profiles, model, rows, CHANNELS.index(channel), model_lobes)
     if spheres is not None:
-        likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f}"
+        likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f} {spheres.light}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
         _spheres_row(rest[0], spheres.seen)
     return figure
@@ -129,7 +127,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
     Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
     """
-    figure = _empty_figure(profiles.name, 2, height=_ROW)
+    figure = empty_figure(profiles.name, 2, height=ROW)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
@@ -152,104 +150,6 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     bar = figure.colorbar(image, ax=axes, label="(fit - measured) / measured [%]", extend="both")
     bar.ax.tick_params(labelsize=8)
     return figure
-
-
-def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
-    """Height of the components in red, green and blue over theta_diff, and their directional albedo.
-
-    With `model_lobes`, instead the height, half width, kappa and elongation of the model's lobes, and the green
-    channel's shape where each channel has its own. The title is such as the name of the material.
-    """
-    return _lobes_figure(model, title) if model_lobes else _components_figure(model, title)
-
-
-def _components_figure(model: DSBRDF, title: str) -> Figure:
-    figure = _empty_figure(title, 2, height=_ROW)
-    heights, albedos = figure.subplots(1, 2)
-    degrees, seen = np.degrees(_ANGLES), np.linspace(0.0, 80.0, 17)
-    for number, part in enumerate(decompose(model)):
-        style = _STYLES[number % len(_STYLES)]
-        reflected = part.directional_albedo(np.radians(seen))
-        for ax, angles, values in ((heights, degrees, part.height(_ANGLES)), (albedos, seen, reflected)):
-            for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
-                ax.plot(angles, curve, style, color=channel_colour, linewidth=1.2)
-        heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
-    heights.set(yscale="log", title="height at theta_half = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
-    albedos.set(title="directional albedo", xlabel=r"$\theta_\mathrm{out}$ [degrees]")
-    albedos.set_ylim(bottom=0.0)
-    for ax in (heights, albedos):
-        ax.set(xlim=(0, 90))
-        ax.title.set_fontsize(9)
-        _set_ticks(ax)
-    _draw_legend(figure, [heights], 4, "outside lower center")
-    return figure
-
-
-def _lobes_figure(model: DSBRDF, title: str) -> Figure:
-    figure = _empty_figure(title, 2, height=1.7 * _ROW)
-    heights, widths, kappas, elongations = figure.subplots(2, 2).flat
-    degrees = np.degrees(_ANGLES)
-    amplitude, at = model.parameters_at(_ANGLES)["amplitude"], lobes_in_channel(model, _ANGLES, 1)
-    for lobe, is_ring in enumerate(model.is_ring):
-        style, colour = _STYLES[lobe % len(_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
-        label = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
-        for values, channel_colour in zip(amplitude[..., lobe].T, CHANNEL_COLOURS, strict=True):
-            heights.plot(degrees, values, style, color=channel_colour, linewidth=1.2)
-        shapes = (np.degrees(at["half_width"]), at["kappa"], at["elongation"])
-        for ax, values in zip((widths, kappas, elongations), shapes, strict=True):
-            ax.plot(degrees, values[:, lobe], style, color=colour, linewidth=1.2, label=label)
-    heights.set(yscale="log", title="height in red, green and blue [1/sr]")
-    widths.set(yscale="log", title="half width [degrees]")
-    kappas.set(title="kappa")
-    elongations.set(title="elongation, 0 for a round lobe")
-    _include(kappas, 0.0, 2.5)
-    _include(elongations, -0.25, 1.25)
-    for ax in (heights, widths, kappas, elongations):
-        ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
-        ax.title.set_fontsize(9)
-        _set_ticks(ax)
-    _draw_legend(figure, [widths], 4, "outside lower center")
-    return figure
-
-
-def _include(ax: Axes, low: float, high: float) -> None:
-    """Widen the axis to usual values, so that small differences look small."""
-    bottom, top = ax.get_ylim()
-    ax.set_ylim(min(low, bottom), max(high, top))
-
-
-def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
-    """Return the content of an image file, one of `IMAGE_FORMATS`, with a figure; `dpi` is the resolution of a png.
-
-    Raises InvalidArgumentError if the format is unknown.
-    """
-    if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(f"the image format must be {one_of(IMAGE_FORMATS)}, not {image_format!r}")
-    buffer = BytesIO()
-    figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
-    return buffer.getvalue()
-
-
-def _empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
-    require("plot", "matplotlib", purpose="figures")
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
-    figure = Figure(figsize=(_PAIR_WIDTH * pairs, height), layout=layout)
-    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
-    return figure
-
-
-def _figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
-    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
-    figure = _empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
-    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
-    head, *rows = parts[:, 0]
-    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
-    return figure, rows
 
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
@@ -296,9 +196,14 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
         width = component.half_width
-        label = name if width is None else f"{name}, half width {np.degrees(width):.2g}°"
+        label = name if width is None else f"{name}, half width {np.degrees(width):.2g}°{_range(component)}"
         parts += [(component.layers, colour, "--", ""), (component, colour, "-", label)]
     return parts
+
+
+def _range(component: Component) -> str:
+    ranges = component.ranges.half_width
+    return "" if ranges is None else " ({:.2g}° to {:.2g}°)".format(*np.degrees(ranges))
 
 
 def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
@@ -326,50 +231,12 @@ def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
 
 def _finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
     """Draw the legend of some panels at the bottom of their row, and set the margins, the same in all rows."""
-    _draw_legend(figure, named, columns, "lower center")
+    draw_legend(figure, named, columns, "lower center")
     below = _BELOW + _LEGEND_LINE * -(-len(figure.legends[0].get_texts()) // columns)
-    width = _PAIR_WIDTH * slices
+    width = PAIR_WIDTH * slices
     figure.subplots_adjust(
-        left=_LEFT / width, right=1.0 - _RIGHT / width, bottom=below / _ROW, top=1.0 - _ABOVE / _ROW, wspace=0.36
+        left=_LEFT / width, right=1.0 - _RIGHT / width, bottom=below / ROW, top=1.0 - _ABOVE / ROW, wspace=0.36
     )
-
-
-def _draw_legend(
-    figure: FigureBase, axes: Sequence[Axes], columns: int, place: Literal["outside lower center", "lower center"]
-) -> None:
-    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
-    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
-    figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
-
-
-def _set_ticks(ax: Axes) -> None:
-    """Set a few round ticks for limits that are final; angles up to 90 degrees have them every 15 or 30 degrees."""
-    from matplotlib.ticker import MaxNLocator
-
-    low, high = ax.get_xlim()
-    if high == 90.0:
-        ax.set_xticks(np.arange(low, high + 1.0, 30.0 if low < 0.0 else 15.0))
-    else:
-        ax.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10], symmetric=True))
-    if ax.get_yscale() == "log":
-        ax.set_yticks(log_ticks(*ax.get_ylim()))
-        ax.set_yticks([], minor=True)
-    else:
-        ax.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_formatter("{x:g}")
-    ax.tick_params(labelsize=8)
-
-
-def log_ticks(low: float, high: float) -> Array:
-    """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
-    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-    for mantissas in _MANTISSAS:
-        ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)
-        ticks = ticks[(ticks >= low) & (ticks <= high)]
-        if ticks.size <= _MOST:
-            return ticks
-    return ticks[:: -(-ticks.size // _MOST)]
 
 
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
@@ -419,7 +286,7 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
     peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
-        _set_ticks(ax)
+        set_ticks(ax)
     if extent == 90.0:
         peak.set_xticks(range(-90, 91, 45))  # it is narrow
 

@@ -14,11 +14,14 @@ import numpy as np
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.figures import overview_figure, parameters_figure
+from dsbrdf.output.figures import overview_figure
+from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
+from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import cut_out, encode_png
 
 if TYPE_CHECKING:
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from dsbrdf.fitting.options import FitOptions
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.layers import LayeredModel
@@ -38,13 +42,20 @@ def plot_model(model: DSBRDF) -> Figure:
     return parameters_figure(model)
 
 
-def plot_result(result: FitResult, measurement: Measurement | None) -> Figure:
-    """Draw the measured profiles, the fit and its components; without the measurement, the components' parameters."""
-    if measurement is None:
-        return plot_model(result.model)
-    options = result.report.options
-    data = profiles(measurement, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
-    return overview_figure(data, result.model)
+def plot_result(result: FitResult, measured: Measurement | ScatteredSamples | None) -> Figure:
+    """Draw what was measured and the fit; without it, the components' parameters."""
+    return plot_model(result.model) if measured is None else plot_fit(result.model, measured, result.report.options)
+
+
+def plot_fit(
+    model: DSBRDF, measured: Measurement | ScatteredSamples, options: FitOptions, *, model_lobes: bool = False
+) -> Figure:
+    """Draw profiles, the fit with these options and its components, or lobes; or samples, the fit and the residual."""
+    if isinstance(measured, ScatteredSamples):
+        fitted = measured if options.cosine is None else measured.divided_by_cosine(options.cosine)
+        return samples_figure(fitted, model)
+    data = profiles(measured, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
+    return overview_figure(data, model, model_lobes=model_lobes)
 
 
 def measurement_html(measurement: Measurement) -> str:

@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -23,6 +24,8 @@ DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
 
 _SEEN = 0.1  # as a screen shows it: a component that is darker everywhere is not seen beside the others
+_LIGHTS = {"three_lights": "under three lights", "environment": "in the environment"}
+_NAME_HEIGHT, _ROOM_FOR_NAMES = 20, 128  # pixels: of names, and of panels that have them
 _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 
 
@@ -31,13 +34,14 @@ class SphereComparison:
     """Lit spheres of a measurement and its fit, or of any two materials.
 
     `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for. PSNR
-    and SSIM are those of `dsbrdf.model.render.sphere_likeness`.
+    and SSIM are those of `dsbrdf.model.render.sphere_likeness`; `light` says in words what lights the spheres.
     """
 
     panels: dict[str, Array]  # (size, size, 3) each
     exposure: float  # what radiance was multiplied by
     psnr: float
     ssim: float
+    light: str
 
     @property
     def seen(self) -> dict[str, Array]:
@@ -68,12 +72,28 @@ def compare_spheres(
     for component in decompose(fit) if with_components and isinstance(fit, DSBRDF) else ():
         part = render_sphere(component, lighting=lighting, size=size)
         panels[component.label.replace("_", " ")] = displayed(part, factor)
-    return SphereComparison(panels, factor, *sphere_likeness(reference, fitted))
+    light = _LIGHTS[lighting] if isinstance(lighting, str) else "in a panorama"
+    return SphereComparison(panels, factor, *sphere_likeness(reference, fitted), light)
 
 
 def side_by_side(panels: Mapping[str, Array]) -> Array:
-    """One picture of panels of one height, from left to right."""
-    return np.concatenate(list(panels.values()), axis=1)
+    """One picture of panels of one size side by side, with their names if there is room and Matplotlib is installed."""
+    picture = np.concatenate(list(panels.values()), axis=1)
+    is_named = len(picture) >= _ROOM_FOR_NAMES and find_spec("matplotlib") is not None
+    return np.concatenate([_names(panels, picture.shape[1]), picture]) if is_named else picture
+
+
+def _names(panels: Mapping[str, Array], width: int) -> Array:
+    """The names of panels as white text on black, each above its own."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, _NAME_HEIGHT / 100.0), dpi=100.0, facecolor="black"))
+    for number, name in enumerate(panels):
+        place = (number + 0.5) / len(panels)
+        canvas.figure.text(place, 0.5, name, color="white", fontsize=8, ha="center", va="center", parse_math=False)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3] / 255.0  # type: ignore[no-untyped-call]
 
 
 def cut_out(picture: Array) -> Array:

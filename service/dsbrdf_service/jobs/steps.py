@@ -32,7 +32,9 @@ from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.export import export_model
-from dsbrdf.output.figures import encode_figure, lobes_figure, parameters_figure, profiles_figure, residual_figure
+from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
+from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 
 if TYPE_CHECKING:

@@ -23,7 +23,8 @@ from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json, layers_from_json, load
-from tests.support.command_line import FEW_LOBES, document, printed, run
+from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
+from tests.support.mixtures import scattered_samples
 from tests.support.random_models import random_model
 
 
@@ -299,10 +300,25 @@ def test_compare_a_measurement_with_its_fit(
     (error,) = [line.split()[1:] for line in lines if line.startswith("relative_rms ")]
     assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
     pixels = pixels_of(picture)
-    assert pixels.shape == (256, 3 * 256, 3)
+    names, spheres = pixels[:-256], pixels[-256:]
+    assert spheres.shape == (256, 3 * 256, 3)
+    assert all(part.max() > 0.5 for part in np.split(names, 3, axis=1))  # each sphere has its name above it
     sphere = render_sphere(read_merl(plastic_file), size=256)
     expected = displayed(sphere, exposure(sphere, sphere_normals(256)[1]))
-    assert np.abs(pixels[:, :256] - expected).max() < 0.003
+    assert np.abs(spheres[:, :256] - expected).max() < 0.003
+
+
+def test_samples_are_drawn_beside_the_fit_and_compared_with_it(model_file: Path, tmp_path: Path) -> None:
+    table, pictures = tmp_path / "table.csv", [tmp_path / "plot.png", tmp_path / "compare.png"]
+    samples = scattered_samples(load(model_file), 200)
+    columns = np.concatenate([samples.omega_in, samples.omega_out, 1.1 * samples.values], axis=1)
+    head = ",".join([*(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"), "red", "green", "blue"])
+    np.savetxt(table, columns, delimiter=",", header=head, comments="", fmt="%.9g")
+    run("plot", table, model_file, "-o", pictures[0])
+    answer = document("compare", model_file, table, "-o", pictures[1], "--json")
+    assert answer["likeness"] == {"relative_rms": pytest.approx(1.0 - 1.0 / 1.1, rel=1e-6)}
+    assert pixels_of(pictures[0]).shape == pixels_of(pictures[1]).shape
+    assert "fit it first" in sentence("compare", table, table)
 
 
 def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:

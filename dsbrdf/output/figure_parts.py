@@ -1,0 +1,102 @@
+"""What all figures have in common: sizes, colours, rows of panels, legends, ticks, and files of them."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.errors import InvalidArgumentError, one_of
+from dsbrdf.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase, SubFigure
+
+IMAGE_FORMATS = ("png", "svg", "pdf")
+"""Formats of `encode_figure`."""
+
+CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
+LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
+PAIR_WIDTH, ROW = 5.5, 3.4
+"""Width of two panels and height of a row [inches]."""
+_TITLE = 0.4  # [inches]
+_MOST = 6  # ticks of a logarithmic axis
+_TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
+_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
+
+
+def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
+    """Return the content of an image file, one of `IMAGE_FORMATS`, with a figure; `dpi` is the resolution of a png.
+
+    Raises InvalidArgumentError if the format is unknown.
+    """
+    if image_format not in IMAGE_FORMATS:
+        raise InvalidArgumentError(f"the image format must be {one_of(IMAGE_FORMATS)}, not {image_format!r}")
+    buffer = BytesIO()
+    figure.savefig(buffer, format=image_format, dpi=dpi, metadata={"Date": None} if image_format == "svg" else None)
+    return buffer.getvalue()
+
+
+def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
+    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
+    require("plot", "matplotlib", purpose="figures")
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
+    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
+    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
+    return figure
+
+
+def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
+    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
+    figure = empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
+    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
+    head, *rows = parts[:, 0]
+    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
+    return figure, rows
+
+
+def draw_legend(
+    figure: FigureBase, axes: Sequence[Axes], columns: int, place: Literal["outside lower center", "lower center"]
+) -> None:
+    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
+    lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
+    figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
+
+
+def set_ticks(ax: Axes) -> None:
+    """Set a few round ticks for limits that are final; angles up to 90 degrees have them every 15 or 30 degrees."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = ax.get_xlim()
+    if high == 90.0:
+        ax.set_xticks(np.arange(low, high + 1.0, 30.0 if low < 0.0 else 15.0))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10], symmetric=True))
+    if ax.get_yscale() == "log":
+        ax.set_yticks(log_ticks(*ax.get_ylim()))
+        ax.set_yticks([], minor=True)
+    else:
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
+    ax.tick_params(labelsize=8)
+
+
+def log_ticks(low: float, high: float) -> Array:
+    """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for mantissas in _MANTISSAS:
+        ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        if ticks.size <= _MOST:
+            return ticks
+    return ticks[:: -(-ticks.size // _MOST)]

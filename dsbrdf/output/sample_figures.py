@@ -1,0 +1,178 @@
+"""Figures of scattered samples against a fit: near slices of theta_diff, in planes of incidence, and what is left."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.geometry import half_difference, spherical
+from dsbrdf.data.grid import CHANNELS
+from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW, draw_legend, figure_of_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
+
+    from dsbrdf.data.scattered_samples import ScatteredSamples
+    from dsbrdf.model.dsbrdf import DSBRDF
+
+NEAR = 3.0
+"""Samples so near to a slice or a plane are drawn in it [degrees]."""
+_MOST = 3000  # samples; of more, so many taken at random
+_PLACES = np.arange(0.0, 86.0, 5.0)  # of slices [degrees]
+_APART = 15.0  # of two slices, at least
+_CURVE = np.linspace(0.0, 89.0, 357)
+_AROUND = np.radians(np.arange(0.0, 181.0, 15.0))
+_LARGEST_PERCENT = 100.0  # of the axis of residuals; larger ones are drawn at its edge
+
+
+def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
+    """Draw samples and fit near two slices of theta_diff and in two planes of incidence, and the residual of all.
+
+    The slices and planes are those with the most samples. Samples are squares; of a slice, the line is the fit's mean
+    over phi_diff, and the band what it is at any phi_diff; of a plane, the line is the fit for light at the mean
+    theta_in of the samples.
+    """
+    figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW] * 3)
+    slices.suptitle(f"(a) samples (squares) within {NEAR:g}° of theta_diff, and fit (lines)", fontsize=10)
+    planes.suptitle(f"(b) samples within {NEAR:g}° of the plane of incidence, and fit", fontsize=10)
+    below.suptitle("(c) difference of fit and samples", fontsize=10)
+    shown = _thinned(samples)
+    angles = _angles(shown)
+    _slice_row(slices, shown, model, angles)
+    _plane_row(planes, shown, model)
+    _residual_row(below, shown, model, angles)
+    return figure
+
+
+def samples_residual_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
+    """Row (c) of `samples_figure` alone: the relative difference of fit and samples over theta_half and theta_diff."""
+    figure, (row,) = figure_of_rows(samples.name, 2, [ROW])
+    shown = _thinned(samples)
+    _residual_row(row, shown, model, _angles(shown))
+    return figure
+
+
+def _thinned(samples: ScatteredSamples) -> ScatteredSamples:
+    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < _MOST)
+
+
+def _angles(samples: ScatteredSamples) -> Array:
+    """Return theta_half and theta_diff of samples, shape (2, n) [degrees]."""
+    return np.degrees(half_difference(samples.omega_in, samples.omega_out)[:2])
+
+
+def _densest(values: Array) -> list[float]:
+    """Return two places that have the most values near them, in order; one or none if there are no more."""
+    counts = np.array([np.count_nonzero(np.abs(values - place) <= NEAR) for place in _PLACES])
+    first = int(np.argmax(counts))
+    second = int(np.argmax(np.where(np.abs(_PLACES - _PLACES[first]) >= _APART, counts, 0)))
+    return sorted(float(_PLACES[one]) for one in {first, second} if counts[one])
+
+
+def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles: Array) -> None:
+    theta_half, theta_diff = angles
+    places = _densest(theta_diff)
+
+    def draw(ax: Axes, place: float) -> None:
+        values = model.evaluate(np.radians(_CURVE)[:, np.newaxis], np.radians(place), _AROUND)
+        around = np.ma.masked_equal(values, 0.0)  # below the horizon
+        near = np.abs(theta_diff - place) <= NEAR
+        _draw(ax, theta_half[near], samples.values[near], _CURVE, around.mean(axis=1))
+        for colour, low, high in zip(CHANNEL_COLOURS, around.min(axis=1).T, around.max(axis=1).T, strict=True):
+            ax.fill_between(_CURVE, low, high, color=colour, alpha=0.15, linewidth=0)
+        ax.set(xlim=(0.0, 90.0), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
+        ax.set_title(rf"$\theta_\mathrm{{diff}}$ = {place:.0f}°: {_count(near)}", fontsize=9)
+
+    _draw_row(row, places, draw, "")
+
+
+def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> None:
+    first, second = samples.omega_in, samples.omega_out
+    theta_in = np.degrees(np.arccos(np.clip(first[:, 2], -1.0, 1.0)))
+    normal = np.cross(first, (0.0, 0.0, 1.0))  # of the plane of incidence; none for light along the normal
+    aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+    in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= NEAR
+    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # negative on the light's side
+    theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
+
+    def draw(ax: Axes, place: float) -> None:
+        near = in_plane & (np.abs(theta_in - place) <= NEAR)
+        mean = float(theta_in[near].mean())
+        signed = np.concatenate([-_CURVE[:0:-1], _CURVE])
+        into = np.broadcast_to(spherical(np.radians(mean), np.pi), (signed.size, 3))
+        _draw(
+            ax,
+            theta_out[near],
+            samples.values[near],
+            signed,
+            model.evaluate_directions(into, spherical(np.radians(signed), 0.0)),
+        )
+        ax.axvline(-mean, color="0.6", linestyle=":", linewidth=1.0)
+        ax.set(xlim=(-90.0, 90.0), xlabel=r"$\theta_\mathrm{out}$ [degrees], negative on the side of the light")
+        ax.set_title(rf"$\theta_\mathrm{{in}}$ = {mean:.0f}° (dotted): {_count(near)}", fontsize=9)
+
+    _draw_row(row, _densest(theta_in[in_plane]), draw, "no sample is near its plane of incidence")
+
+
+def _residual_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles: Array) -> None:
+    fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
+    lit = samples.values > 0.0
+    percent = 100.0 * (fitted / np.where(lit, samples.values, 1.0) - 1.0)
+    end = float(np.clip(np.quantile(np.abs(percent[lit]), 0.98), 5.0, _LARGEST_PERCENT))
+    names = (r"$\theta_\mathrm{half}$ [degrees]", r"$\theta_\mathrm{diff}$ [degrees]")
+    axes = row.subplots(1, 2, sharey=True)
+    for ax, name, at in zip(axes, names, angles, strict=True):
+        ax.axhline(0.0, color="0.5", linewidth=0.8)
+        for channel, colour in enumerate(CHANNEL_COLOURS):
+            kept = lit[:, channel]
+            ax.plot(
+                at[kept],
+                np.clip(percent[kept, channel], -end, end),
+                ".",
+                color=colour,
+                markersize=2.5,
+                alpha=0.5,
+                label=f"{CHANNELS[channel]}",
+            )
+        ax.set(xlim=(0.0, 90.0), xlabel=name, xticks=range(0, 91, 15))
+        ax.tick_params(labelsize=8)
+    axes[0].set(ylabel="(fit - sample) / sample [%]", ylim=(-1.05 * end, 1.05 * end))
+    _finish(row, axes)
+
+
+def _draw_row(row: FigureBase, places: list[float], draw: Callable[[Axes, float], None], without: str) -> None:
+    axes = row.subplots(1, 2)
+    for ax, place in zip(axes, places, strict=False):
+        draw(ax, place)
+        ax.set_xticks(np.arange(ax.get_xlim()[0], 91.0, 30.0 if ax.get_xlim()[0] < 0.0 else 15.0))
+        ax.tick_params(labelsize=8)
+    for ax in axes[len(places) :]:
+        ax.set_axis_off()
+        ax.text(0.5, 0.5, without, ha="center", fontsize=9, transform=ax.transAxes)
+    axes[0].set_ylabel("BRDF [1/sr]")
+    _finish(row, axes)
+
+
+def _draw(ax: Axes, degrees: Array, values: Array, at: Array, fitted: Array) -> None:
+    """Draw samples and curves of the fit in three channels, on a logarithmic axis that all samples are on."""
+    for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, values.T, fitted.T, strict=True):
+        kept = points > 0.0
+        ax.plot(degrees[kept], points[kept], "s", color=colour, mfc="none", ms=3.4, mew=0.6, label=f"{channel}, sample")
+        ax.plot(at, curve, "-", color=colour, linewidth=1.2, label=f"{channel}, fit")
+    lit = np.concatenate([values[values > 0.0], [fitted.max()]])
+    ax.set(yscale="log", ylim=(0.5 * lit.min(), 2.0 * lit.max()))
+
+
+def _finish(row: FigureBase, axes: Sequence[Axes]) -> None:
+    draw_legend(row, axes, 6, "lower center")
+    row.subplots_adjust(left=0.07, right=0.98, bottom=0.24, top=0.82, wspace=0.2)
+
+
+def _count(near: Mask) -> str:
+    number = int(np.count_nonzero(near))
+    return f"{number} {'sample' if number == 1 else 'samples'}"
