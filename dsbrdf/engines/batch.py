@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask, Outcome, run_step
+from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
@@ -56,7 +56,7 @@ def fit_files(
     scheduler: str | None = None,
     engine: Engine | None = None,
     force: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: OnProgress | None = None,
 ) -> Generator[FileFit, None, None]:
     """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
 
@@ -82,32 +82,42 @@ def fit_files(
             on_progress(1.0)
         yield found
         return
-    count = core_count() if jobs is None else jobs
     if engine is None:
+        count = core_count() if jobs is None else jobs
         engine = LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count)
+    with closing(engine):
+        yield from _fit_at_once(engine, files, outputs, known, options, on_progress)
+
+
+def _fit_at_once(
+    engine: Engine,
+    files: Sequence[Path],
+    outputs: Sequence[Path | None],
+    known: Iterable[FileFit | None],
+    options: FitOptions,
+    on_progress: OnProgress,
+) -> Generator[FileFit, None, None]:
+    """Yield the fits of files in order, after submitting all that are not `known`."""
     done: dict[int, FileFit] = {}
     shares = [0.0] * len(files)
-    yielded = 0
-    with closing(engine):
-        numbers: dict[Future[Outcome], int] = {}
-        for number, (file, known_result) in enumerate(zip(files, known, strict=True)):
-            if known_result is not None:
-                done[number] = known_result
-                continue
-            if not numbers:
-                _wait_until_ready(engine)
-            task = FitTask(file.stem, file, options)
-            numbers[engine.submit(task, partial(shares.__setitem__, number))] = number
-        unfinished = set(numbers)
-        while yielded < len(files):
-            on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
-            while yielded in done:
-                yield done[yielded]
-                yielded += 1
-            ended, unfinished = wait(unfinished, _PROGRESS_INTERVAL, FIRST_COMPLETED)
-            for future in ended:
-                number = numbers[future]
-                done[number] = _file_fit(files[number], outputs[number], future.result())
+    numbers: dict[Future[Outcome], int] = {}
+    for number, (file, known_result) in enumerate(zip(files, known, strict=True)):
+        if known_result is not None:
+            done[number] = known_result
+            continue
+        if not numbers:
+            _wait_until_ready(engine)
+        numbers[engine.submit(FitTask(file.stem, file, options), partial(shares.__setitem__, number))] = number
+    unfinished, yielded = set(numbers), 0
+    while yielded < len(files):
+        on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
+        while yielded in done:
+            yield done[yielded]
+            yielded += 1
+        ended, unfinished = wait(unfinished, _PROGRESS_INTERVAL, FIRST_COMPLETED)
+        for future in ended:
+            number = numbers[future]
+            done[number] = _file_fit(files[number], outputs[number], future.result())
 
 
 def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
