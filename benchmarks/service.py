@@ -25,7 +25,6 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from benchmarks.abandoned_requests import abandoned
 from benchmarks.durability_series.harness import Harness
 from benchmarks.http_load import PeakMemory, Rate, Row, at_once, get_repeatedly, load_generator, post, program
 from dsbrdf.data.merl import write_merl
@@ -193,7 +192,6 @@ PARTS: dict[str, Callable[[Place], list[Row]]] = {
     "npy": npy,
     "uploads": uploads,
     "overhead": overhead,
-    "abandoned": lambda place: abandoned(place.harness),
 }
 
 

@@ -147,11 +147,9 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
     routers = (*of_fits, brdf.measured, measurements.router, about.router, page.router)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
-    with_head = {route.path for route in given if "HEAD" in (route.methods or ())}
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation
-        # HEAD is answered wherever GET is.
-        if route.methods and "GET" in route.methods and route.path not in with_head:
+        if route.methods and "GET" in route.methods:  # HEAD is answered wherever GET is
             route.methods.add("HEAD")
     app.router.routes.extend(given)
     return app

@@ -9,7 +9,6 @@ import math
 import re
 import sqlite3
 from collections import Counter
-from time import monotonic
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -31,8 +30,6 @@ CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an addres
 _LOCAL = Caller()
 # A name without a dot is the machine's or the local network's: nobody outside can make it resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
-_RETURNS_PER_SECOND = 20.0  # requests of one caller that had too many in progress
-_LONGEST_RETURN = 60.0  # seconds
 _Headers = list[tuple[bytes, bytes]]
 
 
@@ -46,7 +43,6 @@ class AuthenticationMiddleware:
         self._local_only = settings.loopback and not settings.insecure
         self._free = settings.limit_concurrency
         self._in_progress: Counter[str] = Counter()  # requests of each key, or of each address without one
-        self._returns: dict[str, float] = {}  # when the last of a caller's refused requests is to come again
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer with a problem document."""
@@ -78,11 +74,7 @@ class AuthenticationMiddleware:
         number = self._in_progress[caller]
         if number >= self._free:
             detail = f"{number} requests of this caller are in progress, the most allowed now; wait for some to end."
-            now = monotonic()  # the refused ones are to come again one after the other, since each takes time
-            seconds = min(max(self._returns.get(caller, 0.0) - now, 0.0) + 1.0 / _RETURNS_PER_SECOND, _LONGEST_RETURN)
-            self._returns[caller] = now + seconds
-            headers = {"Connection": "close", "Retry-After": str(math.ceil(seconds))}
-            raise ProblemError("too-many-at-once", detail, headers)
+            raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
         self._in_progress[caller] = number + 1
         self._free -= 1
         return caller
@@ -93,7 +85,6 @@ class AuthenticationMiddleware:
             self._in_progress[caller] -= 1
             if not self._in_progress[caller]:
                 del self._in_progress[caller]
-                self._returns.pop(caller, None)
 
     def _check(self, scope: Scope) -> None:
         """Set the caller of a request that is allowed; otherwise raise ProblemError."""

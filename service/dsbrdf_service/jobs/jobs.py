@@ -38,12 +38,7 @@ _READY_INTERVAL = 0.5  # seconds between two questions whether the engine can ru
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
-# A fit that runs whenever the service is killed may be the cause: after the first number of interruptions it waits
-# longer each time, so that the service can be asked to cancel it; after the second number it fails.
-_INTERRUPTIONS_FORGIVEN = 8
-_FIRST_DELAY = 1.0  # seconds; twice as many with each further interruption
-_INTERRUPTIONS_ALLOWED = 100  # with the longest delay before most of them, this takes most of an hour
-_MAX_DELAY = 30.0  # seconds
+_INTERRUPTIONS_ALLOWED = 100  # a fit that runs whenever the service is killed may be the cause
 
 
 @dataclass
@@ -176,8 +171,6 @@ class Jobs:
                 reason = f"The service was killed {interruptions} times while it ran this fit."
                 await _write(self._store.fail_fit, key, asdict(Fault("system", "ServiceInterrupted", reason)))
                 return
-            if interruptions > _INTERRUPTIONS_FORGIVEN:
-                await asyncio.sleep(min(_FIRST_DELAY * 2 ** (interruptions - _INTERRUPTIONS_FORGIVEN), _MAX_DELAY))
             while not await self._attempt(key):
                 pass
         except Exception:

@@ -74,17 +74,6 @@ async def list_measurements(
     return json_reply(MeasurementList(items=items), headers=next_page(request, page, rows))
 
 
-@router.head(
-    "/{sha256}",
-    dependencies=NO_QUERY,
-    name="probe_measurement",
-    response_class=Response,
-    summary="Ask for a measurement",
-    description="Tell whether the measurement is stored and sound, so that it need not be sent again.",
-    responses=openapi.response("The measurement is stored; `Content-Length` is its size.")
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "measurement-damaged"),
-)
 @router.get(
     "/{sha256}",
     dependencies=NO_QUERY,
@@ -99,7 +88,7 @@ async def list_measurements(
     openapi_extra={"parameters": [_ACCEPT]},
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256.
+    """Return the file as it was uploaded; its ETag is its sha256. `HEAD` tells whether it need not be sent again.
 
     With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
     """

@@ -1,6 +1,5 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
-import asyncio
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -9,10 +8,8 @@ from types import SimpleNamespace
 
 import httpx
 import pytest
-from starlette.types import Message
 
 from dsbrdf_service.access import keys as keys_module
-from dsbrdf_service.access.authentication import AuthenticationMiddleware
 from dsbrdf_service.access.keys import Keys, RateLimit, add_key, all_keys, revoke_key
 from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
@@ -169,44 +166,6 @@ def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
     assert 1 <= int(answer.headers["retry-after"]) <= 50
     assert [guarded.server.http.get("/v1/fits", headers=guarded.bob).status_code for _ in range(20)] == [200] * 20
     assert guarded.server.http.get("/v1/fits", headers=header).status_code == 429
-
-
-def test_refused_requests_of_one_caller_are_asked_to_come_one_after_the_other_within_a_minute() -> None:
-    over, seconds = asyncio.Event(), list[int]()
-
-    async def wait(*_: object) -> None:
-        await over.wait()
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            assert message["status"] == 429
-            seconds.append(int(dict(message["headers"])[b"retry-after"]))
-
-    async def ask_at_once(number: int) -> None:
-        settings = Settings(limit_concurrency=2)  # and so one caller has one place
-        middleware = AuthenticationMiddleware(wait, settings, Keys(settings))
-        scope = {
-            "type": "http",
-            "http_version": "1.0",
-            "query_string": b"",
-            "method": "GET",
-            "path": "/v1/fits",
-            "headers": [],
-            "client": ("127.0.0.1", 1),
-        }
-        first, *refused = [asyncio.create_task(middleware({**scope}, receive, send)) for _ in range(1 + number)]
-        await asyncio.gather(*refused)
-        over.set()
-        await first
-
-    asyncio.run(ask_at_once(2000))
-    assert len(seconds) == 2000
-    assert seconds == sorted(seconds)
-    assert (seconds[0], seconds[-1]) == (1, 60)
-    assert 19 <= seconds[399] <= 20  # twenty a second
 
 
 def test_upload_over_quota_is_refused_and_not_stored(guarded: Guarded, data: bytes) -> None:

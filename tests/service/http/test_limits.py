@@ -4,7 +4,7 @@ import asyncio
 import json
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 
 import httpx
 import pytest
@@ -28,10 +28,11 @@ def impatient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 
 def rest(connection: socket.socket) -> bytes:
-    """Everything that comes until the service closes the connection."""
+    """Everything that comes until the service closes the connection, perhaps before it has read all that was sent."""
     parts = []
-    while part := connection.recv(1 << 16):
-        parts.append(part)
+    with suppress(ConnectionResetError):
+        while part := connection.recv(1 << 16):
+            parts.append(part)
     return b"".join(parts)
 
 
@@ -128,7 +129,7 @@ def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: 
         assert follow_until_refused(stack, server, path, alice) == 4
         refused = server.http.get("/v1/fits", headers=alice)
         assert "4 requests of this caller" in assert_problem(refused, 429, "too-many-at-once")
-        assert refused.headers["retry-after"] == "1"
+        assert refused.headers["retry-after"] == "5"
         for _ in range(10):
             assert server.http.get("/v1/fits", headers=bob).status_code == 200
             assert server.http.get("/health/live").status_code == 200

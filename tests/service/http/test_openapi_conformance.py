@@ -64,7 +64,7 @@ include-operation-id = ["get_fit", "follow_fit", "get_components"]
 parameters = {{ "path.fit_id" = {{ dictionary = "fits", probability = 0.8 }} }}
 
 [[operations]]
-include-operation-id = ["download_measurement", "probe_measurement"]
+include-operation-id = ["download_measurement"]
 parameters = {{ "path.sha256" = {{ dictionary = "measurements", probability = 0.8 }} }}
 
 [[operations]]
