@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -90,26 +90,24 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await jobs.start()
-        regular = [asyncio.create_task(_every_minute(call)) for call in (trim_memory, keys.write_uses)]
+        trimming = asyncio.create_task(_trim_every_minute())
         try:
             yield
         finally:
-            for task in regular:
-                task.cancel()
-            await asyncio.gather(*regular, return_exceptions=True)
+            trimming.cancel()
+            await asyncio.gather(trimming, return_exceptions=True)
             await computations.close()
             await jobs.close()
             await asyncio.to_thread(engine.close)
-            await run_in_threadpool(keys.write_uses)
     finally:
         store.close()
 
 
-async def _every_minute(call: Callable[[], None]) -> None:
-    """Call it in a thread until cancelled."""
+async def _trim_every_minute() -> None:
+    """Give freed memory back to the system, until cancelled."""
     while True:
         await asyncio.sleep(60.0)
-        await asyncio.to_thread(call)
+        await asyncio.to_thread(trim_memory)
 
 
 def make_engine(settings: Settings) -> Engine:

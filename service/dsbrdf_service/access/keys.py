@@ -6,10 +6,8 @@ be guessed from it, so nothing slower is needed. The id is public, and it is the
 
 import hashlib
 import hmac
-import logging
 import re
 import secrets
-import sqlite3
 import time
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -33,8 +31,6 @@ _SELECT_ACTIVE = (
     " FROM keys WHERE revoked IS NULL AND id = ?"
 )
 
-logger = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class KeyRow:
@@ -43,7 +39,6 @@ class KeyRow:
     id: str
     name: str
     created: float
-    used: float | None = None  # to the minute
     revoked: float | None = None
     requests_per_second: float | None = None
     stored_mb: int | None = None
@@ -108,15 +103,6 @@ class RateLimit:
         return (1.0 - self._filled) / self.rate
 
 
-@dataclass
-class _Use:
-    """How a key has been used since the service started; times as in `KeyRow`."""
-
-    rate_limit: RateLimit
-    last: float = 0.0
-    written: float = 0.0
-
-
 @dataclass(frozen=True)
 class ActiveKey:
     """A key that is not revoked, and the requests that it may make at the moment."""
@@ -130,7 +116,7 @@ class Keys:
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._uses: dict[str, _Use] = {}
+        self._rate_limits: dict[str, RateLimit] = {}  # by key
 
     def open(self, database: Database) -> None:
         """Set the database; before, there are no keys to ask for."""
@@ -148,25 +134,10 @@ class Keys:
         if row is None or not right:
             return None
         _, rate, stored_mb, queued_fits, metrics = row
-        use = self._uses.setdefault(key_id, _Use(RateLimit(rate)))
-        use.last = time.time()
-        return ActiveKey(Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), use.rate_limit)
+        rate_limit = self._rate_limits.setdefault(key_id, RateLimit(rate))
+        return ActiveKey(Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), rate_limit)
 
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""
         query = "SELECT 1 FROM keys WHERE id = ? AND revoked IS NULL"
         return not caller.owner or self._database.row_now(query, caller.owner) is not None
-
-    def write_uses(self) -> None:
-        """Write when keys were used last, all at once: a write at every request would take longer than most."""
-        due = [(use, use.last, key_id) for key_id, use in tuple(self._uses.items()) if use.last > use.written]
-        if not due:
-            return
-        try:
-            with self._database.transaction() as db:
-                db.executemany("UPDATE keys SET used = ? WHERE id = ?", [(last, key_id) for _, last, key_id in due])
-        except (sqlite3.Error, OSError) as error:
-            logger.warning("when keys were used could not be written: %s", error)
-            return
-        for use, last, _ in due:
-            use.written = last

@@ -17,7 +17,7 @@ from ..storage.database import FILE_NAME, Database
 from . import DataDir, Json, data_folder, refuse, run_on_folder
 
 _MAX_NAME = 100
-_TIMES = ("created", "used", "revoked")
+_TIMES = ("created", "revoked")
 
 
 def main(words: Sequence[str]) -> int:
@@ -95,7 +95,7 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
             {"items": [{**row, **{name: row[name] and row[name].isoformat() for name in _TIMES}} for row in rows]}
         )
         return
-    print(f"{'id':<14}{'created':<18}{'used':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
+    print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
     for row in rows:
         limits = (row[name] for name in ("requests_per_second", "stored_mb", "queued_fits"))
         rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)

@@ -41,7 +41,7 @@ _TABLES = f"""
     CREATE INDEX fits_by_size ON fits (owner, size);
     CREATE TABLE keys (
         id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
-        used REAL, revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
+        revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
         metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """

@@ -1,16 +1,14 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
-import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 
 import httpx
 import pytest
 
 from dsbrdf_service.access import keys as keys_module
-from dsbrdf_service.access.keys import Keys, RateLimit, add_key, all_keys, revoke_key
+from dsbrdf_service.access.keys import Keys, RateLimit, add_key, revoke_key
 from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.database import Database
@@ -69,41 +67,6 @@ def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch
     assert busy.returncode in (1, 2)
     assert (busy.stderr.count("\n"), busy.stdout) == (1, "")
     assert "locked" in busy.stderr
-
-
-def test_last_use_of_a_key_is_written_but_not_at_each_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 1000.0
-    monkeypatch.setattr(keys_module, "time", SimpleNamespace(time=lambda: now))
-    with closing(Database(tmp_path)) as database:
-        (used, key), (unused, _) = add_key(database, "a"), add_key(database, "b")
-        keys = Keys(Settings())
-        keys.open(database)
-
-        def uses() -> dict[str, float | None]:
-            return {row.id: row.used for row in all_keys(database)}
-
-        assert keys.find(key[:-1].encode() + b"?") is None
-        keys.write_uses()
-        assert uses() == {used.id: None, unused.id: None}
-        assert keys.find(key.encode()) is not None
-        with monkeypatch.context() as full:
-            full.setattr(database, "transaction", broken)
-            now = 1001.0
-            keys.write_uses()
-            assert keys.find(key.encode()) is not None
-            now = 1002.0
-            keys.write_uses()
-        assert uses()[used.id] is None
-        keys.write_uses()
-        assert uses() == {used.id: 1001.0, unused.id: None}  # the newer of those that could not be written
-        now = 500.0  # a clock that is set back makes no use an older one
-        assert keys.find(key.encode()) is not None
-        monkeypatch.setattr(database, "transaction", pytest.fail)
-        keys.write_uses()  # nothing is left to be written
-
-
-def broken() -> None:
-    raise sqlite3.OperationalError("database or disk is full")
 
 
 def test_keys_without_limits_of_their_own_have_those_of_the_settings(tmp_path: Path) -> None:

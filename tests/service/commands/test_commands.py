@@ -48,7 +48,7 @@ def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guar
     document = listed(server)[key_id]
     assert abs(datetime.fromisoformat(document.pop("created")) - datetime.now(UTC)) < timedelta(minutes=5)
     limits = {"requests_per_second": 7.0, "stored_mb": 80, "queued_fits": None, "metrics": False}
-    assert document == {"id": key_id, "name": "carol's laptop", "used": None, "revoked": None} | limits
+    assert document == {"id": key_id, "name": "carol's laptop", "revoked": None} | limits
     assert type(document["metrics"]) is bool
     assert "carol's laptop" in keys_command("list", *there).stdout
 
