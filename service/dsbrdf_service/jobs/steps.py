@@ -19,12 +19,15 @@ from numpy.typing import NDArray
 
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.measurement_files import open_checked
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.scattered_samples import parse_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.engines.engine import OnProgress
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import Component
+from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
@@ -35,6 +38,7 @@ from dsbrdf.output.export import export_model
 from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 
 if TYPE_CHECKING:
@@ -50,6 +54,11 @@ FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "lobes": partial(lobes_figure, model_lobes=True),
     "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
     "residual": residual_figure,
+}
+_SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
+    "profiles": samples_figure,
+    "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
+    "residual": samples_residual_figure,
 }
 _THUMBNAIL = 112  # pixels along a side
 _DARKEST = 1e-6  # as in `interpolate` [1/sr]
@@ -147,18 +156,40 @@ def figure_step(
     image_format: str,
     model: DSBRDF,
     stored: StoredMeasurement,
-    horizon_cutoff: float | None,
+    options: FitOptions,
     dark: bool,
     _: OnProgress,
 ) -> bytes:
-    """Return one of `FIGURES` as a file, perhaps for a dark background."""
+    """Return one of `FIGURES` as a file, perhaps for a dark background.
+
+    Raises InvalidArgumentError if there is none of scattered samples.
+    """
     import matplotlib as mpl
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
-    reduced = profiles(stored.mapped(), horizon_cutoff=horizon_cutoff)
-    return encode_figure(FIGURES[figure](reduced, model), image_format)
+    measured = open_checked(stored.path, stored.sha256)
+    name = stored.name or stored.sha256[:12]
+    if isinstance(measured, Measurement):
+        reduced = profiles(replace(measured, name=name), horizon_cutoff=options.horizon_cutoff)
+        drawn = FIGURES[figure](reduced, model)
+    elif figure in _SAMPLE_FIGURES:
+        samples = measured if options.cosine is None else measured.divided_by_cosine(options.cosine)
+        drawn = _SAMPLE_FIGURES[figure](replace(samples, name=name), model)
+    else:
+        known = ", ".join(_SAMPLE_FIGURES)
+        raise InvalidArgumentError(f"there is no figure {figure} of scattered samples; there is {known}")
+    return encode_figure(drawn, image_format)
+
+
+def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
+    """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9); of more than `most`, some of them."""
+    samples = parse_samples(stored.path.read_bytes())
+    table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
+    if len(table) > most:
+        table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
+    return _npy(table.astype("<f4"))
 
 
 def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path: str, _: OnProgress) -> None:

@@ -50,16 +50,16 @@ async function showResult(main, fit, figure, picture) {
   act(main, fit);
   const stored = await json(`v1/measurements/${fit.measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
   const measured = stored?.valid_nodes ? fit.measurement : null;
-  const subject = { name, fit: fit.id, measured, labels };
+  const subject = { name, fit: fit.id, measured, samples: stored && !measured ? fit.measurement : null, cosine: fit.options.cosine, labels };
   const sphere = new Sphere(figure, subject);
   keepInAddress();
   whenSeen(find(main, ".downloads"), () => showDownloads(find(main, ".downloads"), (format) => download(`${path}/export?format=${format}`)));
   find(main, "a[data-link=measurement]").hidden = !stored;
   followPlots(find(main, "#plots"), [subject]);
-  if (measured) offerFigures(main, path);
+  if (stored) offerFigures(main, path, Boolean(measured));
   await startSpheres([sphere], async () => { await picture; find(figure, ".fallback").hidden = false; });
   await showPictures(main, path, labels, Boolean(measured));
-  if (!measured) find(main, "#pictures-note").textContent = `The measurement is ${stored ? "a table of samples" : "not stored any more"}: the fit is shown alone.`;
+  if (!measured) find(main, "#pictures-note").textContent = stored ? "The measurement is a table of samples: they are in the plots below." : "The measurement is not stored any more: the fit is shown alone.";
 }
 
 /** Shows the parts of one picture of spheres. @param {HTMLElement} main @param {string} path @param {string[]} labels @param {boolean} measured */
@@ -82,11 +82,11 @@ async function showPictures(main, path, labels, measured) {
   note.textContent = measured ? "Three lights, one exposure. A black difference is a perfect fit." : "";
 }
 
-/** @param {HTMLElement} main @param {string} path */
-function offerFigures(main, path) {
+/** @param {HTMLElement} main @param {string} path @param {boolean} onGrid */
+function offerFigures(main, path, onGrid) {
   find(main, "#figures").hidden = false;
   const lobes = /** @type {[string, string][]} */ ([["lobes", "The lobes of the model and their sum, in the red channel"]]);
-  for (const [selector, figures] of /** @type {[string, [string, string][]][]} */ ([["#figures details", FIGURES], ["#model-lobes", lobes]])) {
+  for (const [selector, figures] of /** @type {[string, [string, string][]][]} */ ([["#figures details", FIGURES], ...(onGrid ? [["#model-lobes", lobes]] : [])])) {
     const details = find(main, selector, HTMLDetailsElement);
     details.addEventListener("toggle", () => {
       if (details.querySelector("figure")) return;

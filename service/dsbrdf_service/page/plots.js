@@ -3,7 +3,7 @@
 import { fill, find } from "./app.js";
 import { classOf, showLegend, svg, tellValues } from "./legend.js";
 import { LABELS } from "./sphere.js";
-import { planeOfIncidence, profile } from "./values.js";
+import { NEAR, planeOfIncidence, profile } from "./values.js";
 
 /** @typedef {import("./types").Subject} Subject */
 /** @typedef {import("./types").Curve} Curve */
@@ -23,21 +23,21 @@ const words = (label) => label.replace("_", " ");
 /** What a plot draws: points and curves, each with a colour; in one channel a component has its own. @param {Drawing} drawing @returns {Curve[]} */
 function curvesOf({ all, subjects, channel }) {
   const several = all.length > 1;
-  return all.flatMap(({ x, fit, measured, parts }, i) => {
+  return all.flatMap(({ x, at, fit, measured, parts }, i) => {
     const lead = several ? `${subjects[i].name}, ` : "";
     const colour = several ? ["part-0", "part-2"][i] : "ink";
     if (several || channel !== "all") {
       const c = channel === "all" ? 0 : Number(channel);
       return [
-        ...(measured ? [{ label: `${lead}measured`, colour, points: true, x, y: measured[c] }] : []),
+        ...(measured ? [{ label: `${lead}measured`, colour, points: true, x: at, y: measured[c] }] : []),
         ...parts.map(({ label, values }) => ({ label: words(label), colour: `part-${LABELS.indexOf(label)}`, x, y: values[c], part: true })),
         ...(fit ? [{ label: `${lead}fit`, colour, x, y: fit[c] }] : []),
       ];
     }
-    /** @param {Channels} values @param {(name: string) => Omit<Curve, "x" | "y" | "colour">} more @returns {Curve[]} */
+    /** @param {Channels} values @param {(name: string) => Omit<Curve, "x" | "y" | "colour"> & {x?: number[]}} more @returns {Curve[]} */
     const ofChannels = (values, more) => CHANNELS.map((name, c) => ({ colour: name, x, y: values[c], ...more(name) }));
     return [
-      ...(measured ? ofChannels(measured, (name) => ({ label: `${name}, measured`, points: true })) : []),
+      ...(measured ? ofChannels(measured, (name) => ({ label: `${name}, measured`, points: true, x: at })) : []),
       ...parts.flatMap(({ label, values }) => ofChannels(values, () => ({ label: words(label), dash: `part-${LABELS.indexOf(label)}`, part: true }))),
       ...(fit ? ofChannels(fit, (name) => ({ label: `${name}, fit` })) : []),
     ];
@@ -48,13 +48,13 @@ function curvesOf({ all, subjects, channel }) {
 const positive = ({ y }) => /** @type {number[]} */ (y.filter((value) => value !== null && value > 0));
 
 /** The bounds of the axes. @param {Drawing} drawing @param {Curve[]} series */
-function limits({ all: [{ x, fit, measured }], axis, range }, series) {
+function limits({ all: [{ x, at, fit, measured }], axis, range }, series) {
   const curves = series.filter((one) => !one.part);
   const top = Math.max(...curves.flatMap(positive), 1e-6);
-  const shown = /** @type {Channels} */ (fit ?? measured);
-  const total = x.map((_, i) => shown.reduce((sum, curve) => sum + (curve[i] ?? 0), 0));
+  const [shown, places] = fit ? [fit, x] : [/** @type {Channels} */ (measured ?? [[]]), at];
+  const total = places.map((_, i) => shown.reduce((sum, curve) => sum + (curve[i] ?? 0), 0));
   const half = Math.max(...total) / 2;
-  const width = x[total.findLastIndex((value) => value >= half)] ?? 90;
+  const width = places[total.findLastIndex((value) => value >= half)] ?? 90;
   const end = range === "peak" ? Math.min(Math.max(4 * width, 3), 90) : 90;
   const inside = curves.flatMap((one) => one.y.filter((value, i) => value !== null && value > 0 && one.x[i] <= end).map(Number));
   if (axis === "linear") return { end, low: 0, high: 1.06 * top };
@@ -208,6 +208,8 @@ function followSlider(panel, subjects, fetchValues, plot) {
       } while (wanted !== input.value);
       fault.hidden = true;
       const all = /** @type {Values[]} */ (known.get(wanted));
+      const isEmpty = subjects.some(({ samples }) => samples) && !all.some(({ measured }) => measured?.[0].length);
+      fill(panel, { near: isEmpty ? `No sample is within ${NEAR}° of this place.` : "" });
       plot(box, { all, subjects, place: Number(wanted), channel: choice("channel"), axis: choice("axis"), range: choice("range") });
     } catch (error) {
       fault.hidden = false;
@@ -229,7 +231,8 @@ function followSlider(panel, subjects, fetchValues, plot) {
 
 /** What the marks in the plots of some subjects mean. @param {Subject[]} subjects */
 function marks(subjects) {
-  const measured = subjects.some((one) => one.measured) ? "points are measured" : "";
+  const samples = subjects.some((one) => one.samples) ? `points are samples within ${NEAR}°` : "";
+  const measured = subjects.some((one) => one.measured) ? "points are measured" : samples;
   const fits = subjects.some((one) => one.fit) ? "full lines are the fit" : "";
   const parts = subjects.length < 2 && subjects[0].labels.length ? "the others its components" : "";
   const sentence = [measured, fits, parts].filter(Boolean).join(", ");

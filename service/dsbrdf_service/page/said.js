@@ -32,7 +32,7 @@ const NUMBERS = [
   ["albedo", "Share of light at normal incidence that it reflects.", (part) => part.albedo, ({ ranges }) => ranges.albedo, (value) => value.toFixed(3)],
   ["alpha", "Roughness of its surface, that of GGX.", (part) => [part.alpha], ({ ranges }) => [ranges.alpha], three],
   ["half width", "θ_half at which slopes of its surface are half as frequent as at 0.", (part) => [part.half_width_deg], ({ ranges }) => [ranges.half_width_deg], (value) => `${three(value)}°`],
-  ["tail", "Exponent κ: 2 as GGX, a smaller number falls more slowly, a large one is Beckmann's distribution.", (part) => [part.kappa], () => [], (value) => String(Number(value.toPrecision(2)))],
+  ["kappa", "How fast its tail falls: 2 as GGX, a smaller number more slowly, a large one as Beckmann's distribution.", (part) => [part.kappa], () => [], three],
   ["F0", "Reflectance of its surface at normal incidence.", (part) => part.f0 ?? [null], ({ ranges }) => ranges.f0 ?? [], three],
   ["height in 1/sr", "Value in the middle of its layers, at normal incidence.", (part) => part.lobe.height[0], () => [], three],
 ];
@@ -77,7 +77,7 @@ export function componentTable({ components }, name) {
   const meanings = NUMBERS.map(([title, meaning]) => row([title], "", meaning));
   const remarks = components.flatMap((part) => (part.remarks ?? []).map((remark) => make("p", { className: "note" }, remark)));
   return make("div", {}, region, ...remarks, make("details", {}, make("summary", {}, "What the numbers mean"), make("p", { className: "note" },
-    "The components add up to the fit: each has a share of its values. Roughness, tail and F0 are those of a component's brightest layer. "
+    "The components add up to the fit: each has a share of its values. alpha, kappa and F0 are those of a component's brightest layer. "
     + "In brackets, and under the pointer, is where a number lies with 90 % probability."), make("dl", { className: "metrics" }, ...meanings)));
 }
 
@@ -133,6 +133,10 @@ export async function showDownloads(list, get) {
 /** Puts the plots into a box, before the address is read. @param {HTMLElement} box @param {boolean} both whether it is for two fits */
 export function placePlots(box, both) {
   box.append(template("profiles"), ...(both ? [] : [template("polar")]));
+  box.querySelectorAll(".controls").forEach((controls, i) => {
+    find(controls, ".wide").after(template("plot-controls"));
+    if (i) for (const input of controls.querySelectorAll("input[type=radio]")) input.setAttribute("name", `polar-${input.getAttribute("name")}`);
+  });
   if (!both) return;
   const [all, red] = box.querySelectorAll("input[name=channel]");
   /** @type {HTMLElement} */ (all.closest("label")).remove();

@@ -4,7 +4,12 @@ import { fromNpy, toNpy } from "./npy.js";
 
 /** @typedef {import("./types").Subject} Subject */
 /** Values by channel, then place; null where there is none. @typedef {(number | null)[][]} Channels */
-/** @typedef {{x: number[], fit: Channels | null, parts: {label: string, values: Channels}[], measured: Channels | null}} Values */
+/** Samples are at places of their own. @typedef {{x: number[], fit: Channels | null, parts: {label: string, values: Channels}[], measured: Channels | null, at: number[]}} Values */
+/** Angles in degrees; theta_out is negative on the side of the light, `aside` is the way out of the plane of incidence. @typedef {{half: number, diff: number, light: number, out: number, aside: number, values: number[]}} Sample */
+
+/** Samples so near to the place of a slider are shown [degrees]. */
+export const NEAR = 3;
+const MOST_SAMPLES = 4000;
 
 const NODES = Array.from({ length: 90 }, (_, i) => (i * i) / 90); // theta_half of the MERL grid [degrees], dense at the peak
 const AROUND = [15, 45, 75, 105, 135, 165]; // phi_diff [degrees]
@@ -52,7 +57,7 @@ async function valuesOf({ fit, measured, labels }, x, points, withParts) {
   ]);
   const parts = shown.map((label, i) => ({ label, values: /** @type {Channels} */ (found[i + 2]) }));
   const sum = [0, 1, 2].map((channel) => x.map((_, i) => (counts[i] ? parts.reduce((total, part) => total + Number(part.values[channel][i]), 0) : null)));
-  return { x, measured: found[0], fit: fit ? found[1] ?? sum : null, parts };
+  return { x, at: x, measured: found[0], fit: fit ? found[1] ?? sum : null, parts };
 }
 
 /** A measurement may be deleted while its fit is looked at. @param {unknown} error */
@@ -61,14 +66,46 @@ function gone(error) {
   throw error;
 }
 
-/** Over theta_half at one theta_diff [degrees]: means over phi_diff, of what is above the horizon. @param {Subject} subject @param {number} diff @param {boolean} withParts */
-export function profile(subject, diff, withParts) {
+/** @type {Map<string, Promise<Sample[]>>} */
+const tables = new Map();
+/** The samples of a table. @param {string} sha256 */
+function samplesOf(sha256) {
+  if (!tables.has(sha256)) tables.set(sha256, request(`v1/measurements/${sha256}/samples.npy?most=${MOST_SAMPLES}`).then(async (answer) => anglesOf(fromNpy(await answer.arrayBuffer()))));
+  return /** @type {Promise<Sample[]>} */ (tables.get(sha256));
+}
+
+/** @param {ArrayLike<number>} table nine numbers each @returns {Sample[]} */
+function anglesOf(table) {
+  /** @param {number} cosine */
+  const degrees = (cosine) => Math.acos(Math.max(-1, Math.min(cosine, 1))) / rad;
+  return Array.from({ length: table.length / 9 }, (_, i) => {
+    const [a, b, c, d, e, f, ...values] = Array.from({ length: 9 }, (_, k) => table[9 * i + k]);
+    const [half, flat] = [Math.hypot(a + d, b + e, c + f), Math.hypot(a, b)];
+    return {
+      half: degrees((c + f) / half), diff: degrees(half / 2), light: degrees(c),
+      out: degrees(f) * (a * d + b * e > 0 ? -1 : 1), aside: flat > 1e-9 ? Math.abs(Math.asin(Math.max(-1, Math.min((b * d - a * e) / flat, 1)))) / rad : 0, values,
+    };
+  });
+}
+
+/** Puts the samples that are near into values. @param {Values} values @param {Subject} subject @param {(one: Sample) => boolean} isNear @param {"half" | "out"} along @returns {Promise<Values>} */
+async function withSamples(values, { samples, cosine }, isNear, along) {
+  if (!samples) return values;
+  const near = (await samplesOf(samples)).filter(isNear).sort((a, b) => a[along] - b[along]);
+  /** @param {Sample} one */
+  const divisor = ({ light, out }) => (cosine ? Math.cos((cosine === "in" ? light : out) * rad) : 1);
+  return { ...values, at: near.map((one) => one[along]), measured: [0, 1, 2].map((channel) => near.map((one) => one.values[channel] / divisor(one))) };
+}
+
+/** Over theta_half at one theta_diff [degrees]: means over phi_diff, of what is above the horizon; samples near it. @param {Subject} subject @param {number} diff @param {boolean} withParts */
+export async function profile(subject, diff, withParts) {
   const points = NODES.map((half) => AROUND.map((phi) => directions(half, diff, phi)).filter((pair) => pair[2] > 0 && pair[5] > 0));
-  return valuesOf(subject, NODES, points, withParts);
+  return withSamples(await valuesOf(subject, NODES, points, withParts), subject, (one) => Math.abs(one.diff - diff) <= NEAR, "half");
 }
 
 /** Over the viewer's angle in the plane of incidence, for one angle of the light [degrees]. @param {Subject} subject @param {number} light @param {boolean} withParts */
-export function planeOfIncidence(subject, light, withParts) {
+export async function planeOfIncidence(subject, light, withParts) {
   const into = [Math.sin(-light * rad), 0, Math.cos(light * rad)];
-  return valuesOf(subject, IN_PLANE, IN_PLANE.map((out) => [[...into, Math.sin(out * rad), 0, Math.cos(out * rad)]]), withParts);
+  const found = await valuesOf(subject, IN_PLANE, IN_PLANE.map((out) => [[...into, Math.sin(out * rad), 0, Math.cos(out * rad)]]), withParts);
+  return withSamples(found, subject, (one) => Math.abs(one.light - light) <= NEAR && one.aside <= NEAR, "out");
 }

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Path, Request
 from starlette.concurrency import run_in_threadpool
@@ -59,9 +59,11 @@ class Context:
                     await run_in_threadpool(self.store.measurement_file, owner, stored.sha256)
             raise
 
-    async def stored_measurement(self, owner: str, sha256: str, name: str | None = None) -> StoredMeasurement:
+    async def stored_measurement(
+        self, owner: str, sha256: str, name: str | None = None, kind: Literal["grid", "samples", "any"] = "grid"
+    ) -> StoredMeasurement:
         """Return a measurement to be drawn; raises as `Store.measurement_file`."""
-        path = await run_in_threadpool(self.store.measurement_file, owner, sha256, drawn=True)
+        path = await run_in_threadpool(self.store.measurement_file, owner, sha256, drawn=kind)
         return StoredMeasurement(path, sha256, name)
 
 

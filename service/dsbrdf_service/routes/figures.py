@@ -23,6 +23,7 @@ from ..jobs.steps import (
     StoredMeasurement,
     figure_step,
     radiance_step,
+    samples_step,
     sphere_step,
     spheres_step,
     table_step,
@@ -30,8 +31,8 @@ from ..jobs.steps import (
 )
 from ..wire.fit_options import from_wire
 from ..wire.points import NPY, panorama_from_npy
-from ..wire.schemas import Figure, FitPicture, FitSphere, Picture, Sphere
-from .dependencies import NO_REPETITION, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
+from ..wire.schemas import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
+from .dependencies import NO_REPETITION, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
 
@@ -175,12 +176,13 @@ async def draw_figure(
     `profiles` measured and fitted values over theta_half; `components` the red channel's components with
     their own lobes; `lobes` its lobes in the model; `parameters` height, half width, tail and elongation of the
     components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
+    Of a table of samples, `profiles` and `residual` have the samples; there are no `components` and `lobes`.
     """
     row = await context.fit_row(key)
-    stored = await context.stored_measurement(key.owner, row.measurement, row.name)
+    stored = await context.stored_measurement(key.owner, row.measurement, row.name, "any")
     require("plot", "matplotlib", purpose="figures")
-    cutoff = from_wire(row.options).horizon_cutoff
-    return await draw(figure_step, figure, image_format, fit.model, stored, cutoff, wanted.dark, of=row.name)
+    options = from_wire(row.options)
+    return await draw(figure_step, figure, image_format, fit.model, stored, options, wanted.dark, of=row.name)
 
 
 @_get("/measurements/{sha256}/figures/sphere.png", "A lit sphere of a measurement")
@@ -211,3 +213,11 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     Linear interpolation of it is the measurement as the spheres show it; a texture of a graphics card can hold it.
     """
     return await draw(table_step, stored)
+
+
+@_get("/measurements/{sha256}/samples.npy", "Samples of a table", formats=("npy",))
+async def get_samples(
+    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, wanted: Annotated[SomeSamples, Query()]
+) -> Response:
+    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
+    return await draw(samples_step, await context.stored_measurement(caller.owner, sha256, kind="samples"), wanted.most)

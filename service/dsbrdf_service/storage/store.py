@@ -10,7 +10,7 @@ import sqlite3
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import dsbrdf
 
@@ -107,13 +107,15 @@ class Store:
         rows = self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256)
         return MeasurementRow(*rows[0]) if rows else None
 
-    def measurement_file(self, owner: str, sha256: str, *, drawn: bool = False) -> Path:
+    def measurement_file(
+        self, owner: str, sha256: str, *, drawn: Literal["grid", "samples", "any"] | None = None
+    ) -> Path:
         """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
 
         Of one that is to be `drawn`, only the length is looked at. So many pictures of a file cost no more than one.
 
         Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
-        and ProblemError if it is to be `drawn` and is a table of samples.
+        and ProblemError if it is to be `drawn` as what it is not: as a grid or as samples.
         """
         found, damage = self.measurement(owner, sha256), None
         if found is not None:
@@ -124,9 +126,11 @@ class Store:
         if damage is not None:
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
-        if drawn and not row.on_grid:
+        if drawn == "grid" and not row.on_grid:
             detail = "It is a table of scattered samples, of which there is no picture and no value between them."
             raise ProblemError("not-found", detail)
+        if drawn == "samples" and row.on_grid:
+            raise ProblemError("not-found", "It is a measurement on a grid, which has nodes in the place of samples.")
         return self.blobs.path(sha256)
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:

@@ -1,6 +1,7 @@
 """The pages in a browser: every state and control, no message of the browser, no request to another host."""
 
 import re
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,20 @@ pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is 
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def table_fit(site: Site) -> dict[str, Any]:
+    """A fit of a table of samples in planes of incidence."""
+    rows = ["theta_in,phi_in,theta_out,phi_out,red,green,blue"]
+    for theta_in, theta_out in product((0, 30, 60), range(-80, 81, 4)):
+        height = 0.1 + np.exp(-(((theta_out - theta_in) / 15) ** 2))
+        rows.append(f"{theta_in},180,{abs(theta_out)},{0 if theta_out >= 0 else 180},{height},{height},{height / 2}")
+    headers = site.header | {"Content-Type": "text/csv", "Prefer": "wait=60"}
+    query = {"name": "table", "n_lobes": "1", "ring_lobes": "0"}
+    fit: dict[str, Any] = site.http.post("/v1/fits", params=query, content="\n".join(rows), headers=headers).json()
+    assert fit["status"] == "succeeded"
+    return fit
 
 
 def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site) -> None:
@@ -318,12 +333,46 @@ def test_fit_is_renamed(visit: Visit, site: Site) -> None:
         expect(page.locator("h1")).to_have_text(name)
 
 
-def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site) -> None:
+def test_samples_are_shown_beside_the_fit_and_before_it(visit: Visit, table_fit: dict[str, Any]) -> None:
+    page = visit(f"/fits/{table_fit['id']}", webgl=False).page
+    page.locator("#plots").scroll_into_view_if_needed()
+    expect(page.locator("#profiles-panel")).to_contain_text("Points are samples within 3°, full lines are the fit")
+    expect(page.locator("#plot .point")).to_have_count(3)
+    page.get_by_label("theta_in in degrees").fill("30")
+    red = page.locator("#polar-plot .point").first
+    expect(red).to_have_attribute("d", re.compile("M.*M"))
+    page.get_by_label("theta_in in degrees").fill("85")
+    expect(page.locator("#polar-panel")).to_contain_text("No sample is within 3° of this place.")
+    page.locator("#figures-title").click()
+    expect(page.locator("#figures img").nth(1)).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator("#figures")).not_to_contain_text("It is being drawn")
+    page.goto(f"/measurements/{table_fit['measurement']}")
+    expect(page.locator("#its-fits a")).to_have_count(1)
+    page.locator("#plots").scroll_into_view_if_needed()
+    expect(page.locator("#plot .point")).to_have_count(3)
+    expect(page.locator("#plot .curve")).to_have_count(0)
+
+
+def test_without_a_connection_the_page_says_so(visit: Visit, site: Site) -> None:
+    visitor = visit("/", webgl=False, key=site.key, offline=False)
+    page = visitor.page
+    expect(page.locator(".card").nth(1)).to_be_visible()
+    visitor.context.set_offline(True)
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Delete glossy").click()
+    expect(page.locator("#upload-fault")).to_contain_text("cannot be reached")
+    expect(page.locator(".card")).to_have_count(2)
+    visitor.context.set_offline(False)
+    assert site.read(f"/v1/fits/{site.fits['glossy']}").status_code == 200
+
+
+def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site, table_fit: dict[str, Any]) -> None:
     glossy, rough = site.fits["glossy"], site.fits["rough"]
     page = visit("/", bypass_csp=True).page  # the policy of the pages keeps axe out too
     # Light and dark differ in colours only.
     schemes: list[tuple[Literal["light", "dark"], Any]] = [("light", None), ("dark", {"runOnly": ["cat.color"]})]
-    for path in ("/", f"/fits/{glossy}", f"/compare?fit={glossy}&fit={rough}", f"/fits/{'0' * 32}"):
+    measured = [f"/measurements/{one['measurement']}" for one in (table_fit, site.read(f"/v1/fits/{glossy}").json())]
+    for path in ("/", f"/fits/{glossy}", f"/compare?fit={glossy}&fit={rough}", f"/fits/{'0' * 32}", *measured):
         page.goto(path)
         expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
         if glossy in path:

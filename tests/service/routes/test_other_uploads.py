@@ -3,6 +3,7 @@
 import hashlib
 import time
 from collections.abc import Callable
+from io import BytesIO
 
 import httpx
 import numpy as np
@@ -86,6 +87,20 @@ def test_a_table_is_stored_as_it_was_sent(server: Server, table: bytes, name: st
     assert file.headers["content-disposition"] == 'attachment; filename="felt.txt"'
 
 
+def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, merl: bytes) -> None:
+    places = [
+        post(server, content, name).headers["location"] for content, name in ((table, "a.csv"), (merl, "a.binary"))
+    ]
+    samples = parse_samples(table)
+    expected = np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    answer = server.http.get(f"{places[0]}/samples.npy")
+    np.testing.assert_allclose(np.load(BytesIO(answer.content)), expected, rtol=1e-6, atol=1e-7)
+    some = np.load(BytesIO(server.http.get(f"{places[0]}/samples.npy?most=100").content))
+    assert len(np.unique(some, axis=0)) == 100
+    assert np.isin(some[:, 0], expected[:, 0].astype(np.float32)).all()
+    assert "on a grid" in assert_problem(server.http.get(f"{places[1]}/samples.npy"), 404)
+
+
 def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
     own_server: Callable[..., Server], table: bytes, bsdf: bytes, merl: bytes
 ) -> None:
@@ -110,10 +125,13 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
     assert fit["warnings"] == list(expected.report.warnings)
     for path in (
         f"/v1/measurements/{fit['measurement']}/figures/sphere.png",
-        f"/v1/fits/{fit['id']}/figures/profiles.svg",
         f"/v1/measurements/{fit['measurement']}/table.npy",
     ):
         assert "scattered samples, of which there is no picture" in assert_problem(server.http.get(path), 404)
+    for figure in ("profiles", "residual", "parameters"):
+        assert b"felt" in server.http.get(f"/v1/fits/{fit['id']}/figures/{figure}.svg").content, figure
+    lobes = server.http.get(f"/v1/fits/{fit['id']}/figures/lobes.svg")
+    assert "profiles, parameters, residual" in assert_problem(lobes, 422)
     row = server.http.get(f"/v1/fits/{fit['id']}/figures/spheres.png?size=16").content
     assert int.from_bytes(row[16:20]) == 16 * (1 + len(fit["components"]))  # without measurement and difference
     assert server.http.get(f"/v1/fits/{fit['id']}/figures/sphere.png?size=16").is_success
