@@ -70,7 +70,9 @@ async function remove(item, fit) {
     await request(`v1/fits/${fit.id}?only=delete`, { method: "DELETE" });
     item.remove();
   } catch (error) {
-    (await import("./upload.js")).fail(/** @type {Error} */ (error).message);
+    const fault = find(document, "#upload-fault"); // of no module that would have to be fetched: there may be no connection
+    fault.hidden = false;
+    fault.textContent = /** @type {Error} */ (error).message;
   }
 }
 

@@ -45,7 +45,7 @@ function fitLink(id) {
   const anchor = make("a", { "data-link": "fit" }, id.slice(0, 12));
   const item = make("li", {}, anchor);
   link(item, { fit: `fits/${id}` });
-  json(`v1/fits/${id}`).then((fit) => { anchor.textContent = `${dateOf(fit.created)}, ${fit.likeness ?? fit.status}`; }, () => undefined);
+  json(`v1/fits/${id}`).then((fit) => { anchor.textContent = `${dateOf(fit.created)}, ${fit.likeness ?? (fit.status === "succeeded" ? "fitted" : fit.status)}`; }, () => undefined);
   return item;
 }
 

@@ -3,7 +3,7 @@
 import { fill, find } from "./app.js";
 import { classOf, showLegend, svg, tellValues } from "./legend.js";
 import { LABELS } from "./sphere.js";
-import { NEAR, planeOfIncidence, profile } from "./values.js";
+import { mostAt, NEAR, planeOfIncidence, profile } from "./values.js";
 
 /** @typedef {import("./types").Subject} Subject */
 /** @typedef {import("./types").Curve} Curve */
@@ -208,8 +208,8 @@ function followSlider(panel, subjects, fetchValues, plot) {
       } while (wanted !== input.value);
       fault.hidden = true;
       const all = /** @type {Values[]} */ (known.get(wanted));
-      const isEmpty = subjects.some(({ samples }) => samples) && !all.some(({ measured }) => measured?.[0].length);
-      fill(panel, { near: isEmpty ? `No sample is within ${NEAR}° of this place.` : "" });
+      const table = all.some(({ measured }) => measured?.[0].length) ? null : subjects.find(({ samples }) => samples)?.samples;
+      fill(panel, { near: table ? `There is none here; most are at ${await mostAt(table, fetchValues === profile ? "diff" : "light")}°.` : "" });
       plot(box, { all, subjects, place: Number(wanted), channel: choice("channel"), axis: choice("axis"), range: choice("range") });
     } catch (error) {
       fault.hidden = false;

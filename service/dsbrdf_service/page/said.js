@@ -55,7 +55,9 @@ export function showMetrics(list, { metrics }) {
 }
 
 /** The quality of a fit in words. @param {Fit} fit */
-export function verdict({ likeness }) {
+export function verdict({ likeness, metrics }) {
+  const error = metrics?.relative_rms_left_out;
+  if (!likeness && error) return `${percent(error)} off at samples that the fit did not see`;
   return likeness ? likeness[0].toUpperCase() + likeness.slice(1) : "How good it is";
 }
 

@@ -74,6 +74,13 @@ function samplesOf(sha256) {
   return /** @type {Promise<Sample[]>} */ (tables.get(sha256));
 }
 
+/** Where most samples are, in whole steps of a slider of a plot. @param {string} sha256 @param {"diff" | "light"} along */
+export async function mostAt(sha256, along) {
+  const found = await samplesOf(sha256);
+  const counts = Array.from({ length: 18 }, (_, i) => found.filter((one) => Math.abs(one[along] - 5 * i) <= NEAR && (along === "diff" || one.aside <= NEAR)).length);
+  return 5 * counts.indexOf(Math.max(...counts));
+}
+
 /** @param {ArrayLike<number>} table nine numbers each @returns {Sample[]} */
 function anglesOf(table) {
   /** @param {number} cosine */

@@ -1,13 +1,16 @@
 """Pictures of fits and of measurements."""
 
 import hashlib
+import sqlite3
 from collections.abc import Awaitable, Callable, Hashable
+from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Depends, Path, Query, Request
 from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 import dsbrdf
@@ -29,6 +32,7 @@ from ..jobs.steps import (
     table_step,
     thumbnail_step,
 )
+from ..storage.database import in_write_thread
 from ..wire.fit_options import from_wire
 from ..wire.points import NPY, panorama_from_npy
 from ..wire.schemas import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
@@ -76,6 +80,7 @@ async def _drawn(
     step: Callable[..., bytes],
     *arguments: Any,
     of: Hashable = None,
+    kept: bytes | None = None,
 ) -> Response:
     """Return what `step` draws, unless the client has it: its address, its owner and what it is `of` determine it."""
     path = request.scope["path"]
@@ -83,7 +88,7 @@ async def _drawn(
     headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
     if known := not_modified(request, headers):
         return known
-    content = await in_process(request, key, step, *arguments)
+    content = kept or await in_process(request, key, step, *arguments)
     return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
 
 
@@ -135,9 +140,19 @@ async def draw_spheres(
 
 
 @_get("/fits/{fit_id}/figures/thumbnail.png", "A small picture of a fit", "fit-not-finished")
-async def draw_thumbnail(draw: Draw, fit: TheLoadedFit, stored: _MeasurementIfAny) -> Response:
-    """Return a small sphere in the environment: the fit, and on the left its measurement if it is stored on a grid."""
-    return await draw(thumbnail_step, fit.model, stored, of=stored and stored.sha256)
+async def draw_thumbnail(draw: Draw, context: TheContext, fit: TheFit) -> Response:
+    """Return a small sphere in the environment: the fit, and on the left its measurement if it is stored on a grid.
+
+    It is drawn when it is asked for first, and kept as long as the fit.
+    """
+    if kept := await run_in_threadpool(context.store.thumbnail, fit):
+        return await draw(thumbnail_step, kept=kept)
+    model, stored = (await context.models.get(fit)).model, await _measurement_if_any(context, fit)
+    answer = await draw(thumbnail_step, model, stored)
+    if answer.body:
+        with suppress(OSError, sqlite3.Error):  # the disk may be full: then it is drawn again
+            await in_write_thread(context.store.keep_thumbnail, fit, bytes(answer.body))
+    return answer
 
 
 @_get("/fits/{fit_id}/figures/sphere.npy", "Radiance of a lit sphere of a fit", "fit-not-finished", formats=("npy",))

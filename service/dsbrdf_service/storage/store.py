@@ -236,6 +236,18 @@ class Store:
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
         return None if row is None else int(row[0])
 
+    def thumbnail(self, key: FitKey) -> bytes | None:
+        """Return the picture that is kept of a fit."""
+        rows = self.database.rows(f"SELECT thumbnail FROM fits {_WHERE_FIT}", *key)  # noqa: S608
+        return rows[0][0] if rows else None
+
+    def keep_thumbnail(self, key: FitKey, picture: bytes) -> None:
+        """Keep a picture of a fit that succeeded, as long as the fit; it counts as stored bytes."""
+        change = "UPDATE fits SET thumbnail = ?, size = size + ?"
+        with self.database.transaction() as db:
+            where = f"{_WHERE_FIT} AND status = 'succeeded' AND thumbnail IS NULL"
+            db.execute(f"{change} {where}", (picture, len(picture), *key))
+
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""
         change = "status = 'running', attempts = attempts + 1, started = ?"
