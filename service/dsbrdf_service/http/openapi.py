@@ -16,8 +16,9 @@ from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import model_to_dict
 
 from ..wire.fit_options import DEFAULTS
+from ..wire.inputs import AnglesRequest, DirectionsRequest, FitRequest, NewName
 from ..wire.points import JSON
-from ..wire.schemas import AnglesRequest, DirectionsRequest, FitRequest, MeasurementDetails, NewName, Problem, Progress
+from ..wire.schemas import MeasurementDetails, Problem, Progress
 from . import problems as table
 from .request_log import HEALTH
 

@@ -16,8 +16,8 @@ from starlette.responses import FileResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
 from ..storage.schema import FitRow, MeasurementRow
+from ..wire.inputs import Page
 from ..wire.points import JSON
-from ..wire.schemas import Page
 
 logger = logging.getLogger(__name__)
 

@@ -26,6 +26,7 @@ from ..jobs.results import LoadedFit
 from ..jobs.steps import StoredMeasurement, measured_step
 from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
+from ..wire.inputs import AnglesRequest, DirectionsRequest
 from ..wire.points import (
     ANGLES,
     DIRECTIONS,
@@ -40,7 +41,7 @@ from ..wire.points import (
     from_npy,
     from_query,
 )
-from ..wire.schemas import AnglesRequest, ComponentList, DirectionsRequest, MeasuredValues, Values
+from ..wire.schemas import ComponentList, MeasuredValues, Values
 from .dependencies import (
     NO_QUERY,
     Context,

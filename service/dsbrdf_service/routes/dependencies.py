@@ -24,8 +24,8 @@ from ..operations.readiness import Readiness
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
+from ..wire.inputs import FIT_ID, SHA256
 from ..wire.names import given_name
-from ..wire.schemas import FIT_ID, SHA256
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,8 @@ from ..jobs.steps import (
 )
 from ..storage.database import in_write_thread
 from ..wire.fit_options import from_wire
+from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
 from ..wire.points import NPY, panorama_from_npy
-from ..wire.schemas import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
 from .dependencies import NO_REPETITION, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])

@@ -24,7 +24,7 @@ from ..jobs.computations import departure
 from ..jobs.steps import export_step
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
-from ..wire import schemas
+from ..wire import inputs, schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
@@ -51,10 +51,10 @@ def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}
 
 
-_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in schemas.OPTIONS_SCHEMA["properties"].items()]
+_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in inputs.OPTIONS_SCHEMA["properties"].items()]
 _SUBMISSION_BODY = openapi.body(
     "A MERL file, an RGL .bsdf file, a table of scattered samples, or a reference to a stored measurement.",
-    CONTENT | {JSON: {"schema": openapi.reference(schemas.FitRequest)}},
+    CONTENT | {JSON: {"schema": openapi.reference(inputs.FitRequest)}},
 )
 
 _EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
@@ -90,7 +90,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        document = schemas.parse_document(schemas.FitRequest, await receive_body(request, _MAX_JSON))
+        document = inputs.parse_document(inputs.FitRequest, await receive_body(request, _MAX_JSON))
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.jobs.submit(caller, sha256, options, name)
     if not row.ended:
@@ -109,7 +109,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     responses=openapi.problems("invalid-argument"),
 )
 async def list_fits(
-    request: Request, context: TheContext, caller: TheCaller, page: Annotated[schemas.Page, Query()]
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[inputs.Page, Query()]
 ) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, page.name)
@@ -130,7 +130,7 @@ async def get_fit(
     context: TheContext,
     caller: TheCaller,
     fit: TheFit,
-    waiting: Annotated[schemas.Waiting, Query()],
+    waiting: Annotated[inputs.Waiting, Query()],
 ) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
@@ -145,12 +145,12 @@ async def get_fit(
     response_model=schemas.FitDocument,
     summary="Rename a fit",
     responses=openapi.problems("not-found", "invalid-argument", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
-    openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(schemas.NewName)}}),
+    openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(inputs.NewName)}}),
 )
 async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Give a fit another name, or none; nothing else of it can be changed."""
     media_type_of(request, JSON)
-    given = schemas.parse_document(schemas.NewName, await receive_body(request, _MAX_JSON))
+    given = inputs.parse_document(inputs.NewName, await receive_body(request, _MAX_JSON))
     name = None if given.name is None else check_name(given.name)
     return json_reply(await _document(context, await in_write_thread(context.store.rename_fit, fit, name)))
 
@@ -161,7 +161,7 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
     summary="Cancel or delete a fit",
     responses=openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
 )
-async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas.Removal, Query()]) -> Response:
+async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[inputs.Removal, Query()]) -> Response:
     """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
 
     `only` asks for one of them alone: a fit may end just before it is to be cancelled.
@@ -186,7 +186,7 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[schemas
     | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
 )
 async def export_fit(
-    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[schemas.Export, Query()]
+    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[inputs.Export, Query()]
 ) -> Response:
     """Return the model, one component, or the layers of all components, for another program."""
     loaded = await context.models.get(fit)

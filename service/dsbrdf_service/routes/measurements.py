@@ -20,9 +20,10 @@ from ..http.responses import (
     tagged_reply,
 )
 from ..storage.database import in_write_thread
+from ..wire.inputs import Page
 from ..wire.names import content_disposition
 from ..wire.points import JSON
-from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, Page, from_row
+from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, from_row
 from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
 from .uploads import CONTENT, PARAMETERS, UPLOADED, receive_upload
 

@@ -1,4 +1,5 @@
 """From bytes and text to the library's objects, and back.
 
-`schemas` the JSON documents; `fit_options`; `names`; `points` at which values are wanted.
+`inputs` what clients send; `schemas` the documents that they get; `fit_options`; `names`; `points` at which values are
+wanted.
 """

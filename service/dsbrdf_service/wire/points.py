@@ -17,8 +17,8 @@ from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..errors import ProblemError
+from .inputs import AnglesRequest, DirectionsRequest, parse_document
 from .numbers import number_of
-from .schemas import AnglesRequest, DirectionsRequest, parse_document
 
 Array = NDArray[np.float64]
 

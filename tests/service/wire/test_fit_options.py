@@ -11,7 +11,7 @@ import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf_service.storage.store import fit_identity
 from dsbrdf_service.wire.fit_options import DEFAULTS, canonical, from_query, from_wire, to_wire
-from dsbrdf_service.wire.schemas import OPTIONS_SCHEMA
+from dsbrdf_service.wire.inputs import OPTIONS_SCHEMA
 from tests.support.server import Server, assert_problem
 
 PROPERTIES: dict[str, dict[str, Any]] = OPTIONS_SCHEMA["properties"]
