@@ -23,7 +23,8 @@ from tests.support.processes import free_port, wait_until
 
 _T = TypeVar("_T")
 PROJECT = Path(__file__).parent.parent
-PAINTED = "canvas[data-painted]"
+SPHERE = ".sphere canvas"
+PAINTED = f"{SPHERE}[data-painted]"
 PICTURE = "canvas => canvas.toDataURL()"
 
 
@@ -66,7 +67,7 @@ def walk(site: str, file: Path) -> int:
         page.wait_for_url("**#*highlight=*")
         other = new_context(browser, site, None, device_scale_factor=1).new_page()
         timed("open the shared link elsewhere", lambda: other.goto(page.url) and other.wait_for_selector(PAINTED))
-        same = page.locator("canvas").evaluate(PICTURE) == other.locator("canvas").evaluate(PICTURE)
+        same = page.locator(SPHERE).evaluate(PICTURE) == other.locator(SPHERE).evaluate(PICTURE)
     print(f"\n| first view | requests | kB |\n|---|---|---|\n| home page | {home} |\n| page of the fit | {fit} |")
     print(f"\nThe shared link shows {'the same picture' if same else 'ANOTHER PICTURE'}.")
     return 0 if same else 1
@@ -95,7 +96,7 @@ def opened(page: Page) -> bool:
 
 def drag(page: Page) -> None:
     """Drag the light across the sphere and wait for the picture of all pixels."""
-    canvas = page.locator("canvas")
+    canvas = page.locator(SPHERE)
     before = canvas.get_attribute("data-painted") or ""
     box = canvas.bounding_box()
     assert box is not None

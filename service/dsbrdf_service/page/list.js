@@ -16,6 +16,9 @@ export async function show(main) {
   const name = query.get("name") ?? "";
   fill(main, { heading: fits.length || name ? "Your materials" : "Fit your first material" });
   find(main, "#fits").hidden = !fits.length && !name;
+  const example = find(main, "#example");
+  example.hidden = Boolean(fits.length || name);
+  example.onclick = async () => (await import("./upload.js")).submitAll([(await import("./example.js")).examplePaint()]);
   const cards = fits.map((fit) => card(fit, fits));
   find(main, ".cards").append(...cards);
   const next = new URL(/<([^>]+)>; rel="next"/.exec(answer.headers.get("Link") ?? "")?.[1] ?? "", location.href).searchParams.get("cursor");

@@ -106,6 +106,22 @@ def test_key_of_another_sees_nothing_and_other_sites_get_nothing(
     assert len(site.read("/v1/fits").json()["items"]) == before
 
 
+def test_newcomer_tries_an_example(visit: Visit, guarded: Guarded) -> None:
+    key = guarded.new_key("newcomer")["Authorization"].removeprefix("Bearer ")
+    page = visit("/", key=key, webgl=False).page
+    page.get_by_text("Options").click()
+    page.get_by_label("n_lobes", exact=True).select_option("1")
+    page.get_by_role("button", name="Try an example").click()
+    page.wait_for_url("**/fits/*")
+    expect(page.get_by_role("heading", name="example paint")).to_be_visible()
+    expect(page.locator(".components")).to_contain_text("diffuse")
+    alpha = page.locator(".components tr").filter(has_text="alpha").inner_text()
+    assert float(alpha.split()[1]) == pytest.approx(0.15, rel=0.1)
+    page.get_by_role("link", name="Fits").click()
+    expect(page.locator(".card")).to_have_count(1)
+    expect(page.get_by_role("button", name="Try an example")).to_be_hidden()
+
+
 def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
     key = guarded.new_key("first")["Authorization"].removeprefix("Bearer ")
     visitor = visit("/", key=key, webgl=False)
