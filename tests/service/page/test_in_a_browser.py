@@ -1,9 +1,7 @@
 """The pages in a browser: every state and control, no message of the browser, no request to another host."""
 
 import re
-from itertools import product
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -17,25 +15,7 @@ from tests.support.browser import PAINTED, SPHERE, Browser, Visit, expect, new_c
 from tests.support.guarded import Guarded
 from tests.support.server import ENDLESS
 
-pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is not installed')
-
-from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
-
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def table_fit(site: Site) -> dict[str, Any]:
-    """A fit of a table of samples in planes of incidence."""
-    rows = ["theta_in,phi_in,theta_out,phi_out,red,green,blue"]
-    for theta_in, theta_out in product((0, 30, 60), range(-80, 81, 4)):
-        height = 0.1 + np.exp(-(((theta_out - theta_in) / 15) ** 2))
-        rows.append(f"{theta_in},180,{abs(theta_out)},{0 if theta_out >= 0 else 180},{height},{height},{height / 2}")
-    headers = site.header | {"Content-Type": "text/csv", "Prefer": "wait=60"}
-    query = {"name": "table", "n_lobes": "1", "ring_lobes": "0"}
-    fit: dict[str, Any] = site.http.post("/v1/fits", params=query, content="\n".join(rows), headers=headers).json()
-    assert fit["status"] == "succeeded"
-    return fit
 
 
 def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site) -> None:
@@ -104,22 +84,6 @@ def test_key_of_another_sees_nothing_and_other_sites_get_nothing(
     assert found[4] in ("closed", "")
     assert site.read(f"/v1/fits/{fit}").json()["status"] == "succeeded"
     assert len(site.read("/v1/fits").json()["items"]) == before
-
-
-def test_newcomer_tries_an_example(visit: Visit, guarded: Guarded) -> None:
-    key = guarded.new_key("newcomer")["Authorization"].removeprefix("Bearer ")
-    page = visit("/", key=key, webgl=False).page
-    page.get_by_text("Options").click()
-    page.get_by_label("n_lobes", exact=True).select_option("1")
-    page.get_by_role("button", name="Try an example").click()
-    page.wait_for_url("**/fits/*")
-    expect(page.get_by_role("heading", name="example paint")).to_be_visible()
-    expect(page.locator(".components")).to_contain_text("diffuse")
-    alpha = page.locator(".components tr").filter(has_text="alpha").inner_text()
-    assert float(alpha.split()[1]) == pytest.approx(0.15, rel=0.1)
-    page.get_by_role("link", name="Fits").click()
-    expect(page.locator(".card")).to_have_count(1)
-    expect(page.get_by_role("button", name="Try an example")).to_be_hidden()
 
 
 def test_file_is_hashed_then_sent_once(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
@@ -349,26 +313,6 @@ def test_fit_is_renamed(visit: Visit, site: Site) -> None:
         expect(page.locator("h1")).to_have_text(name)
 
 
-def test_samples_are_shown_beside_the_fit_and_before_it(visit: Visit, table_fit: dict[str, Any]) -> None:
-    page = visit(f"/fits/{table_fit['id']}", webgl=False).page
-    page.locator("#plots").scroll_into_view_if_needed()
-    expect(page.locator("#profiles-panel")).to_contain_text("Points are samples within 3°, full lines are the fit")
-    expect(page.locator("#plot .point")).to_have_count(3)
-    page.get_by_label("theta_in in degrees").fill("30")
-    red = page.locator("#polar-plot .point").first
-    expect(red).to_have_attribute("d", re.compile("M.*M"))
-    page.get_by_label("theta_in in degrees").fill("85")
-    expect(page.locator("#polar-panel")).to_contain_text(re.compile("There is none here; most are at (0|30|60)°"))
-    page.locator("#figures-title").click()
-    expect(page.locator("#figures img").nth(1)).not_to_have_js_property("naturalWidth", 0)
-    expect(page.locator("#figures")).not_to_contain_text("It is being drawn")
-    page.goto(f"/measurements/{table_fit['measurement']}")
-    expect(page.locator("#its-fits a")).to_have_count(1)
-    page.locator("#plots").scroll_into_view_if_needed()
-    expect(page.locator("#plot .point")).to_have_count(3)
-    expect(page.locator("#plot .curve")).to_have_count(0)
-
-
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site) -> None:
     visitor = visit("/", webgl=False, key=site.key, offline=False)
     page = visitor.page
@@ -383,22 +327,3 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site) -> None
     assert all("ERR_INTERNET_DISCONNECTED" in fault for fault in visitor.faults)
     visitor.faults.clear()
     assert site.read(f"/v1/fits/{site.fits['glossy']}").status_code == 200
-
-
-def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site, table_fit: dict[str, Any]) -> None:
-    glossy, rough = site.fits["glossy"], site.fits["rough"]
-    page = visit("/", bypass_csp=True).page  # the policy of the pages keeps axe out too
-    # Light and dark differ in colours only.
-    schemes: list[tuple[Literal["light", "dark"], Any]] = [("light", None), ("dark", {"runOnly": ["cat.color"]})]
-    measured = [f"/measurements/{one['measurement']}" for one in (table_fit, site.read(f"/v1/fits/{glossy}").json())]
-    for path in ("/", f"/fits/{glossy}", f"/compare?fit={glossy}&fit={rough}", f"/fits/{'0' * 32}", *measured):
-        page.goto(path)
-        expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
-        if glossy in path:
-            page.locator(PAINTED).first.wait_for()
-            for folded in page.locator("main details").all():
-                folded.locator("summary").click()
-        for scheme, rules in schemes:
-            page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
-            found = Axe().run(page, options=rules)
-            assert found.violations_count == 0, f"{path}, {scheme}: {found.generate_report()}"
