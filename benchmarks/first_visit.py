@@ -67,6 +67,7 @@ def walk(site: str, file: Path) -> int:
         page.wait_for_url("**#*highlight=*")
         other = new_context(browser, site, None, device_scale_factor=1).new_page()
         timed("open the shared link elsewhere", lambda: other.goto(page.url) and other.wait_for_selector(PAINTED))
+        other.wait_for_load_state("networkidle")
         same = page.locator(SPHERE).evaluate(PICTURE) == other.locator(SPHERE).evaluate(PICTURE)
     print(f"\n| first view | requests | kB |\n|---|---|---|\n| home page | {home} |\n| page of the fit | {fit} |")
     print(f"\nThe shared link shows {'the same picture' if same else 'ANOTHER PICTURE'}.")

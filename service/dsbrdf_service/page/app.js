@@ -171,7 +171,7 @@ export function whenSeen(element, call) {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     observer.disconnect();
     call();
-  }, { rootMargin: "100px" });
+  });
   observer.observe(element);
 }
 

@@ -53,11 +53,11 @@ async function showResult(main, fit, figure, picture) {
   const subject = { name, fit: fit.id, measured, samples: stored && !measured ? fit.measurement : null, cosine: fit.options.cosine, labels };
   const sphere = new Sphere(figure, subject);
   keepInAddress();
-  whenSeen(find(main, ".downloads"), () => showDownloads(find(main, ".downloads"), (format) => download(`${path}/export?format=${format}`)));
   find(main, "a[data-link=measurement]").hidden = !stored;
-  followPlots(find(main, "#plots"), [subject]);
   if (stored) offerFigures(main, path, Boolean(measured));
   await startSpheres([sphere], async () => { await picture; find(figure, ".fallback").hidden = false; });
+  followPlots(find(main, "#plots"), [subject]); // not before: what is below has its place now
+  whenSeen(find(main, ".downloads"), () => showDownloads(find(main, ".downloads"), (format) => download(`${path}/export?format=${format}`)));
   await showPictures(main, path, labels, Boolean(measured));
   if (!measured) find(main, "#pictures-note").textContent = stored ? "The measurement is a table of samples: they are in the plots below." : "The measurement is not stored any more: the fit is shown alone.";
 }

@@ -116,3 +116,11 @@ export function radianceOf(gl, size, draw) {
   gl.deleteRenderbuffer(buffer);
   return pixels;
 }
+
+/** The factor that takes the 99th percentile of what is seen to 1. @param {ArrayLike<number>} values */
+export function exposureOf(values) {
+  const sorted = Float64Array.from(values).sort();
+  const place = 0.99 * (sorted.length - 1);
+  const below = sorted[Math.floor(place)];
+  return 1 / (below + (place % 1) * (sorted[Math.ceil(place)] - below) || 1);
+}

@@ -2,7 +2,7 @@
 // show what the form of controls says.
 import { find, make, request } from "./app.js";
 import { fromNpy, toNpy } from "./npy.js";
-import { programOf, radianceOf, setTexture } from "./shader.js";
+import { exposureOf, programOf, radianceOf, setTexture } from "./shader.js";
 
 /** @typedef {import("./types").Subject} Subject */
 /** @typedef {{show: string, lighting: string, stops: number, zoom: number, wipe: number, turn: number, highlight: number[]}} Look */
@@ -42,14 +42,6 @@ export function lightAt([a, b]) {
   return [2 * c * a, 2 * c * b, 2 * c * c - 1];
 }
 
-/** The factor that takes the 99th percentile of what is seen to 1. @param {ArrayLike<number>} values */
-function exposureOf(values) {
-  const sorted = Float64Array.from(values).sort();
-  const place = 0.99 * (sorted.length - 1);
-  const below = sorted[Math.floor(place)];
-  return 1 / (below + (place % 1) * (sorted[Math.ceil(place)] - below) || 1);
-}
-
 export class Sphere {
   /** @param {HTMLElement} figure @param {Subject} subject */
   constructor(figure, subject) {
@@ -87,8 +79,7 @@ export class Sphere {
     this.boxes = [...toggles.querySelectorAll("input")];
   }
 
-  // Throws where there is no WebGL 2.
-  async start() {
+  async start() { // throws where there is no WebGL 2
     const { subject } = this;
     const gl = this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("This browser has no WebGL 2: the picture is the service's, its light is fixed.");
