@@ -91,7 +91,7 @@ export class Sphere {
     if (!subject.fit) this.setTable();
     const numbers = { ...this.numbers(SAMPLED, 0), wipe: 0, zoom: 1 };
     const light = lightAt(String(field("highlight").defaultValue).split(",").map(Number));
-    const seen = radianceOf(gl, SAMPLED, () => this.shade(plain, { ...look(), lighting: "three", show: subject.fit ? "fit" : "measured" }, numbers, light));
+    const seen = radianceOf(gl, SAMPLED, () => this.shade(plain, { ...look(), lighting: "three", show: subject.fit ? "fit" : "measured", highlight: [0, 0] }, numbers, light));
     if (seen) this.exposure = exposureOf(seen.filter((_, i) => i % 4 < 3 && seen[i - (i % 4) + 3] === 1));
     else this.exposure = exposureOf((await this.radiance("three_lights", subject.fit ? "fit" : "measured")).filter((value) => value > 0));
     this.hint.textContent = USUAL;
