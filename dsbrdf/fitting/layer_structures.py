@@ -198,5 +198,5 @@ STRUCTURES = (
     LayerStructure("highlight over diffuse", (_HIGHLIGHT, _GROUND), 6.0, _ONE),
     LayerStructure("coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
     LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO),
-    LayerStructure("two dielectric highlights over diffuse", (_COAT, _DIELECTRIC, _GROUND), 2.0, _TWO),
+    LayerStructure("two highlights over diffuse", (_COAT, _DIELECTRIC, _GROUND), 2.0, _TWO),
 )
