@@ -21,7 +21,7 @@ BAD_INPUT = 2
 LIST_FLAGS = (
     *("--theta-half", "--theta-diff", "--phi-diff"),
     *("--theta-in", "--theta-out", "--phi-out"),
-    *("--omega-in", "--omega-out", "--knots-deg"),
+    *("--omega-in", "--omega-out", "--knots-deg", "--missing"),
 )
 """Flags of which each takes one or more values, with blanks or, directions apart, commas between them."""
 

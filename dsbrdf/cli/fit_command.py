@@ -154,7 +154,7 @@ def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
 
     for item in items:
         if item.result is not None:
-            figure = plot_result(item.result, read_measurement(item.file))
+            figure = plot_result(item.result, read_measurement(item.file, item.result.report.options))
             path = folder / f"{item.file.stem}.png"
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"

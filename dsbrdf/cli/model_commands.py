@@ -14,6 +14,8 @@ from dsbrdf.cli.arguments import print_error, print_json, print_written
 from dsbrdf.cli.commands import Whole
 from dsbrdf.cli.parameters import (
     MEASUREMENTS,
+    NO_TABLE_FLAGS,
+    AboutTable,
     ComponentName,
     Json,
     ModelFile,
@@ -35,6 +37,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, read_samples
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import METRICS
@@ -179,7 +182,15 @@ _SUFFIXES = (".binary", ".bsdf")
 _LARGEST_DIFFERENCE = 0.1  # of swapped directions that a reciprocal file may hide without a warning
 
 
-def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json = False) -> None:
+def convert(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    spectral: bool = False,
+    json: Json = False,
+    table: AboutTable = NO_TABLE_FLAGS,
+) -> None:
     """Write a measurement as another kind of file.
 
     Parameters
@@ -196,7 +207,7 @@ def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json
     if suffix not in _SUFFIXES:
         raise InvalidArgumentError(f"{target}: the output must end in {one_of(_SUFFIXES)}")
     with named_in_errors(source):
-        content, sentences, about = _converted(source, suffix, spectral=spectral)
+        content, sentences, about = _converted(source, suffix, table, spectral=spectral)
     write_atomically(target, [content])
     for sentence in sentences:
         print_error(f"warning: {source}: {sentence}")
@@ -205,13 +216,18 @@ def convert(source: Path, target: Path, /, *, spectral: bool = False, json: Json
         print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
 
 
-def _converted(source: Path, suffix: str, *, spectral: bool) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
+def _converted(
+    source: Path, suffix: str, options: TableOptions, *, spectral: bool
+) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
     """Content of the file, sentences to warn with, and figures."""
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
-    if source.suffix.lower() in TABLE_SUFFIXES:
-        result = fit(read_samples(source), FitOptions())
+    is_table = source.suffix.lower() in TABLE_SUFFIXES
+    if not is_table:
+        options.refuse_on_grid()
+    if is_table:
+        result = fit(read_samples(source, options), FitOptions())
         found, sentences = result.model, result.report.warnings
         about = {"error_of_the_fit": result.report.metrics.relative_rms}
     elif source.suffix.lower() == ".bsdf":
@@ -370,10 +386,11 @@ def plot(
     if measurement is None:
         what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
     else:
-        measured = read_measured(measurement)
+        options = FitOptions() if report is None else report.options
+        measured = read_measured(measurement, options)
         is_table = isinstance(measured, ScatteredSamples)
         what = "samples, fit and residual" if is_table else "profiles, fit and components"
-        figure = plot_fit(fitted, measured, FitOptions() if report is None else report.options, model_lobes=lobes)
+        figure = plot_fit(fitted, measured, options, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
     print_written(output, what, image_format, json=json)
 
@@ -390,12 +407,13 @@ def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | No
     if output is not None:
         _check_png(output)
     paths = (first, second)
-    sources, columns = zip(*(_source(path) for path in paths), strict=True)
+    reports = [read_model(path)[1] for path in paths if path.suffix.lower() not in MEASUREMENTS]
+    options = next((report.options for report in reports if report is not None), FitOptions())
+    sources, columns = zip(*(_source(path, options) for path in paths), strict=True)
     tables = [source for source in sources if isinstance(source, ScatteredSamples)]
     if tables:
-        model, report = read_model(second if sources[0] is tables[0] else first)
-        side = None if report is None else report.options.cosine
-        samples = tables[0] if side is None else tables[0].divided_by_cosine(side)
+        model, _ = read_model(second if sources[0] is tables[0] else first)
+        (samples,) = tables
         found_values = model.evaluate_directions(samples.omega_in, samples.omega_out)
         error = relative_rms(found_values, samples.values, samples.weight)
         likeness, sentence = {"relative_rms": error}, f"at the {len(samples.values)} samples: relative_rms {error:.4g}"
@@ -421,11 +439,13 @@ def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | No
         print(f"{output}: {shown}")
 
 
-def _source(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Read a model or a measurement, and return it with what is known of it."""
+def _source(path: Path, options: FitOptions) -> tuple[Any, dict[str, Any]]:
+    """Read a model, or a measurement, a table with these options; return it with what is known of it."""
     if path.suffix.lower() in MEASUREMENTS:
-        kind = "samples" if path.suffix.lower() in TABLE_SUFFIXES else "measurement"
-        return read_measured(path), {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
+        is_table = path.suffix.lower() in TABLE_SUFFIXES
+        kind = "samples" if is_table else "measurement"
+        measured = read_measured(path, options if is_table else AS_WRITTEN)
+        return measured, {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
     model, report = read_model(path)
     metrics = {name: None if report is None else report.metrics[name] for name in METRICS}
     return model, {"kind": lobes_phrase(model), "numbers": model.n_numbers} | metrics

@@ -16,6 +16,7 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
@@ -51,11 +52,44 @@ _ANGLE = Parameter(converter=_number_or_none, n_tokens=1, show_default="{:g}".fo
 _ANGLES = Parameter(converter=_number_or_none, n_tokens=1, metavar="DEGREES,...")
 
 
+def _in_words(documented: type) -> str:
+    """Return what a class of options says of them, as it is true of flags."""
+    return (documented.__doc__ or "").replace("None", '"none"').replace("`", "")
+
+
+def _several(kind: Any, tokens: Sequence[Token]) -> tuple[float, ...] | str:
+    """Convert numbers, with commas or blanks, or take a text as it is."""
+    (token,) = tokens
+    if kind == tuple[float, ...] | float:
+        return tuple(convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value.strip()))
+    return token.value
+
+
+_SEVERAL = Parameter(converter=_several, n_tokens=1)
+
+
 @dataclass(frozen=True)
-class FitFlags(FitOptions):
+class TableFlags(TableOptions):
+    """`TableOptions` as flags."""
+
+    __doc__ = _in_words(TableOptions)
+
+    columns: Annotated[tuple[str, ...] | str, _SEVERAL, Parameter(metavar="MEANING=COLUMN,...")] = ()
+    missing: Annotated[tuple[float, ...] | float, _SEVERAL, Parameter(metavar="NUMBER,...")] = ()
+    scale: Annotated[float, Parameter(metavar="FACTOR")] = 1.0
+
+
+_OF_TABLES = Group("Options of a table of samples", sort_key=3)
+AboutTable = Annotated[TableFlags, Parameter(name="*", group=_OF_TABLES)]
+"""The options of a table as a parameter of a command."""
+NO_TABLE_FLAGS = TableFlags()
+
+
+@dataclass(frozen=True)
+class FitFlags(TableFlags, FitOptions):
     """`FitOptions` as flags; a field that is not repeated here is an option as it is."""
 
-    __doc__ = (FitOptions.__doc__ or "").replace("None", '"none"').replace("`", "")
+    __doc__ = _in_words(FitOptions)
 
     n_lobes: _Count = FitOptions.n_lobes
     ring_lobes: _Count = FitOptions.ring_lobes
@@ -167,10 +201,10 @@ def named_in_errors(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from error
 
 
-def read_measured(path: Path) -> Measurement | ScatteredSamples:
-    """Read a measurement; an error names the file."""
+def read_measured(path: Path, options: TableOptions = AS_WRITTEN) -> Measurement | ScatteredSamples:
+    """Read a measurement, a table with these options; an error names the file."""
     with named_in_errors(path):
-        return read_measurement(path)
+        return read_measurement(path, options)
 
 
 def read_grid(path: Path) -> Measurement:

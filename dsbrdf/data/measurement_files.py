@@ -2,15 +2,19 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, parse_samples, read_samples
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 
 
-def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSamples:
+def read_measurement(
+    path: str | os.PathLike[str], options: TableOptions | None = None, **choices: Any
+) -> Measurement | ScatteredSamples:
     """Read a measured material.
 
     Parameters
@@ -18,21 +22,31 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement | ScatteredSam
     path : path-like
         ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and
         ``.txt`` are tables of scattered samples; any other file is a MERL ``.binary`` file.
+    options : TableOptions, optional
+        How a table is read.
+    **choices
+        Single options of a table by name instead: ``columns``, ``missing``, ``scale``, ``cosine``, ``phi``.
 
     Raises
     ------
+    InvalidArgumentError
+        If an option is wrong, or of a table where the file is none.
     MeasurementFormatError
         With one sentence that says what is wrong and what would be right.
     OSError
         If the file does not exist or cannot be read.
     """
+    options = options or TableOptions(**choices)
     suffix = Path(path).suffix.lower()
-    if suffix == ".bsdf":
-        return read_rgl(path).measurement()
-    return read_samples(path) if suffix in TABLE_SUFFIXES else read_merl(path)
+    if suffix in TABLE_SUFFIXES:
+        return read_samples(path, options)
+    options.refuse_on_grid()
+    return read_rgl(path).measurement() if suffix == ".bsdf" else read_merl(path)
 
 
-def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
+def open_checked(
+    path: str | os.PathLike[str], sha256: str, options: TableOptions = AS_WRITTEN
+) -> Measurement | ScatteredSamples:
     """Return a MERL file or a table of samples that was checked before; its content tells which.
 
     It must not change as long as the measurement is used; `sha256` is the hexadecimal digest of its bytes.
@@ -41,4 +55,4 @@ def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | Sca
         if file.read(HEADER_SIZE) == HEADER:
             return map_merl(path, sha256)
         file.seek(0)
-        return parse_samples(file.read(), Path(path).stem)
+        return parse_samples(file.read(), Path(path).stem, options)

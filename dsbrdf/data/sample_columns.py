@@ -8,7 +8,6 @@ Without any phi both directions lie in one plane, and theta_out = theta_in is th
 side of the normal and theta_out on the other; a negative angle is on the side opposite to its own.
 """
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,77 +15,48 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.sample_names import DEGREES, HALF_DIFFERENCE, MEANINGS, RADIANS, VECTORS, name_and_unit
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.data.text_table import TextTable
 from dsbrdf.errors import MeasurementFormatError
 
-_SIDES = {"in": ("in", "i", "incident"), "out": ("out", "o", "r", "s")}
-VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 _THETAS, _PHIS = ("theta_in", "theta_out"), ("phi_in", "phi_out")
-_HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
-_GREY, _WEIGHT = "value", "weight"
-_FORMS = (VECTORS, _HALF_DIFFERENCE, _THETAS)  # of directions
-_DEGREES, _RADIANS = ("deg", "degree", "degrees", "°"), ("rad", "radian", "radians")
-_PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "sr⁻¹", "per sr", "1 / sr")
-_WAVELENGTHS = ("wavelength", "lambda", "wl", "λ")
+_GREY, _WEIGHT, _WAVELENGTH = "value", "weight", "wavelength"
+_FORMS = (VECTORS, HALF_DIFFERENCE, _THETAS)  # of directions
+_PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 _NO_UNIT = ("", "1", "-", "none")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
-    "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or value"
+    "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
+    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF"
 )
-_LONGEST_NAME = 200  # characters of a cell with a name and its unit
 _SURELY_DEGREES = 1.6  # theta never gets further than this in radians
 
 
-def _spellings() -> Iterator[tuple[str, str]]:
-    for side, words in _SIDES.items():
-        for word in words:
-            yield from ((f"{angle}{mark}{word}", f"{angle}_{side}") for angle in ("theta", "phi") for mark in ("_", ""))
-        for axis in "xyz":
-            yield from ((f"{name}_{axis}", f"omega_{side}_{axis}") for name in (f"omega_{side}", f"omega_{side[0]}"))
-            yield f"w{side[0]}_{axis}", f"omega_{side}_{axis}"
-    for name in _HALF_DIFFERENCE:
-        angle, _, of = name.partition("_")
-        yield from ((spelling, name) for spelling in (name, f"{angle}{of}", f"{angle}_{of[0]}"))
-    for channel in CHANNELS:
-        yield from ((spelling, channel) for spelling in (channel, channel[0], f"brdf_{channel}", f"brdf_{channel[0]}"))
-    yield from ((spelling, _GREY) for spelling in (_GREY, "brdf", "bsdf", "luminance", "f_r", "fr"))
-    yield _WEIGHT, _WEIGHT
-
-
-_NAMES = dict(_spellings())
-
-
-def is_known(cell: str) -> bool:
-    """Whether a cell is one of the spellings of a column's name."""
-    return _meaning(cell)[0] in _NAMES
-
-
-def sample_columns(table: TextTable) -> tuple[Array, list[str]]:
+def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list[str]]:
     """Return the numbers of a table, and what was decided about them, a sentence each.
 
     The columns of the numbers (n, 10) are omega_in and omega_out, not yet of unit length, the three values and the
     weight, 1 if the table has none; NaN is where it has no number. Raises MeasurementFormatError if a column is
     missing, is there twice, or has another unit.
     """
-    places: dict[str, list[int]] = {}
-    for place, name in enumerate(table.names):
-        known = _NAMES.get(_meaning(name)[0])
-        if known is not None:
-            places.setdefault(known, []).append(place)
+    places = _places(table, options)
+    from_horizon = [side for side in ("in", "out") if f"elevation_{side}" in places and f"theta_{side}" not in places]
+    for side in from_horizon:
+        places[f"theta_{side}"] = places.pop(f"elevation_{side}")
     form = next((form for form in _FORMS if places.keys() >= {*form}), None)
     if form is None:
         # Those of which the table has most columns; angles if it has none.
-        nearest = max((_THETAS, VECTORS, _HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
+        nearest = max((_THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
         raise _missing("directions", nearest, table, places)
     values = CHANNELS if places.keys() >= {*CHANNELS} else (_GREY,)
     if not places.keys() >= {*values}:
         raise _missing("values", CHANNELS, table, places)
-    for name in table.names:
-        if _meaning(name)[0] in _WAVELENGTHS:
-            raise MeasurementFormatError(
-                f"The column {name!r} has wavelengths, which would be averaged to grey: give a table with red, green "
-                "and blue in linear sRGB, or one for each wavelength."
-            )
+    if _WAVELENGTH in places:
+        raise MeasurementFormatError(
+            f"The column {table.names[places[_WAVELENGTH][0]]!r} has wavelengths, which would be averaged to grey: "
+            "give a table with red, green and blue in linear sRGB, or one for each wavelength."
+        )
     phis = [name for name in _PHIS if form is _THETAS and name in places]
     used = [*form, *phis, *values, *([_WEIGHT] if _WEIGHT in places else [])]
     for name in used:
@@ -94,37 +64,66 @@ def sample_columns(table: TextTable) -> tuple[Array, list[str]]:
             first, second = (table.names[place] for place in places[name][:2])
             raise MeasurementFormatError(f"The columns {first!r} and {second!r} mean the same; keep one of them.")
     column = {name: table.numbers(places[name][0]) for name in used}
-    units = {name: _meaning(table.names[at])[1] or table.units[at].strip().lower() for name, (at, *_) in places.items()}
     for name in values:
-        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN):
+        column[name] = np.where(np.isin(column[name], options.missing), np.nan, column[name])
+    units = {name: _unit(table, at) for name, (at, *_) in places.items()}
+    for name in values:
+        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN) and options.scale == 1.0:
             raise MeasurementFormatError(
-                f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr."
+                f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr: if they are "
+                "those times a factor, give its inverse as the option scale."
             )
+    for side in from_horizon:
+        quarter = np.pi / 2.0 if units[f"theta_{side}"] in RADIANS else 90.0
+        column[f"theta_{side}"] = quarter - column[f"theta_{side}"]
     colors = [column[name] for name in (values if len(values) == 3 else values * 3)]
     weight = column.get(_WEIGHT, np.ones(len(table.rows)))
     numbers = np.column_stack([*_vectors(column, form, units), *colors, weight])
-    return numbers, [*_notes(table, form, phis, values, {places[name][0] for name in used})]
+    notes = [*_notes(table, form, phis, values, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
+    notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
+    return numbers, notes
 
 
-def _meaning(cell: str) -> tuple[str, str]:
-    """Return the name in a cell in lower case, and the unit after it, if any."""
-    if len(cell) > _LONGEST_NAME:
-        return cell, ""
-    text, unit = cell.strip().strip("'\"").strip().lower(), ""
-    bracket = min((place for mark in "[(" if (place := text.find(mark)) >= 0), default=-1)
-    if bracket >= 0 and text.endswith(("]", ")")):
-        text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
-    name = re.sub(r"[\s.-]+", "_", text)
-    base, _, last = name.rpartition("_")
-    return (base, last) if last in (*_DEGREES, *_RADIANS) else (name, unit)
+def _places(table: TextTable, options: TableOptions) -> dict[str, list[int]]:
+    """Return the places of the columns with each meaning."""
+    named = options.named_columns()
+    taken = {at for name in named.values() for at in _places_of(table, name)}
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(table.names):
+        known = MEANINGS.get(name_and_unit(name)[0])
+        if known is not None and place not in taken:
+            places.setdefault(known, []).append(place)
+    for meaning, name in named.items():
+        known = MEANINGS.get(name_and_unit(meaning)[0])
+        if known is None:
+            raise MeasurementFormatError(f"The option columns has {meaning!r}, which is no meaning. {_POSSIBLE}.")
+        places[known] = _places_of(table, name)
+        if not places[known]:
+            raise MeasurementFormatError(f"The table has no column {name!r}; it has {_listed(table)}.")
+    return places
+
+
+def _places_of(table: TextTable, name: str) -> list[int]:
+    wanted = name_and_unit(name)
+    found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
+    return found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == wanted[0]]
+
+
+def _unit(table: TextTable, place: int) -> str:
+    return name_and_unit(table.names[place])[1] or name_and_unit(f"({table.units[place]})")[1]
+
+
+def _listed(table: TextTable) -> str:
+    return ", ".join(name or "one without a name" for name in table.names[:20])
 
 
 def _missing(
     what: str, wanted: tuple[str, ...], table: TextTable, places: dict[str, list[int]]
 ) -> MeasurementFormatError:
     lacking = ", ".join(name for name in wanted if name not in places)
-    found = ", ".join(name or "one without a name" for name in table.names[:20])
-    return MeasurementFormatError(f"The table lacks columns for the {what}: {lacking}. It has {found}. {_POSSIBLE}.")
+    return MeasurementFormatError(
+        f"The table lacks columns for the {what}: {lacking}. It has {_listed(table)}. {_POSSIBLE}."
+    )
 
 
 def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, str]) -> tuple[Array, Array]:
@@ -139,7 +138,7 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
             f"The angles {form[0]} and {form[1]} are at most {largest:.3g}, as angles in radians are: write degrees, "
             f"or name the columns {form[0]}_rad and so on."
         )
-    if form is _HALF_DIFFERENCE:
+    if form is HALF_DIFFERENCE:
         return directions(*(angles[name] for name in form))
     in_plane = not angles.keys() & {*_PHIS}
     zero = np.zeros_like(angles["theta_in"])
@@ -148,9 +147,9 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
 
 
 def _radians(name: str, angle: Array, unit: str) -> Array:
-    if unit not in (*_NO_UNIT, *_DEGREES, *_RADIANS):
+    if unit not in (*_NO_UNIT, *DEGREES, *RADIANS):
         raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
-    radians = angle if unit in _RADIANS else np.radians(angle)
+    radians = angle if unit in RADIANS else np.radians(angle)
     bound = 180.0 if name.startswith("theta") else 360.0
     if _largest(radians) > np.radians(bound) + 1e-9:
         largest = np.degrees(_largest(radians))
@@ -165,17 +164,17 @@ def _largest(angle: Array) -> float:
 
 
 def _notes(
-    table: TextTable, form: tuple[str, ...], phis: list[str], values: tuple[str, ...], read: set[int]
+    table: TextTable, form: tuple[str, ...], phis: list[str], values: tuple[str, ...], read: set[int], *, mirror: bool
 ) -> Iterator[str]:
     if values == (_GREY,):
         yield "The table has one column of values: the material is taken to be grey."
     if form is _THETAS and not phis:
         yield (
-            "The table has no phi: all directions are taken to lie in one plane, and theta_out = theta_in to be the "
-            "mirror direction."
+            "The table has no phi: all directions are taken to lie in one plane, and theta_out = "
+            f"{'-' if mirror else ''}theta_in to be the mirror direction."
         )
     if phis == ["phi_out"]:
-        yield "The table has no phi_in: it is taken to be 0, so that the mirror direction has phi_out = 180."
+        yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if mirror else 180}."
     others = [name for place, name in enumerate(table.names) if place not in read]
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")

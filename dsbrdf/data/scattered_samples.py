@@ -19,9 +19,11 @@ from numpy.typing import ArrayLike
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.merl_validation import LARGEST_VALUE
-from dsbrdf.data.sample_columns import is_known, sample_columns
+from dsbrdf.data.sample_columns import sample_columns
+from dsbrdf.data.sample_names import is_known
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 FEWEST_SAMPLES = 50
 """Fewer samples than this do not tell what a material is like."""
@@ -45,6 +47,8 @@ class ScatteredSamples:
         Of the material; hexadecimal digest of the arrays, the identity of the samples.
     notes : tuple of str
         What the reader of a table decided, a sentence each; the report of a fit begins its warnings with them.
+    options : TableOptions
+        With which they were read.
     """
 
     omega_in: Array
@@ -54,6 +58,7 @@ class ScatteredSamples:
     name: str
     sha256: str
     notes: tuple[str, ...] = ()
+    options: TableOptions = AS_WRITTEN
 
     def take(self, chosen: Mask) -> ScatteredSamples:
         """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
@@ -64,6 +69,29 @@ class ScatteredSamples:
         """Return the samples, values divided by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
         cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
         return replace(self, values=self.values / cosine[:, np.newaxis])
+
+    def with_options(self, options: TableOptions) -> ScatteredSamples:
+        """Return the samples multiplied, divided and turned as options say; as they are if they were read with these.
+
+        Raises InvalidArgumentError if they were read with others, or if the options are about the text of a table.
+        """
+        wanted = options.of_table()
+        if wanted in (self.options, AS_WRITTEN):
+            return self
+        if self.options != AS_WRITTEN:
+            raise InvalidArgumentError("the samples were read with options of a table other than those given here")
+        if wanted.columns or wanted.missing:
+            raise InvalidArgumentError("columns and missing are for a table in a file, not for arrays of samples")
+        return self._changed(wanted)
+
+    def _changed(self, options: TableOptions) -> ScatteredSamples:
+        if options == AS_WRITTEN:
+            return self
+        samples = self if options.cosine is None else self.divided_by_cosine(options.cosine)
+        omega_in = self.omega_in * ((-1.0, -1.0, 1.0) if options.phi == "mirror" else 1.0)
+        values = samples.values * options.scale
+        changed = self.from_arrays(omega_in, self.omega_out, values, self.weight, self.name, self.notes)
+        return replace(changed, options=options)
 
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
@@ -132,7 +160,8 @@ class ScatteredSamples:
         for array in arrays.values():
             digest.update(array.astype("<f8").tobytes())
             array.flags.writeable = False
-        return cls(**arrays, name=name, sha256=digest.hexdigest(), notes=notes)
+        omega_in, omega_out, values, weight = arrays.values()
+        return cls(omega_in, omega_out, values, weight, name, digest.hexdigest(), notes)
 
 
 def _numbers(name: str, array: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -167,7 +196,7 @@ _CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
 _LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
 
 
-def read_samples(path: str | os.PathLike[str]) -> ScatteredSamples:
+def read_samples(path: str | os.PathLike[str], options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
     """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, whose stem becomes the name.
 
     A MeasurementFormatError says in one sentence what is wrong and what would be right.
@@ -175,17 +204,19 @@ def read_samples(path: str | os.PathLike[str]) -> ScatteredSamples:
     source = Path(path)
     if source.stat().st_size > _LARGEST_FILE:
         raise MeasurementFormatError(f"The table is longer than {_LARGEST_FILE} bytes.")
-    return parse_samples(source.read_bytes(), source.stem)
+    return parse_samples(source.read_bytes(), source.stem, options)
 
 
-def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
+def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
     """Return the samples in the bytes of a table; errors are those of `read_samples`."""
     kind = known_kind(data[:16])
     if kind is not None:
         raise MeasurementFormatError(
             f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
         )
-    numbers, notes = sample_columns(parse_text_table(data, is_known))
+    named = {column.lower() for column in options.named_columns().values()}
+    table = parse_text_table(data, lambda cell: is_known(cell) or cell.strip("'\" ").lower() in named)
+    numbers, notes = sample_columns(table, options)
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
     first, second = (
@@ -199,7 +230,8 @@ def parse_samples(data: bytes, name: str = "samples") -> ScatteredSamples:
     if values.size:
         notes += _repeated(values[:, 0])
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
-    return ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
+    samples = ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
+    return samples._changed(options.of_table())
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
@@ -226,8 +258,8 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     several = "1 value is" if count == 1 else f"{count} values are"
     if lowest > _LARGEST_NOISE * largest or -values[negative].sum() > _LARGEST_NOISE * values[~negative].sum():
         raise MeasurementFormatError(
-            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: write nan where there is "
-            "no measurement."
+            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "
+            f"is missing, set missing to {-lowest:g}."
         )
     counts = "it counts" if count == 1 else "they count"
     notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
@@ -243,7 +275,7 @@ def _repeated(values: Array) -> list[str]:
     extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
     return [
         f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
-        "what is missing, write nan there."
+        f"what is missing, set missing to {found[place]:g}."
         for which, place, is_far in extremes
         if is_far and counts[place] >= _MANY_EQUAL
     ]

@@ -71,7 +71,9 @@ def document_of(result: FitResult) -> FitDocument:
 
 
 def _measurement(task: FitTask) -> Measurement | ScatteredSamples:
-    return read_measurement(task.path) if task.sha256 is None else open_checked(task.path, task.sha256)
+    if task.sha256 is None:
+        return read_measurement(task.path, task.options)
+    return open_checked(task.path, task.sha256, task.options)
 
 
 def _measurement_now(task: FitTask) -> Measurement | ScatteredSamples:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
+from dsbrdf.data.table_options import Bounds, TableOptions
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.lobe_families import Family
 
@@ -29,35 +30,6 @@ Weighting = Literal["balanced", "plain", "cosine", "log"]
 """Weights of the samples, see `dsbrdf.fitting.weighting`."""
 
 Options = TypeVar("Options")
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """The smallest and largest number that an option, or each of a list, may be; stands in its annotation."""
-
-    least: float
-    most: float
-    above: bool = False  # the least itself is too small
-
-    def allow(self, number: float) -> bool:
-        """Whether a number is within the bounds."""
-        return (self.least < number if self.above else self.least <= number) and number <= self.most
-
-    def __str__(self) -> str:
-        return (
-            f"above {self.least:g} and at most {self.most:g}" if self.above else f"from {self.least:g} to {self.most:g}"
-        )
-
-    def __get_pydantic_json_schema__(
-        self, core_schema: Any, handler: Callable[[Any], dict[str, Any]]
-    ) -> dict[str, Any]:
-        """Add the bounds to the schema of the HTTP interface, as pydantic asks."""
-        schema = handler(core_schema)
-        bounds = {"exclusiveMinimum" if self.above else "minimum": self.least, "maximum": self.most}
-        if schema.get("type") != "array":
-            return schema | bounds
-        several = {"minItems": 2, "maxItems": int(self.most - self.least) + 1, "uniqueItems": True}
-        return schema | several | {"items": schema["items"] | bounds}
 
 
 def _suggesting(options: type[Options]) -> type[Options]:
@@ -80,7 +52,7 @@ def _suggesting(options: type[Options]) -> type[Options]:
 
 @_suggesting
 @dataclass(frozen=True)
-class FitOptions:
+class FitOptions(TableOptions):
     """What can be chosen about a fit; checked when made.
 
     Attributes
@@ -115,9 +87,8 @@ class FitOptions:
         Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half.
     em_iterations : int
         Bound on the iterations of Algorithm 1.
-    cosine : {"in", "out"} or None
-        The values of scattered samples are the BRDF times the cosine of theta_in or of theta_out, by which the fit
-        divides them; None are those of the BRDF. For scattered samples only.
+    columns, missing, scale, cosine, phi
+        Of a table of scattered samples, see `TableOptions`.
 
     Raises
     ------
@@ -136,9 +107,9 @@ class FitOptions:
     weighting: Weighting | None = None
     robust: bool = False
     em_iterations: Annotated[int, Bounds(1, 10_000)] = 100
-    cosine: Literal["in", "out"] | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, (kind, bounds, words) in _declared().items():
             value = getattr(self, name)
             if isinstance(value, np.generic):  # an option taken from an array means the same
@@ -203,6 +174,8 @@ def _declared() -> dict[str, tuple[type | None, Bounds | None, tuple[str | None,
     """For each option the type of its numbers, their bounds, and the words that it can be."""
     found: dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]] = {}
     for name, hint in get_type_hints(FitOptions, include_extras=True).items():
+        if name in TableOptions.__annotations__:
+            continue
         kind: type | None = bool if hint is bool else None
         bounds: Bounds | None = None
         words: tuple[str | None, ...] = ()

@@ -85,7 +85,7 @@ def fit(
         raise InvalidArgumentError("give the options as FitOptions or by name, not both")
     options = options or FitOptions(**choices)
     if isinstance(measurement, str | PathLike):
-        measurement = read_measurement(measurement)
+        measurement = read_measurement(measurement, options)
     elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
         measurement = Measurement.from_values(measurement)
     in_slices = options.method == "paper"
@@ -94,9 +94,8 @@ def fit(
     report_progress(0.0)
     if isinstance(measurement, ScatteredSamples):
         result = _fit_samples(measurement, options, report_progress, clock)
-    elif options.cosine is not None:
-        raise InvalidArgumentError("cosine is for scattered samples; leave it out for a measurement on a grid")
     else:
+        options.refuse_on_grid()
         data = profiles_for(measurement, options)
         clock.lap("profiles")
         report_progress(0.1)
@@ -145,7 +144,7 @@ def _fit_samples(
     """Predict a table from samples and fit it; then, if samples are not few, fit the table and the samples together."""
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
-    samples = samples if options.cosine is None else samples.divided_by_cosine(options.cosine)
+    samples = samples.with_options(options)
     units = sample_units(samples)
     bright = replace(samples, values=samples.values * units.factor)
     if options.robust:

@@ -52,7 +52,7 @@ def plot_fit(
 ) -> Figure:
     """Draw profiles, the fit with these options and its components, or lobes; or samples, the fit and the residual."""
     if isinstance(measured, ScatteredSamples):
-        fitted = measured if options.cosine is None else measured.divided_by_cosine(options.cosine)
+        fitted = measured.with_options(options)
         return samples_figure(fitted, model)
     data = profiles(measured, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
     return overview_figure(data, model, model_lobes=model_lobes)

@@ -23,11 +23,12 @@ from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measur
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
-from .wire.fit_options import from_wire, to_wire
+from .wire.fit_options import from_wire, table_query, to_wire
 from .wire.names import check_name
 
 Source = str | os.PathLike[str] | bytes | Measurement
@@ -153,7 +154,8 @@ class Client:
 
     def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
         """Ask for a fit without waiting for it; parameters and errors as `fit`."""
-        document = {"measurement": self.upload(measurement, name=name), "options": to_wire(options or FitOptions())}
+        options = options or FitOptions()
+        document = {"measurement": self.upload(measurement, options, name=name), "options": to_wire(options)}
         headers = {"Prefer": "respond-async"}
         return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, name=name).json())
 
@@ -184,8 +186,11 @@ class Client:
         """Return that result as the text of a file that `dsbrdf.load_result` reads."""
         return self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text
 
-    def upload(self, measurement: Source, *, name: str | None = None) -> str:
-        """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`."""
+    def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
+        """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`.
+
+        The options of a table tell how to read it; the service checks that it can be.
+        """
         suffix, own_name = "", None
         if isinstance(measurement, str | os.PathLike):
             path = Path(measurement)
@@ -203,7 +208,8 @@ class Client:
                 with suppress(InvalidArgumentError):  # one that the service would not take
                     name = check_name(own_name)
             headers = {"Content-Type": "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"}
-            self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name)
+            chosen = table_query(options)
+            self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name, **chosen)
         return sha256
 
     def _call(self, method: str, url: str, **request: Any) -> httpx.Response:

@@ -207,3 +207,14 @@ def _complete(operation: dict[str, Any]) -> None:
         model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
         if model in _EXAMPLES:
             described["example"] = _EXAMPLES[model]
+
+
+def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas."""
+    none = {"type": "string", "const": "none"}
+    choices = [none if choice["type"] == "null" else choice for choice in schema.get("anyOf", ())]
+    schema = {**schema, "default": "none"} if schema["default"] is None else dict(schema)
+    description = schema.pop("description")
+    if choices:
+        schema["anyOf"] = choices
+    return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}

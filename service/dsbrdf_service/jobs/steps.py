@@ -24,6 +24,7 @@ from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import Component
@@ -169,23 +170,22 @@ def figure_step(
 
     mpl.style.use("dark_background" if dark else "default")
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
-    measured = open_checked(stored.path, stored.sha256)
+    measured = open_checked(stored.path, stored.sha256, options)
     name = stored.name or stored.sha256[:12]
     if isinstance(measured, Measurement):
         reduced = profiles(replace(measured, name=name), horizon_cutoff=options.horizon_cutoff)
         drawn = FIGURES[figure](reduced, model)
     elif figure in _SAMPLE_FIGURES:
-        samples = measured if options.cosine is None else measured.divided_by_cosine(options.cosine)
-        drawn = _SAMPLE_FIGURES[figure](replace(samples, name=name), model)
+        drawn = _SAMPLE_FIGURES[figure](replace(measured, name=name), model)
     else:
         known = ", ".join(_SAMPLE_FIGURES)
         raise InvalidArgumentError(f"there is no figure {figure} of scattered samples; there is {known}")
     return encode_figure(drawn, image_format)
 
 
-def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
+def samples_step(stored: StoredMeasurement, options: TableOptions, most: int, _: OnProgress) -> bytes:
     """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9); of more than `most`, some of them."""
-    samples = parse_samples(stored.path.read_bytes())
+    samples = parse_samples(stored.path.read_bytes(), options=options)
     table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
     if len(table) > most:
         table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
@@ -197,7 +197,7 @@ def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path
     Path(path).write_bytes(export_model(model, file_format))
 
 
-def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, int]:
+def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
     """Check a file that is no MERL file, and replace that of RGL by a MERL table; a table of samples stays as it is.
 
     Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
@@ -206,7 +206,7 @@ def conversion_step(path: Path, kind: Kind, _: OnProgress) -> tuple[str, int, in
     """
     if kind == "samples":
         content, valid_nodes = path.read_bytes(), 0
-        parse_samples(content)
+        parse_samples(content, options=options)
     else:
         measurement = read_rgl(path).measurement()
         content, valid_nodes = encode_merl(measurement), int(measurement.valid.sum())

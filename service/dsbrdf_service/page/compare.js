@@ -24,7 +24,7 @@ export async function show(main) {
   fill(main, { names });
   const stored = await Promise.all(fits.map((fit) => json(`v1/measurements/${fit.measurement}`).catch(() => null)));
   const spheres = fits.map((fit, i) => {
-    const subject = { name: nameOf(fit), fit: fit.id, measured: stored[i]?.valid_nodes ? fit.measurement : null, samples: stored[i]?.valid_nodes === 0 ? fit.measurement : null, cosine: fit.options.cosine, labels: fit.components.map(({ label }) => label) };
+    const subject = { name: nameOf(fit), fit: fit.id, measured: stored[i]?.valid_nodes ? fit.measurement : null, samples: stored[i]?.valid_nodes === 0 ? `v1/fits/${fit.id}/samples.npy` : null, labels: fit.components.map(({ label }) => label) };
     return new Sphere(side(find(main, ".two"), fit), subject);
   });
   keepInAddress();

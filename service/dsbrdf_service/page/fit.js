@@ -50,7 +50,7 @@ async function showResult(main, fit, figure, picture) {
   act(main, fit);
   const stored = await json(`v1/measurements/${fit.measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
   const measured = stored?.valid_nodes ? fit.measurement : null;
-  const subject = { name, fit: fit.id, measured, samples: stored && !measured ? fit.measurement : null, cosine: fit.options.cosine, labels };
+  const subject = { name, fit: fit.id, measured, samples: stored && !measured ? `${path}/samples.npy` : null, labels };
   const sphere = new Sphere(figure, subject);
   keepInAddress();
   find(main, "a[data-link=measurement]").hidden = !stored;

@@ -22,7 +22,7 @@ export async function show(main, sha256) {
   act(main, known);
   find(main, "#its-fits").append(...(known.fits.length ? known.fits : [null]).map((id) => (id ? fitLink(id) : make("li", { className: "note" }, "There is none yet."))));
   const [seen, plots] = [find(main, "#seen"), find(main, "#plots")];
-  const subject = { name, fit: null, measured: onGrid ? sha256 : null, samples: onGrid ? null : sha256, cosine: null, labels: [] };
+  const subject = { name, fit: null, measured: onGrid ? sha256 : null, samples: onGrid ? null : `v1/measurements/${sha256}/samples.npy`, labels: [] };
   placePlots(plots, false);
   if (!onGrid) {
     seen.append(make("p", { className: "note" }, "Of a table of samples there is no sphere before its fit."));

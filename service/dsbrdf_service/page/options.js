@@ -22,8 +22,7 @@ function fieldOf(name, schema) {
   const kinds = [schema, ...(schema.anyOf ?? [])];
   const words = kinds.flatMap((kind) => kind.enum ?? (kind.const === undefined ? [] : [kind.const])).map(String);
   if (schema.type === "boolean") words.push("false", "true");
-  const numbers = kinds.filter((kind) => ["integer", "number", "array"].includes(kind.type));
-  const [range] = numbers;
+  const range = kinds.find((kind) => ["integer", "number", "array"].includes(kind.type));
   if (range?.type === "integer" && range.maximum - range.minimum < 20) {
     for (let number = range.minimum; number <= range.maximum; number += 1) words.push(String(number));
   }
@@ -31,8 +30,8 @@ function fieldOf(name, schema) {
     const choices = words.map((word) => make("option", { selected: word === usual }, word));
     return make("select", { name, "data-usual": usual }, ...choices);
   }
-  const size = range.type === "array" ? "such as 0,30,60,80" : `up to ${range.maximum}`;
-  return make("input", { name, value: usual, "data-usual": usual, placeholder: [...words, size].join(", or "), autocomplete: "off" });
+  const size = range.maximum === undefined ? "" : range.type === "array" ? "such as 0,30,60,80" : `up to ${range.maximum}`;
+  return make("input", { name, value: usual, "data-usual": usual, placeholder: [...words, size].filter(Boolean).join(", or "), autocomplete: "off" });
 }
 
 /** The options that were chosen, as text. @param {HTMLElement} box @returns {[string, string][]} */

@@ -20,8 +20,8 @@ export interface Fit {
 
 export interface Measurement { sha256: string; name: string | null; size: number; valid_nodes: number; created: string; fits: string[] }
 
-// What a sphere and the plots show: a fit, its measurement, or both; `measured` is on a grid, `samples` is a table, whose
-// values the fit divides by a cosine if one is named.
-export interface Subject { name: string; fit: string | null; measured: string | null; samples: string | null; cosine: unknown; labels: string[] }
+// What a sphere and the plots show: a fit, its measurement, or both; `measured` is on a grid, `samples` is the
+// address of those of a table.
+export interface Subject { name: string; fit: string | null; measured: string | null; samples: string | null; labels: string[] }
 
 export interface Curve { label: string; colour: string; x: number[]; y: (number | null)[]; dash?: string; points?: boolean; part?: boolean }

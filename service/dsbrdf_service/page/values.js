@@ -68,15 +68,15 @@ function gone(error) {
 
 /** @type {Map<string, Promise<Sample[]>>} */
 const tables = new Map();
-/** The samples of a table. @param {string} sha256 */
-function samplesOf(sha256) {
-  if (!tables.has(sha256)) tables.set(sha256, request(`v1/measurements/${sha256}/samples.npy?most=${MOST_SAMPLES}`).then(async (answer) => anglesOf(fromNpy(await answer.arrayBuffer()))));
-  return /** @type {Promise<Sample[]>} */ (tables.get(sha256));
+/** The samples of a table. @param {string} path */
+function samplesOf(path) {
+  if (!tables.has(path)) tables.set(path, request(`${path}?most=${MOST_SAMPLES}`).then(async (answer) => anglesOf(fromNpy(await answer.arrayBuffer()))));
+  return /** @type {Promise<Sample[]>} */ (tables.get(path));
 }
 
-/** Where most samples are, in whole steps of a slider of a plot. @param {string} sha256 @param {"diff" | "light"} along */
-export async function mostAt(sha256, along) {
-  const found = await samplesOf(sha256);
+/** Where most samples are, in whole steps of a slider of a plot. @param {string} path @param {"diff" | "light"} along */
+export async function mostAt(path, along) {
+  const found = await samplesOf(path);
   const counts = Array.from({ length: 18 }, (_, i) => found.filter((one) => Math.abs(one[along] - 5 * i) <= NEAR && (along === "diff" || one.aside <= NEAR)).length);
   return 5 * counts.indexOf(Math.max(...counts));
 }
@@ -96,12 +96,10 @@ function anglesOf(table) {
 }
 
 /** Puts the samples that are near into values. @param {Values} values @param {Subject} subject @param {(one: Sample) => boolean} isNear @param {"half" | "out"} along @returns {Promise<Values>} */
-async function withSamples(values, { samples, cosine }, isNear, along) {
+async function withSamples(values, { samples }, isNear, along) {
   if (!samples) return values;
   const near = (await samplesOf(samples)).filter(isNear).sort((a, b) => a[along] - b[along]);
-  /** @param {Sample} one */
-  const divisor = ({ light, out }) => (cosine ? Math.cos((cosine === "in" ? light : out) * rad) : 1);
-  return { ...values, at: near.map((one) => one[along]), measured: [0, 1, 2].map((channel) => near.map((one) => one.values[channel] / divisor(one))) };
+  return { ...values, at: near.map((one) => one[along]), measured: [0, 1, 2].map((channel) => near.map((one) => one.values[channel])) };
 }
 
 /** Over theta_half at one theta_diff [degrees]: means over phi_diff, of what is above the horizon; samples near it. @param {Subject} subject @param {number} diff @param {boolean} withParts */

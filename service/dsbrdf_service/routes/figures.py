@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 import dsbrdf
+from dsbrdf.data.table_options import AS_WRITTEN
 from dsbrdf.extras import require
 
 from ..access.authentication import CALLER_NAME
@@ -235,4 +236,15 @@ async def get_samples(
     draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, wanted: Annotated[SomeSamples, Query()]
 ) -> Response:
     """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
-    return await draw(samples_step, await context.stored_measurement(caller.owner, sha256, kind="samples"), wanted.most)
+    stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
+    return await draw(samples_step, stored, AS_WRITTEN, wanted.most)
+
+
+@_get("/fits/{fit_id}/samples.npy", "Samples that were fitted", formats=("npy",))
+async def get_fitted_samples(
+    draw: Draw, context: TheContext, key: TheFit, wanted: Annotated[SomeSamples, Query()]
+) -> Response:
+    """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
+    row = await context.fit_row(key)
+    stored = await context.stored_measurement(key.owner, row.measurement, kind="samples")
+    return await draw(samples_step, stored, from_wire(row.options), wanted.most)

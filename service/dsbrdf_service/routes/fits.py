@@ -29,7 +29,7 @@ from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
 from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of
-from .uploads import CONTENT, PARAMETERS, TEXTS, receive_upload
+from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TEXTS, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
@@ -40,18 +40,6 @@ _PREFER = openapi.header_parameter(
 )
 
 
-def _option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas."""
-    none = {"type": "string", "const": "none"}
-    choices = [none if choice["type"] == "null" else choice for choice in schema.get("anyOf", ())]
-    schema = {**schema, "default": "none"} if schema["default"] is None else dict(schema)
-    description = schema.pop("description")
-    if choices:
-        schema["anyOf"] = choices
-    return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}
-
-
-_OPTION_PARAMETERS = [_option_parameter(name, schema) for name, schema in inputs.OPTIONS_SCHEMA["properties"].items()]
 _SUBMISSION_BODY = openapi.body(
     "A MERL file, an RGL .bsdf file, a table of scattered samples, or a reference to a stored measurement.",
     CONTENT | {JSON: {"schema": openapi.reference(inputs.FitRequest)}},
@@ -70,7 +58,7 @@ _EXPORTED[JSON] = {"schema": {"type": "object"}}
     responses=openapi.response("The same request was made before; its fit has ended.", model=schemas.FitDocument)
     | openapi.response("The fit has not ended; ask again at `Location`.", status=202, model=schemas.FitDocument)
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
-    openapi_extra={"parameters": [*PARAMETERS, *_OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
+    openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:
     """Fit the measurement that is the body, or a stored one.
@@ -84,9 +72,9 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
     media_type = media_type_of(request, BINARY, JSON, *TEXTS)
     if media_type != JSON:
-        options = canonical(from_query(given))
-        stored, _ = await receive_upload(request, context, caller, media_type)
-        sha256, name = stored.sha256, name and stored.name
+        chosen = from_query(given)
+        stored, _ = await receive_upload(request, context, caller, media_type, chosen)
+        sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")

@@ -20,12 +20,13 @@ from ..http.responses import (
     tagged_reply,
 )
 from ..storage.database import in_write_thread
+from ..wire.fit_options import OF_TABLES, from_query
 from ..wire.inputs import Page
 from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, from_row
 from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
-from .uploads import CONTENT, PARAMETERS, UPLOADED, receive_upload
+from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 
@@ -43,7 +44,7 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document in
     responses=openapi.response("The measurement was stored before.", model=MeasurementDocument)
     | openapi.problems("invalid-argument", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={
-        "parameters": PARAMETERS,
+        "parameters": [*PARAMETERS, *TABLE_PARAMETERS],
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
@@ -51,11 +52,13 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     """Store the measurement that is the body: 201, or 200 if the same is stored already.
 
     A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
-    stored as the MERL table of its values: `sha256` and `size` are those of the table.
+    stored as the MERL table of its values: `sha256` and `size` are those of the table. The options of a table tell how
+    it is read; they are not stored, a fit is given them again.
     """
     media_type = media_type_of(request, *UPLOADED)
-    await no_query(request, "name")
-    row, new = await receive_upload(request, context, caller, media_type)
+    await no_query(request, "name", *OF_TABLES)
+    given = [(name, text) for name, text in request.query_params.multi_items() if name != "name"]
+    row, new = await receive_upload(request, context, caller, media_type, from_query(given))
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 

@@ -14,6 +14,7 @@ from fastapi import Request
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_header, check_length
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 from ..errors import ProblemError
@@ -24,6 +25,8 @@ from ..jobs.steps import Kind, conversion_step
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
 from ..storage.uploads import in_thread, threads_are_busy
+from ..wire.fit_options import OF_TABLES
+from ..wire.inputs import OPTIONS_SCHEMA
 from ..wire.names import MAX_LENGTH
 from .dependencies import Context, name_of
 
@@ -42,6 +45,9 @@ PARAMETERS = [
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
     openapi.header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"]),
 ]
+OPTION_PARAMETERS = [openapi.option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
+TABLE_PARAMETERS = [parameter for parameter in OPTION_PARAMETERS if parameter["name"] in OF_TABLES]
+"""Options of a fit, or of a table alone, in a query."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
 _PIECE = 1 << 19  # bytes that are worth a switch to another thread
@@ -52,10 +58,11 @@ _MAX_CONVERTED = 1 << 23  # bytes of an RGL file or a table: to read one takes u
 
 
 async def receive_upload(
-    request: Request, context: Context, caller: Caller, media_type: str
+    request: Request, context: Context, caller: Caller, media_type: str, options: TableOptions
 ) -> tuple[MeasurementRow, bool]:
     """Store the measurement that is the body; the flag says whether it is new to the caller.
 
+    A table is read with the options, which are not stored. Raises InvalidArgumentError if it is none and they are used.
     Raises MeasurementFormatError if it is not an acceptable measurement of its kind. Raises ProblemError if it is too
     long, it does not decode, or the caller may not store it.
     """
@@ -64,6 +71,8 @@ async def receive_upload(
     if name is not None and kind is not None:
         name = Path(name).stem
     kind = "samples" if media_type in TEXTS else kind
+    if kind != "samples":
+        options.refuse_on_grid()
     declared = request.headers.get("content-length", "")
     length = int(declared) if declared.isdecimal() and not encoding_of(request) else None
     with context.metrics.timing("upload"):
@@ -79,7 +88,13 @@ async def receive_upload(
                 await in_thread(incoming.close)
                 try:
                     incoming.sha256, incoming.size, incoming.valid_nodes = await context.computations.run_in_process(
-                        request, ("upload", incoming.path), conversion_step, incoming.path, kind, place="long"
+                        request,
+                        ("upload", incoming.path),
+                        conversion_step,
+                        incoming.path,
+                        kind,
+                        options.of_table(),
+                        place="long",
                     )
                 except InvalidArgumentError as error:  # as every fault of a step's arguments
                     raise MeasurementFormatError(str(error)) from None

@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import FitOptions
 
-_NAMES = [field.name for field in fields(FitOptions)]
+OF_TABLES = tuple(field.name for field in fields(TableOptions))
+"""Names of the options of a table, which are the last ones."""
+_NAMES = [*(field.name for field in fields(FitOptions) if field.name not in OF_TABLES), *OF_TABLES]
 _WORDS = {"none": None, "null": None, "true": True, "false": False}
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,30})?(e[+-]?[0-9]{1,4})?")
 
@@ -49,6 +52,17 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
         return [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
 
     return from_wire({name: value(text) for name, text in items})
+
+
+def table_query(options: TableOptions) -> dict[str, str]:
+    """Return the options of a table that are not the usual ones as parameters of a query."""
+    chosen = {field.name: getattr(options, field.name) for field in fields(TableOptions)}
+    usual = {field.name: field.default for field in fields(TableOptions)}
+    return {
+        name: ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        for name, value in chosen.items()
+        if value != usual[name]
+    }
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
@@ -60,7 +61,10 @@ class _Input(BaseModel):
 def _options_schema() -> dict[str, Any]:
     """Return the schema of the options: the types, bounds and sentences of the library's dataclass."""
     declared = TypeAdapter(FitOptions).json_schema()["properties"]
-    stated = inspect.getdoc(FitOptions) or ""  # indented alike in all versions of Python, as __doc__ is not
+    column = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": ["theta_in=AOI"]}
+    declared["columns"] = {"title": "", "type": "array", "items": column}
+    # getdoc indents alike in all versions of Python, as __doc__ does not.
+    stated = "\n".join(inspect.getdoc(documented) or "" for documented in (FitOptions, TableOptions))
     sentences = dict(re.findall(r"^(\w+) : .*\n((?: {4}.*\n)+)", stated, re.MULTILINE))
     properties = {}
     for name, default in DEFAULTS.items():

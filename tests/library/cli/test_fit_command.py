@@ -22,7 +22,8 @@ from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
-from dsbrdf.data.sample_columns import VECTORS
+from dsbrdf.data.sample_names import VECTORS
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit
 from dsbrdf.fitting.report import FitResult
@@ -48,7 +49,7 @@ def options_of(*words: str) -> dsbrdf.FitOptions:
 
 def descriptions() -> dict[str, str]:
     """What the docstring of the options says of each field."""
-    text = inspect.getdoc(dsbrdf.FitOptions) or ""
+    text = "\n".join(inspect.getdoc(documented) or "" for documented in (dsbrdf.FitOptions, TableOptions))
     entries = re.findall(r"^(\w+) : .*\n((?:    .+(?:\n|$))+)", text, flags=re.MULTILINE)
     assert {name for name, _ in entries} == {field.name for field in fields(dsbrdf.FitOptions)}
     return {name: " ".join(text.split()) for name, text in entries}

@@ -15,7 +15,7 @@ from dsbrdf import extras
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from dsbrdf.data.sample_columns import VECTORS
+from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.output.serialize import save
 from tests.support.command_line import QUICK, Capture, printed, run, sentence
 from tests.support.commands import start_in_vain

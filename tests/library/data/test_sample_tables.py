@@ -12,7 +12,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.data.sample_columns import is_known
+from dsbrdf.data.sample_names import is_known
 from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
 from dsbrdf.errors import MeasurementFormatError
 
@@ -156,7 +156,10 @@ def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
     angles, values, content = OF_OTHER_TABLES[spelling]
     samples = parse_samples(content)
     check_same(samples, angles, values)
-    words = {"in plane": "has no phi", "one phi": "no phi_in: it is taken to be 0"}.get(spelling, "grey")
+    words = {
+        "in plane": "has no phi",
+        "one phi": "no phi_in: the mirror direction is taken to have phi_out = 180.",
+    }.get(spelling, "grey")
     assert [words in note for note in samples.notes] == [True]
 
 
@@ -246,7 +249,7 @@ WRONG = [
     ),
     (
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
-        "The column 'value' is in '%'; the values of a BRDF are in 1/sr.",
+        "The column 'value' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
     ),
     (
         table(number=with_comma),
@@ -264,7 +267,8 @@ WRONG = [
     ),
     (
         changed(5, "-1"),
-        "1 value is negative, down to -1, more than noise about zero explains: write nan where there is no",
+        "1 value is negative, down to -1, more than noise about zero explains: if they stand for what is missing, set "
+        "missing to -1.",
     ),
     (changed(5, "1e9"), "In 1 of 240 samples, the first of them number 5, values is above 1e8/sr"),
     (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),

@@ -102,7 +102,7 @@ def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("weigthing", "did you mean weighting?"), ("zzz", "the options are n_lobes,")]
+    ("name", "hint"), [("weigthing", "did you mean weighting?"), ("zzz", "the options are columns, missing, ")]
 )
 def test_wrong_name_is_told_the_right_one(name: str, hint: str) -> None:
     with pytest.raises(InvalidArgumentError, match=f"^{re.escape(f'there is no option {name!r}; {hint}')}"):

@@ -22,8 +22,11 @@ def values_at_edges(schema: dict[str, Any]) -> Iterator[Any]:
     yield from (None, True, False, 1, "other")
     for branch in schema.get("anyOf", [schema]):
         if branch["type"] in ("integer", "number"):
-            for bound in (branch.get("exclusiveMinimum", branch.get("minimum")), branch["maximum"]):
+            least = branch.get("exclusiveMinimum", branch.get("minimum", -1.0))
+            for bound in (least, branch.get("maximum", 1e30)):
                 yield from (bound, bound - 1, bound + 1, bound + 0.5, bound - 1e-8, bound + 1e-8)
+        elif branch["type"] == "array" and "minItems" not in branch:
+            yield from ([0], [-999, 1e30], ["theta_in=AOI"], ["AOI"], ["=AOI"], ["value= "], [None])
         elif branch["type"] == "array":
             low, high = branch["items"]["minimum"], branch["items"]["maximum"]
             yield from ([low, high], [*range(branch["maxItems"])])

@@ -1,0 +1,129 @@
+"""Options that say of a table what it does not say itself, and the names that say it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
+from dsbrdf.data.table_options import TableOptions
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from tests.library.data.test_sample_tables import ANGLES, COUNT, GREY, RGB, check_same, table
+
+DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
+NAMED = {"theta_in": "AOI 1", "phi_in": "turn", "theta_out": "Arm", "phi_out": "tilt", "value": "Signal"}
+ODD = table(list(NAMED.values()), np.hstack([ANGLES, GREY[:, :1]]))
+
+
+@pytest.mark.parametrize("columns", [NAMED, ",".join(f"{meaning}={name.upper()}" for meaning, name in NAMED.items())])
+def test_columns_are_named(columns: str) -> None:
+    check_same(parse_samples(ODD, options=TableOptions(columns=columns)), ANGLES, GREY)
+
+
+def test_a_column_that_is_named_counts_alone() -> None:
+    columns = np.hstack([ANGLES, 2.0 * GREY[:, :1], GREY[:, :1]])
+    samples = parse_samples(table((*DIRECTION, "BSDF", "BRDF"), columns), options=TableOptions(columns="value=BRDF"))
+    check_same(samples, ANGLES, GREY)
+    swapped = TableOptions(columns="theta_in=theta_out,theta_out=theta_in,phi_in=phi_out,phi_out=phi_in")
+    check_same(parse_samples(table(), options=swapped), ANGLES[:, [2, 3, 0, 1]], RGB)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ("theta_in=angle", "The table has no column 'angle'; it has AOI 1, turn, Arm"),
+        ("theta_inn=Arm", "The option columns has 'theta_inn', which is no meaning. Directions are theta_in"),
+    ],
+)
+def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:
+    with pytest.raises(MeasurementFormatError) as caught:
+        parse_samples(ODD, options=TableOptions(columns=f"value=Signal,{columns}"))
+    assert words in str(caught.value)
+
+
+def test_rows_with_a_number_that_stands_for_missing_are_left_out() -> None:
+    values = GREY[:, :1].copy()
+    values[3:200:9], values[5:200:9] = -999.0, 0.0
+    there = (values > 0.0)[:, 0]
+    samples = parse_samples(
+        table((*DIRECTION, "value"), np.hstack([ANGLES, values])), options=TableOptions(missing=(0, -999))
+    )
+    check_same(samples, ANGLES[there], GREY[there])
+    assert samples.notes[1].startswith(f"{COUNT - there.sum()} rows have no finite number")
+
+
+def test_values_are_multiplied_and_divided_and_the_plane_is_turned() -> None:
+    first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
+    plain = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 24.0))
+    options = dsbrdf.FitOptions(scale=0.01, cosine="out", phi="mirror")
+    samples = plain.with_options(options)
+    np.testing.assert_allclose(samples.values, 0.4, rtol=1e-14)
+    np.testing.assert_allclose(samples.omega_in, first * [-1.0, -1.0, 1.0], rtol=1e-14)
+    assert samples.with_options(options) is samples
+    assert samples.with_options(dsbrdf.FitOptions()) is samples
+    with pytest.raises(InvalidArgumentError, match="read with options of a table other than those given"):
+        samples.with_options(dsbrdf.FitOptions(scale=0.1))
+    with pytest.raises(InvalidArgumentError, match="columns and missing are for a table in a file"):
+        plain.with_options(TableOptions(missing=0))
+
+
+def test_a_mirror_direction_with_the_same_phi_is_turned() -> None:
+    in_plane = ANGLES * [1.0, 0.0, 1.0, 0.0] + [0.0, 180.0, 0.0, 0.0]
+    turned = table(("theta_in", "theta_out", "red", "green", "blue"), np.hstack([ANGLES[:, ::2] * [-1, 1], RGB]))
+    samples = parse_samples(turned, options=TableOptions(phi="mirror"))
+    check_same(samples, in_plane, RGB)
+    assert "theta_out = -theta_in to be the mirror direction" in samples.notes[0]
+
+
+def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "paint.csv"
+    path.write_bytes(table())
+    samples = dsbrdf.read_measurement(path, scale=0.5)
+    check_same(samples, ANGLES, 0.5 * RGB)  # type: ignore[arg-type]
+    for name in ("paint.binary", "paint.bsdf"):
+        with pytest.raises(InvalidArgumentError, match="scale is for scattered samples; leave it out"):
+            dsbrdf.read_measurement(tmp_path / name, scale=0.5)
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        ({"columns": "AOI"}, "columns must be such as theta_in=AOI,value=BSDF, not 'AOI'"),
+        ({"columns": 3}, "columns must be such as"),
+        ({"missing": "0"}, "missing must be finite numbers, not 0"),
+        ({"missing": [0, float("nan")]}, "missing must be finite numbers"),
+        ({"scale": 0}, "scale must be a number from 1e-12 to 1e+12, not 0"),
+        ({"scale": True}, "scale must be a number from 1e-12 to 1e+12, not True"),
+        ({"phi": "turned"}, "phi must be one of mirror, not 'turned'"),
+    ],
+)
+def test_options_are_checked_when_they_are_made(choice: dict[str, object], words: str) -> None:
+    for kind in (TableOptions, dsbrdf.FitOptions):
+        with pytest.raises(InvalidArgumentError) as caught:
+            kind(**choice)  # type: ignore[arg-type]
+        assert words in str(caught.value)
+
+
+OF_INSTRUMENTS = {
+    "AOI, AOR": ("AOI", "phi_i", "AOR", "phi_r"),
+    "in words": ("Angle of incidence", "Incident azimuth", "Angle of reflection", "Azimuth"),
+    "zenith angles": ("Illumination zenith angle (deg)", "Illumination azimuth", "View zenith (deg)", "View azimuth"),
+    "of remote sensing": ("SZA", "SAA", "VZA", "VAA"),
+    "Greek letters": ("θi [°]", "φi [°]", "θr [°]", "φr [°]"),
+    "Greek letters and subscripts": ("Θ_i", "ϕᵢ", "Θ_r", "ϕᵣ"),
+    "incident angle": ("incident angle", "phi_incident", "viewing angle", "phi"),
+    "receiver": ("source polar", "source azimuth", "receiver polar", "receiver azimuth"),
+}
+
+
+@pytest.mark.parametrize("names", OF_INSTRUMENTS.values(), ids=OF_INSTRUMENTS.keys())
+def test_names_of_instruments_are_known(names: tuple[str, ...]) -> None:
+    check_same(parse_samples(table((*names, "BSDF (sr⁻¹)"), np.hstack([ANGLES, GREY[:, :1]]))), ANGLES, GREY)
+
+
+def test_an_elevation_is_from_the_horizon() -> None:
+    columns = np.hstack([np.abs([90.0, 0.0, 90.0, 0.0] - ANGLES), GREY[:, :1]])
+    samples = parse_samples(table(("light elevation", "phi_in", "elevation", "azimuth", "value"), columns))
+    check_same(samples, ANGLES, GREY)
+    assert "theta_out is 90 degrees minus it" in samples.notes[-1]
