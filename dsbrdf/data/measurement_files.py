@@ -10,6 +10,9 @@ from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, parse_samples, read_samples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
+from dsbrdf.errors import MeasurementFormatError
+
+_SPREADSHEETS = (".xlsx", ".xls", ".ods")
 
 
 def read_measurement(
@@ -40,6 +43,8 @@ def read_measurement(
     suffix = Path(path).suffix.lower()
     if suffix in TABLE_SUFFIXES:
         return read_samples(path, options)
+    if suffix in _SPREADSHEETS:
+        raise MeasurementFormatError("The file is a spreadsheet: save its sheet as .csv.")
     options.refuse_on_grid()
     return read_rgl(path).measurement() if suffix == ".bsdf" else read_merl(path)
 

@@ -15,7 +15,8 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.sample_names import DEGREES, HALF_DIFFERENCE, MEANINGS, RADIANS, VECTORS, name_and_unit
+from dsbrdf.data.sample_names import DEGREES, HALF_DIFFERENCE, MEANINGS, RADIANS, VECTORS, name_and_unit, wavelength_of
+from dsbrdf.data.spectra import linear_srgb, of_rows
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.data.text_table import TextTable
 from dsbrdf.errors import MeasurementFormatError
@@ -24,6 +25,7 @@ _THETAS, _PHIS = ("theta_in", "theta_out"), ("phi_in", "phi_out")
 _GREY, _WEIGHT, _WAVELENGTH = "value", "weight", "wavelength"
 _FORMS = (VECTORS, HALF_DIFFERENCE, _THETAS)  # of directions
 _PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
+_MICROMETRES, _LARGEST_MICROMETRES = ("um", "μm", "micron", "microns"), 10.0
 _NO_UNIT = ("", "1", "-", "none")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
@@ -49,16 +51,14 @@ def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list
         # Those of which the table has most columns; angles if it has none.
         nearest = max((_THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
         raise _missing("directions", nearest, table, places)
-    values = CHANNELS if places.keys() >= {*CHANNELS} else (_GREY,)
+    bands = {} if places.keys() & {_GREY, *CHANNELS} else _bands(table)
+    places |= {name: [place] for name, (place, _) in bands.items()}
+    values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or (_GREY,)
     if not places.keys() >= {*values}:
         raise _missing("values", CHANNELS, table, places)
-    if _WAVELENGTH in places:
-        raise MeasurementFormatError(
-            f"The column {table.names[places[_WAVELENGTH][0]]!r} has wavelengths, which would be averaged to grey: "
-            "give a table with red, green and blue in linear sRGB, or one for each wavelength."
-        )
+    by_rows = [_WAVELENGTH] if _WAVELENGTH in places and values == (_GREY,) else []
     phis = [name for name in _PHIS if form is _THETAS and name in places]
-    used = [*form, *phis, *values, *([_WEIGHT] if _WEIGHT in places else [])]
+    used = [*form, *phis, *values, *by_rows, *([_WEIGHT] if _WEIGHT in places else [])]
     for name in used:
         if len(places[name]) > 1:
             first, second = (table.names[place] for place in places[name][:2])
@@ -68,7 +68,7 @@ def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list
         column[name] = np.where(np.isin(column[name], options.missing), np.nan, column[name])
     units = {name: _unit(table, at) for name, (at, *_) in places.items()}
     for name in values:
-        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN) and options.scale == 1.0:
+        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN, *(["nm"] if bands else [])) and options.scale == 1.0:
             raise MeasurementFormatError(
                 f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr: if they are "
                 "those times a factor, give its inverse as the option scale."
@@ -76,12 +76,44 @@ def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list
     for side in from_horizon:
         quarter = np.pi / 2.0 if units[f"theta_{side}"] in RADIANS else 90.0
         column[f"theta_{side}"] = quarter - column[f"theta_{side}"]
-    colors = [column[name] for name in (values if len(values) == 3 else values * 3)]
+    colors = np.stack([column[name] for name in values], axis=-1)
+    wavelengths = np.array([wavelength for _, wavelength in bands.values()])
+    if bands:
+        colors = linear_srgb(wavelengths, colors)
     weight = column.get(_WEIGHT, np.ones(len(table.rows)))
-    numbers = np.column_stack([*_vectors(column, form, units), *colors, weight])
-    notes = [*_notes(table, form, phis, values, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
+    numbers = np.column_stack([*_vectors(column, form, units), np.broadcast_to(colors, (len(colors), 3)), weight])
+    if by_rows:
+        numbers, wavelengths = of_rows(numbers, _in_nanometres(column[_WAVELENGTH], units[_WAVELENGTH]))
+    notes = [*_notes(table, form, phis, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
+    notes += _about_color(values, wavelengths)
     notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
     return numbers, notes
+
+
+def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
+    """Return the place and the wavelength [nm] of each column of one, in their order; none if there is one alone."""
+    found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
+    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if len(found) > 1 else {}
+
+
+def _in_nanometres(wavelengths: Array, unit: str) -> Array:
+    if unit not in (*_NO_UNIT, "nm", *_MICROMETRES):
+        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm.")
+    is_small = unit in _MICROMETRES or (unit != "nm" and _largest(wavelengths) < _LARGEST_MICROMETRES)
+    return wavelengths * 1000.0 if is_small else wavelengths
+
+
+def _about_color(values: tuple[str, ...], wavelengths: Array) -> list[str]:
+    if values == CHANNELS:
+        return []
+    if wavelengths.size == 0:
+        return ["The table has one column of values: the material is taken to be grey."]
+    if wavelengths.size == 1:
+        return [f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."]
+    return [
+        f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear sRGB, "
+        "as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
+    ]
 
 
 def _places(table: TextTable, options: TableOptions) -> dict[str, list[int]]:
@@ -163,11 +195,7 @@ def _largest(angle: Array) -> float:
     return float(np.abs(angle[np.isfinite(angle)]).max(initial=0.0))
 
 
-def _notes(
-    table: TextTable, form: tuple[str, ...], phis: list[str], values: tuple[str, ...], read: set[int], *, mirror: bool
-) -> Iterator[str]:
-    if values == (_GREY,):
-        yield "The table has one column of values: the material is taken to be grey."
+def _notes(table: TextTable, form: tuple[str, ...], phis: list[str], read: set[int], *, mirror: bool) -> Iterator[str]:
     if form is _THETAS and not phis:
         yield (
             "The table has no phi: all directions are taken to lie in one plane, and theta_out = "

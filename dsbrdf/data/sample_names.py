@@ -34,6 +34,8 @@ VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 DEGREES, RADIANS = ("deg", "degree", "degrees", "°"), ("rad", "radian", "radians")
 _LONGEST_NAME = 200  # characters of a cell with a name and its unit
+_BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]{3,4}(?:_[0-9]+)?)_?(?:nm)?")
+_FIRST_BAND, _LAST_BAND = 200.0, 3000.0  # [nm]
 
 
 def _spellings() -> Iterator[tuple[str, str]]:
@@ -63,6 +65,13 @@ MEANINGS = dict(_spellings())
 def is_known(cell: str) -> bool:
     """Whether a cell is one of the spellings of a column's name."""
     return name_and_unit(cell)[0] in MEANINGS
+
+
+def wavelength_of(cell: str) -> float | None:
+    """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "450" or "brdf_450nm"."""
+    found = _BAND.fullmatch(name_and_unit(cell)[0])
+    number = 0.0 if found is None else float(found[1].replace("_", "."))
+    return number if _FIRST_BAND <= number <= _LAST_BAND else None
 
 
 def name_and_unit(cell: str) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.merl_validation import LARGEST_VALUE
 from dsbrdf.data.sample_columns import sample_columns
-from dsbrdf.data.sample_names import is_known
+from dsbrdf.data.sample_layouts import is_name, known_format, unfolded
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
@@ -145,7 +145,9 @@ class ScatteredSamples:
             _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
             arrays[side] /= length[:, np.newaxis]
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
-        _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, "no reflectance is")
+        brightest = arrays["values"].max()
+        too_bright = f"no reflectance is; if {brightest:g} stands for what is missing, set missing to it"
+        _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, too_bright)
         weights = arrays["weight"]
         _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
         extreme = (weights < 1.0 / LARGEST_WEIGHT) | (weights > LARGEST_WEIGHT)
@@ -215,8 +217,17 @@ def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS
             f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
         )
     named = {column.lower() for column in options.named_columns().values()}
-    table = parse_text_table(data, lambda cell: is_known(cell) or cell.strip("'\" ").lower() in named)
-    numbers, notes = sample_columns(table, options)
+    try:
+        table = parse_text_table(data, lambda cell: is_name(cell) or cell.strip("'\" ").lower() in named)
+        numbers, notes = sample_columns(unfolded(table), options)
+    except MeasurementFormatError as error:
+        found = known_format(data)
+        if found is None:
+            raise
+        raise MeasurementFormatError(
+            f"The data is {found}, which is not read: write its samples as a table with theta_in, phi_in, theta_out, "
+            "phi_out and value."
+        ) from error
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
     first, second = (

@@ -13,10 +13,10 @@ from dsbrdf.fitting.sample_prediction import SampleLayers, thinned
 from dsbrdf.model.albedo import directional_albedo
 
 _FACTORS = {
-    1.0 / np.pi: "1/pi (are they reflectance factors?)",
-    1.0 / (100.0 * np.pi): "1/(100 pi) (are they reflectance factors in per cent?)",
-    1.0 / 100.0: "1/100 (are they per cent?)",
-    1.0 / 1500.0: "1/1500 (are they the integers of a MERL file?)",
+    1.0 / np.pi: "1/pi (scale 0.3183; are they reflectance factors?)",
+    1.0 / (100.0 * np.pi): "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",
+    1.0 / 100.0: "1/100 (scale 0.01; are they per cent?)",
+    1.0 / 1500.0: "1/1500 (scale 0.0006667; are they the integers of a MERL file?)",
 }
 _MOST = 300  # samples that are asked
 _STEEP = np.radians([0.0, 30.0])  # where few samples tell the albedo best
@@ -43,8 +43,7 @@ def sample_units(samples: ScatteredSamples) -> SampleUnits:
     if SampleLayers.fit(turned).evidence < layers.evidence - _MORE_PROBABLE:
         said = (
             "The brightest samples lie back towards the light, where mirrors have theirs on the other side: if light "
-            "and viewer have the same phi in the mirror direction here, add 180 degrees to phi_in, or in a table "
-            "without phi change the sign of theta_in."
+            'and viewer have the same phi in the mirror direction here, set phi to "mirror", which turns the plane.'
         )
         return SampleUnits(1.0, (said,))
     if not _is_possible(layers):

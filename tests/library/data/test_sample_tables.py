@@ -276,6 +276,12 @@ WRONG = [
         b"PK\x03\x04" + bytes(30),
         "is a ZIP archive or a NumPy .npz file; scattered samples are a table in a text: save a",
     ),
+    (
+        b"AngleOfIncidence 2\n0 30\nScatterAzimuth 1\n0\nScatterRadial 3\n0 1 2\nDataBegin\n",
+        "The data is a Zemax BSDF file, which is not read: write its samples as a table with theta_in, phi_in,",
+    ),
+    (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),
+    (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
     (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
     (changed(4, '"1'), "A quotation mark in the table is not closed on its line."),
 ]
@@ -342,9 +348,3 @@ def test_values_of_a_grey_table_are_counted_once() -> None:
     values = np.where(np.arange(COUNT) % 60 == 0, -0.002, GREY[:, 0])[:, None]
     notes = parse_samples(table((*DIRECTION, "value"), np.hstack([ANGLES, values]))).notes
     assert any(note.startswith("4 values are negative") for note in notes)
-
-
-def test_wavelengths_are_refused() -> None:
-    spectral = np.hstack([ANGLES, np.full((COUNT, 1), 550.0), GREY[:, :1]])
-    with pytest.raises(MeasurementFormatError, match="'wavelength' has wavelengths, which would be averaged to grey"):
-        parse_samples(table((*DIRECTION, "wavelength", "value"), spectral))

@@ -203,10 +203,14 @@ def test_the_fit_follows_the_level_of_the_samples(level: float, truth: dsbrdf.DS
     ("factor", "side", "words"),
     [
         (1.0, None, ()),
-        (1500.0, None, ("1/1500 (are they the integers of a MERL file?)",)),
-        (100.0, None, ("1/100 (are they per cent?)",)),
-        (100.0 * np.pi, None, ("multiply the values by 1/(100 pi) (are they reflectance factors in per cent?)",)),
-        (np.pi, None, ("multiply the values by 1/pi (are they reflectance factors?)",)),
+        (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
+        (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
+        (
+            100.0 * np.pi,
+            None,
+            ("multiply the values by 1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",),
+        ),
+        (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
         (1.0, "in", ('if so, set cosine to "in"',)),
         (1.0, "out", ('if so, set cosine to "out"',)),
         (100.0 * np.pi, "in", ("multiply the values by 1/(100 pi)", 'and set cosine to "in"')),

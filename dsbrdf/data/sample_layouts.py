@@ -1,0 +1,45 @@
+"""Tables that do not have a row for each sample, and files of instruments that are told by their name."""
+
+import re
+
+from dsbrdf.data.sample_names import MEANINGS, is_known, name_and_unit
+from dsbrdf.data.text_table import TextTable
+
+_THETAS = {"theta_in", "theta_out"}
+_FORMATS = {
+    rb"(?i)\bScatterRadial\b": "a Zemax BSDF file",
+    rb"\bE\s?-?1392\b": "a file of ASTM E1392",
+    rb"\bE\s?-?2387\b": "a file of ASTM E2387",
+}
+
+
+def known_format(data: bytes) -> str | None:
+    """Return what the text is, such as "a Zemax BSDF file"; None for any other."""
+    return next((name for pattern, name in _FORMATS.items() if re.search(pattern, data)), None)
+
+
+def is_name(cell: str) -> bool:
+    """Whether a cell names a column, or the rows and the columns of a matrix."""
+    return is_known(cell) or len(_matrix_names(cell)) == 2
+
+
+def unfolded(table: TextTable) -> TextTable:
+    """Return a matrix of incidence against receiver, "theta_out / theta_in" its first name, as a table of samples.
+
+    Any other table is returned as it is.
+    """
+    names = _matrix_names(table.names[0])
+    if len(names) < 2:
+        return table
+    rows = [[row[0], head, cell] for row in table.rows for head, cell in zip(table.names[1:], row[1:], strict=True)]
+    lines = [line for line in table.lines for _ in table.names[1:]]
+    return TextTable((*names, "value"), ("", "", ""), rows, lines, table.separator)
+
+
+def _matrix_names(cell: str) -> tuple[str, ...]:
+    r"""Return the names in a cell such as "theta_out / theta_in" or "AOR \ AOI [deg]", that of the rows first."""
+    name, unit = name_and_unit(cell)
+    parts = [part.strip("_ ") for part in re.split(r"[/\\|]", name)]
+    if {MEANINGS.get(part) for part in parts} != _THETAS or len(parts) != 2:
+        return ()
+    return tuple(f"{part} [{unit}]" if unit else part for part in parts)
