@@ -114,6 +114,8 @@ class DaskEngine:
             try:
                 while not (future.done() or stopped.is_set()) and client is self._client and workers & self._usable():
                     stopped.wait(_POLL_INTERVAL)
+                if not future.done():
+                    stopped.wait(_LOOK_INTERVAL)  # that the loss of its last worker ends the fit is heard after the loss
                 if future.status in ("finished", "error"):
                     return _answer(future)
             finally:
