@@ -115,7 +115,7 @@ class DaskEngine:
                 while not (future.done() or stopped.is_set()) and client is self._client and workers & self._usable():
                     stopped.wait(_POLL_INTERVAL)
                 if not future.done():
-                    stopped.wait(_LOOK_INTERVAL)  # that the loss of its last worker ends the fit is heard after the loss
+                    stopped.wait(_LOOK_INTERVAL)  # that a loss has ended the fit is heard a moment after the loss
                 if future.status in ("finished", "error"):
                     return _answer(future)
             finally:
