@@ -59,6 +59,7 @@ _COMMANDS = {
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
+        "table": ("table_command:table", "Print what is understood of a table of samples."),
         "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
     },
     "More": {

@@ -36,7 +36,8 @@ from dsbrdf.data.hdr_image import SUFFIXES as PANORAMA_SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, read_samples
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES, read_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.decomposition import decompose

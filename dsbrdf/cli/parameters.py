@@ -15,7 +15,8 @@ from dsbrdf.cli.commands import Whole
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.decomposition import Component

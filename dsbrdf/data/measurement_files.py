@@ -8,7 +8,8 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES, ScatteredSamples, parse_samples, read_samples
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES, parse_samples, read_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import MeasurementFormatError
 

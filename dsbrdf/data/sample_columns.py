@@ -9,6 +9,7 @@ side of the normal and theta_out on the other; a negative angle is on the side o
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,11 +36,23 @@ _POSSIBLE = (
 _SURELY_DEGREES = 1.6  # theta never gets further than this in radians
 
 
-def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list[str]]:
-    """Return the numbers of a table, and what was decided about them, a sentence each.
+@dataclass(frozen=True, eq=False)
+class SampleColumns:
+    """What the columns of a table are.
 
     The columns of the numbers (n, 10) are omega_in and omega_out, not yet of unit length, the three values and the
-    weight, 1 if the table has none; NaN is where it has no number. Raises MeasurementFormatError if a column is
+    weight, 1 if the table has none; NaN is where it has no number.
+    """
+
+    numbers: Array
+    notes: tuple[str, ...]  # what was decided, a sentence each
+    columns: tuple[tuple[str, str, str], ...]  # name as written, what it was read as and its unit, if they say it
+
+
+def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
+    """Return the numbers of a table, and what its columns are.
+
+    Raises MeasurementFormatError if a column is
     missing, is there twice, or has another unit.
     """
     places = _places(table, options)
@@ -87,7 +100,9 @@ def sample_columns(table: TextTable, options: TableOptions) -> tuple[Array, list
     notes = [*_notes(table, form, phis, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
     notes += _about_color(values, wavelengths)
     notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
-    return numbers, notes
+    read = {places[name][0]: name for name in used}
+    columns = tuple((name, read.get(at, ""), _unit(table, at)) for at, name in enumerate(table.names))
+    return SampleColumns(numbers, tuple(notes), columns)
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:

@@ -22,7 +22,7 @@ import httpx
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.errors import DSBRDFError

@@ -23,7 +23,8 @@ from dsbrdf.data.measurement_files import open_checked
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
+from dsbrdf.data.sample_tables import parse_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError

@@ -13,7 +13,7 @@ from typing import Any
 from fastapi import Request
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_header, check_length
-from dsbrdf.data.scattered_samples import TABLE_SUFFIXES
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 

@@ -7,7 +7,7 @@ import pytest
 
 from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.output.serialize import load_result
-from tests.support.command_line import document, printed
+from tests.support.command_line import document, printed, run
 from tests.support.mixtures import mixture, scattered_samples
 
 pytestmark = pytest.mark.slow
@@ -36,3 +36,33 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
         errors[1], rel=0.05
     )  # the metric leaves grazing angles out
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
+
+
+def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
+    angles = np.array([(a, b) for a in (0.0, 30.0, 60.0) for b in np.arange(-80.0, 81.0, 8.0)])
+    values = 20.0 + 300.0 * np.exp(-(((angles[:, 0] - angles[:, 1]) / 10.0) ** 2))
+    values[5] = -999.0
+    path = tmp_path / "tile.csv"
+    columns = np.column_stack([angles, values, np.arange(len(values))])
+    np.savetxt(path, columns, delimiter=",", header="AOI [deg],AOR,reflectance,probe", comments="")
+    flags = ("--columns", "value=reflectance", "--missing", "-999", "--scale", "0.003183")
+    found = document("table", path, *flags, "--json")
+    assert (found["n_rows"], found["n_samples"]) == (63, 62)
+    assert [tuple(column.values()) for column in found["columns"]] == [
+        ("AOI [deg]", "theta_in", "deg"),
+        ("AOR", "theta_out", ""),
+        ("reflectance", "value", ""),
+        ("probe", None, ""),
+    ]
+    assert found["ranges"]["theta_in"] == pytest.approx([0.0, 60.0])
+    assert found["ranges"]["theta_out"] == pytest.approx([0.0, 80.0], abs=1e-6)
+    assert found["ranges"]["green"][1] == pytest.approx(320.0 * 0.003183, rel=0.1)
+    assert found["angles_of_incidence"] == [0.0, 30.0, 60.0]
+    assert found["in_plane_of_incidence"] == 1.0
+    assert any("probe" in sentence for sentence in found["warnings"])
+    assert found["first"][0] == pytest.approx([0.0, 80.0, 0.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
+    text = printed("table", path, *flags)
+    assert "63 rows, 62 samples" in text
+    assert "probe        not read" in text
+    assert "angles of incidence: 0, 30, 60" in text
+    assert "a table of samples ends in .csv, .tsv or .txt" in run("table", tmp_path / "tile.binary", code=2).stderr

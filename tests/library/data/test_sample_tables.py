@@ -13,7 +13,8 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.sample_names import is_known
-from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
+from dsbrdf.data.sample_tables import parse_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import MeasurementFormatError
 
 COUNT = 240
@@ -334,17 +335,3 @@ def test_values_and_weights_that_no_fit_can_tell_from_none_are_refused() -> None
     for weight in (1e308, 1e-308):
         with pytest.raises(MeasurementFormatError, match=r"200 of 200 samples.* weight is not from 1e-12 to 1e12"):
             ScatteredSamples.from_arrays(omega, omega, np.ones((200, 3)), np.full(200, weight))
-
-
-@pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
-def test_a_value_that_probably_stands_for_what_is_missing_is_named(missing: float, which: str) -> None:
-    rgb = np.where((np.arange(COUNT) % 9 == 0)[:, None], missing, RGB + 0.5)
-    (note,) = parse_samples(table(columns=np.hstack([ANGLES, rgb]))).notes
-    assert note.startswith(f"27 samples have the same {which} value, {missing:g}, far from all others")
-    assert not parse_samples(table()).notes
-
-
-def test_values_of_a_grey_table_are_counted_once() -> None:
-    values = np.where(np.arange(COUNT) % 60 == 0, -0.002, GREY[:, 0])[:, None]
-    notes = parse_samples(table((*DIRECTION, "value"), np.hstack([ANGLES, values]))).notes
-    assert any(note.startswith("4 values are negative") for note in notes)

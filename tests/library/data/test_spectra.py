@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.scattered_samples import parse_samples
+from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.data.spectra import linear_srgb
 from dsbrdf.errors import MeasurementFormatError
 from tests.library.data.test_sample_tables import ANGLES, COUNT, GREY, check_same, table

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.scattered_samples import ScatteredSamples, parse_samples
+from dsbrdf.data.sample_tables import parse_samples
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from tests.library.data.test_sample_tables import ANGLES, COUNT, GREY, RGB, check_same, table
@@ -127,3 +128,17 @@ def test_an_elevation_is_from_the_horizon() -> None:
     samples = parse_samples(table(("light elevation", "phi_in", "elevation", "azimuth", "value"), columns))
     check_same(samples, ANGLES, GREY)
     assert "theta_out is 90 degrees minus it" in samples.notes[-1]
+
+
+@pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
+def test_a_value_that_probably_stands_for_what_is_missing_is_named(missing: float, which: str) -> None:
+    rgb = np.where((np.arange(COUNT) % 9 == 0)[:, None], missing, RGB + 0.5)
+    (note,) = parse_samples(table(columns=np.hstack([ANGLES, rgb]))).notes
+    assert note.startswith(f"27 samples have the same {which} value, {missing:g}, far from all others")
+    assert not parse_samples(table()).notes
+
+
+def test_values_of_a_grey_table_are_counted_once() -> None:
+    values = np.where(np.arange(COUNT) % 60 == 0, -0.002, GREY[:, 0])[:, None]
+    notes = parse_samples(table((*DIRECTION, "value"), np.hstack([ANGLES, values]))).notes
+    assert any(note.startswith("4 values are negative") for note in notes)

@@ -13,7 +13,7 @@ import dsbrdf
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
 from dsbrdf.data.rgl_material import parse_rgl
-from dsbrdf.data.scattered_samples import parse_samples
+from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.output.export import export_model
 from dsbrdf.output.serialize import from_json
 from tests.support.mixtures import mixture, scattered_samples

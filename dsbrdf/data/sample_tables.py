@@ -1,0 +1,148 @@
+"""Files of text with a table of scattered samples.
+
+`dsbrdf.data.text_table` finds the cells of a file, `dsbrdf.data.sample_columns` what they mean. What a measurement
+leaves behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or
+below the horizon, small negative values, vectors that are nearly of unit length.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.files import known_kind
+from dsbrdf.data.sample_columns import sample_columns
+from dsbrdf.data.sample_layouts import is_name, known_format, unfolded
+from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
+from dsbrdf.data.text_table import parse_text_table
+from dsbrdf.errors import MeasurementFormatError
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables of scattered samples."""
+_LARGEST_FILE = 1 << 30  # [bytes]
+_LOWEST_COSINE = 1e-6  # of a direction above the horizon: sines and cosines of angles in degrees are rounded
+_TABLE_TOLERANCE = 0.02
+_ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
+_FEW_VALUES, _MANY_EQUAL, _FAR_OFF = 10, 4, 3.0  # different values; equal ones; a factor to the next value
+_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
+_LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
+
+
+@dataclass(frozen=True, eq=False)
+class ReadTable:
+    """A table that was read."""
+
+    columns: tuple[tuple[str, str, str], ...]  # of each its name, what it was read as, and the unit, if they say them
+    n_rows: int
+    samples: ScatteredSamples
+
+
+def read_samples(path: str | os.PathLike[str], options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
+    """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, whose stem becomes the name.
+
+    A MeasurementFormatError says in one sentence what is wrong and what would be right.
+    """
+    source = Path(path)
+    if source.stat().st_size > _LARGEST_FILE:
+        raise MeasurementFormatError(f"The table is longer than {_LARGEST_FILE} bytes.")
+    return parse_samples(source.read_bytes(), source.stem, options)
+
+
+def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
+    """Return the samples in the bytes of a table; errors are those of `read_samples`."""
+    return read_table(data, name, options).samples
+
+
+def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
+    """Return the samples in the bytes of a table with what was understood; errors are those of `read_samples`."""
+    kind = known_kind(data[:16])
+    if kind is not None:
+        raise MeasurementFormatError(
+            f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
+        )
+    named = {column.lower() for column in options.named_columns().values()}
+    try:
+        table = parse_text_table(data, lambda cell: is_name(cell) or cell.strip("'\" ").lower() in named)
+        found = sample_columns(unfolded(table), options)
+    except MeasurementFormatError as error:
+        known = known_format(data)
+        if known is None:
+            raise
+        raise MeasurementFormatError(
+            f"The data is {known}, which is not read: write its samples as a table with theta_in, phi_in, theta_out, "
+            "phi_out and value."
+        ) from error
+    numbers, notes = found.numbers, [*found.notes]
+    used = np.asarray(np.isfinite(numbers).all(axis=1))
+    notes += _left_out(~used, "no finite number in a column that is needed")
+    first, second = (
+        _unit_vectors(side, numbers[:, at : at + 3], used, notes) for side, at in (("omega_in", 0), ("omega_out", 3))
+    )
+    above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
+    notes += _left_out(used & ~above, "a direction at or below the horizon")
+    used &= above
+    values = numbers[used, 6:9]
+    is_grey = bool(np.all(values == values[:, :1]))
+    if values.size:
+        notes += _repeated(values[:, 0])
+    values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
+    samples = ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
+    return ReadTable(found.columns, len(table.rows), samples.changed(options.of_table()))
+
+
+def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
+    """Return vectors made of unit length."""
+    length = np.linalg.norm(vectors, axis=1)
+    off = np.where(used, np.abs(length - 1.0), 0.0)
+    if off.max(initial=0.0) > _TABLE_TOLERANCE:
+        raise MeasurementFormatError(
+            f"In {np.count_nonzero(off > _TABLE_TOLERANCE)} of {off.size} rows {side} is not of unit length, which is "
+            f"{length[int(np.argmax(off))]:.4g} in one of them; directions are unit vectors."
+        )
+    if off.max(initial=0.0) > _ROUNDED:
+        notes.append(f"The vectors {side} were up to {off.max():.1%} off unit length; they were made unit vectors.")
+    return np.asarray(vectors / np.where(used & (length > 0.0), length, 1.0)[:, np.newaxis])
+
+
+def _without_noise(values: Array, notes: list[str]) -> Array:
+    """Return values with small negative ones as zero."""
+    negative = values < 0.0
+    count = int(np.count_nonzero(negative))
+    if count == 0:
+        return values
+    lowest, largest = -values.min(), values.max()
+    several = "1 value is" if count == 1 else f"{count} values are"
+    if lowest > _LARGEST_NOISE * largest or -values[negative].sum() > _LARGEST_NOISE * values[~negative].sum():
+        raise MeasurementFormatError(
+            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "
+            f"is missing, set missing to {-lowest:g}."
+        )
+    counts = "it counts" if count == 1 else "they count"
+    notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
+    return np.maximum(values, 0.0)
+
+
+def _repeated(values: Array) -> list[str]:
+    """Name the smallest and the largest value where many samples have it and the next one is far off."""
+    found, counts = np.unique(values, return_counts=True)
+    if found.size < _FEW_VALUES:
+        return []
+    least = max(_FAR_OFF * found[0], _CLEARLY_LIT * float(np.median(values)))
+    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
+    return [
+        f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
+        f"what is missing, set missing to {found[place]:g}."
+        for which, place, is_far in extremes
+        if is_far and counts[place] >= _MANY_EQUAL
+    ]
+
+
+def _left_out(rows: Mask, fault: str) -> list[str]:
+    count = int(np.count_nonzero(rows))
+    several = "1 row has" if count == 1 else f"{count} rows have"
+    return [f"{several} {fault}; {'it is' if count == 1 else 'they are'} left out."] if count else []
