@@ -18,9 +18,9 @@ def known_format(data: bytes) -> str | None:
     return next((name for pattern, name in _FORMATS.items() if re.search(pattern, data)), None)
 
 
-def is_name(cell: str) -> bool:
-    """Whether a cell names a column, or the rows and the columns of a matrix."""
-    return is_known(cell) or len(_matrix_names(cell)) == 2
+def count_names(cell: str) -> int:
+    """Return how many columns a cell names: 1, or the 3 of a matrix, whose first cell tells its rows and columns."""
+    return 1 if is_known(cell) else 3 if _matrix_names(cell) else 0
 
 
 def unfolded(table: TextTable) -> TextTable:

@@ -16,7 +16,7 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.sample_columns import sample_columns
-from dsbrdf.data.sample_layouts import is_name, known_format, unfolded
+from dsbrdf.data.sample_layouts import count_names, known_format, unfolded
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
@@ -67,7 +67,7 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
         )
     named = {column.lower() for column in options.named_columns().values()}
     try:
-        table = parse_text_table(data, lambda cell: is_name(cell) or cell.strip("'\" ").lower() in named)
+        table = parse_text_table(data, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
         found = sample_columns(unfolded(table), options)
     except MeasurementFormatError as error:
         known = known_format(data)

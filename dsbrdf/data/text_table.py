@@ -52,14 +52,14 @@ class TextTable:
         return number
 
 
-def parse_text_table(data: bytes, is_known: Callable[[str], bool]) -> TextTable:
+def parse_text_table(data: bytes, count_names: Callable[[str], int]) -> TextTable:
     """Return the table in the bytes of a text.
 
-    `is_known` says whether a cell is the name of a known column: the line with most of them names the columns. A
+    `count_names` says how many known columns a cell names: the line with most of them names the columns. A
     MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
     lines = _text(data).splitlines()
-    place, names = _find_names(lines, is_known)
+    place, names = _find_names(lines, count_names)
     kept = [(number, line.strip(" ")) for number, line in enumerate(lines[place + 1 :], place + 2) if _is_row(line)]
     units, separator = ("",) * len(names), ","
     while kept:
@@ -92,7 +92,7 @@ def _is_row(line: str) -> bool:
     return bool(line.strip()) and _COMMENT.match(line) is None
 
 
-def _find_names(lines: Sequence[str], is_known: Callable[[str], bool]) -> tuple[int, tuple[str, ...]]:
+def _find_names(lines: Sequence[str], count_names: Callable[[str], int]) -> tuple[int, tuple[str, ...]]:
     """Return the index of the line that names the columns, and the names."""
     best: tuple[int, int, tuple[str, ...]] = (0, 0, ())
     for place, line in enumerate(islice(lines, _LINES_BEFORE_NAMES)):
@@ -100,7 +100,7 @@ def _find_names(lines: Sequence[str], is_known: Callable[[str], bool]) -> tuple[
         for separator in _SEPARATORS:
             names = tuple(name.strip() for name in _cells(words, separator))
             names = names[:-1] if names and not names[-1] else names
-            known = sum(is_known(name) for name in names)
+            known = sum(count_names(name) for name in names)
             if known > best[0]:
                 best = known, place, names
     if best[0] > 0:
