@@ -84,7 +84,9 @@ def _basis(all_knots: Array, degree: int, at: Array) -> Array:
         index = piece[:, None] + np.arange(1, order + 1)
         share = local / (all_knots[index] - all_knots[index - order])
         rising, falling = (at[:, None] - all_knots[index - order]) * share, (all_knots[index] - at[:, None]) * share
-        local = np.pad(falling, ((0, 0), (0, 1))) + np.pad(rising, ((0, 0), (1, 0)))
+        local = np.zeros((at.size, order + 1))
+        local[:, :-1] = falling
+        local[:, 1:] += rising
     basis = np.zeros((at.size, n_values))
     np.put_along_axis(basis, piece[:, None] + np.arange(-degree, 1), local, axis=1)
     return basis
