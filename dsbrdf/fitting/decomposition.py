@@ -33,7 +33,8 @@ from dsbrdf.fitting.layer_fit import fit_structures, structure_weights
 from dsbrdf.fitting.layer_shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.albedo import directional_albedo, half_vector_rule
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.layers import LayeredModel, Points, RetroLayer, SheenLayer, SpecularLayer, grid_points
+from dsbrdf.model.layer_points import Points, grid_points
+from dsbrdf.model.layers import LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.process_settings import one_blas_thread
 

@@ -13,7 +13,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.fitting.layer_fit import LayerData
 from dsbrdf.fitting.weighting import center_share, interval_ends, seen_weight, trust
-from dsbrdf.model.layers import Points
+from dsbrdf.model.layer_points import Points
 from dsbrdf.model.reflectance import ReflectanceModel
 
 _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])

@@ -23,7 +23,8 @@ from scipy.optimize import nnls
 
 from dsbrdf.arrays import Array
 from dsbrdf.fitting.layer_structures import STRUCTURES, LayerStructure
-from dsbrdf.model.layers import LayeredModel, Points, SpecularLayer
+from dsbrdf.model.layer_points import Points
+from dsbrdf.model.layers import LayeredModel, SpecularLayer
 
 TEMPERATURE = 4.0
 """Evidence by which a structure's weight falls to 1 / e."""

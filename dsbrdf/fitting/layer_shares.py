@@ -8,7 +8,8 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.model.albedo import half_vector_rule
-from dsbrdf.model.layers import Layer, LayeredModel, Points, RetroLayer, SpecularLayer
+from dsbrdf.model.layer_points import Points
+from dsbrdf.model.layers import Layer, LayeredModel, RetroLayer, SpecularLayer
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Components, from narrow to wide."""

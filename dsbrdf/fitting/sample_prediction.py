@@ -25,7 +25,8 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
 from dsbrdf.fitting.layer_structures import STRUCTURES, LayerStructure
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.layers import LayeredModel, Points
+from dsbrdf.model.layer_points import Points
+from dsbrdf.model.layers import LayeredModel
 
 _POWER, _PLAIN = 1.4, 0.3  # as in `dsbrdf.fitting.layer_data`
 _DARK = 0.02  # of the median of the channels' mean: errors of values below count alike

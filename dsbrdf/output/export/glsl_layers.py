@@ -15,20 +15,8 @@ import numpy as np
 
 from dsbrdf.fitting.decomposition import Component, Decomposition
 from dsbrdf.fitting.layer_shares import HALO, LABELS, WeightedLayers
-from dsbrdf.model.layers import (
-    COAT_F0,
-    LARGEST_TANGENT,
-    LEAST_COSINE,
-    LEAST_RISE,
-    LEAST_SINE,
-    DiffuseLayer,
-    Layer,
-    LayeredModel,
-    RetroLayer,
-    SheenLayer,
-    SpecularLayer,
-    tail_norm,
-)
+from dsbrdf.model.layer_points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
+from dsbrdf.model.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
 from dsbrdf.output.export.single_precision import filled, literal
 
 _NOTHING = "vec3(-1e30)"  # logarithm of a layer that is not there

@@ -6,7 +6,8 @@ from scipy.integrate import quad
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, spherical
-from dsbrdf.model.layers import DiffuseLayer, Layer, LayeredModel, Points, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.model.layer_points import Points
+from dsbrdf.model.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 
 KINDS: list[tuple[type[Layer], int]] = [(SpecularLayer, 10), (DiffuseLayer, 9), (SheenLayer, 5), (RetroLayer, 4)]
 F0 = (0.9, 0.6, 0.2)
