@@ -4,7 +4,8 @@ Samples are drawn half in proportion to reflected light and half anywhere, up to
 directions or in one plane of incidence. "error" is the relative RMS at 6,000 other pairs over all directions, "median"
 the median relative error of the channels' mean there; "expected" is what the report says of it, beside the ratio of
 both. "plane" is the error at other pairs in the plane, "left out" what the report says of samples left out. With
-``--next``, instead, the error after adding the twenty directions that the report names, beside twenty at random.
+``--next``, instead, the error after adding the twenty directions that the report names, beside twenty at random; a
+report of samples that are enough names none.
 """
 
 import argparse
@@ -87,8 +88,11 @@ def print_next(measurement: Measurement) -> None:
     for seed in range(5):
         pairs = directions_drawn(truth, 100, seed, in_plane=seed % 2 == 1)
         first = fit(samples_at(truth, pairs))
+        if not first.report.measure_next:
+            print(f"{measurement.name:26} before {errors(first, others)[0]:6.3f} nothing named", flush=True)
+            continue
         theta_in, theta_out, phi = np.radians(
-            [(pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in first.report.measure_next] or [(0, 0, 0)]
+            [(pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in first.report.measure_next]
         ).T
         named = spherical(theta_in, np.zeros_like(phi)), spherical(theta_out, phi)
         found = [errors(first, others)[0]]

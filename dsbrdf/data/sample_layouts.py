@@ -7,14 +7,13 @@ from dsbrdf.data.text_table import TextTable
 
 _THETAS = {"theta_in", "theta_out"}
 _FORMATS = {
-    rb"(?i)\bScatterRadial\b": "a Zemax BSDF file",
     rb"\bE\s?-?1392\b": "a file of ASTM E1392",
     rb"\bE\s?-?2387\b": "a file of ASTM E2387",
 }
 
 
 def known_format(data: bytes) -> str | None:
-    """Return what the text is, such as "a Zemax BSDF file"; None for any other."""
+    """Return what the text is, such as "a file of ASTM E1392"; None for any other."""
     return next((name for pattern, name in _FORMATS.items() if re.search(pattern, data)), None)
 
 

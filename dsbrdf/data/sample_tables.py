@@ -20,6 +20,7 @@ from dsbrdf.data.sample_layouts import count_names, known_format, unfolded
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
+from dsbrdf.data.zemax import is_zemax, zemax_table
 from dsbrdf.errors import MeasurementFormatError
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -67,7 +68,10 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
         )
     named = {column.lower() for column in options.named_columns().values()}
     try:
-        table = parse_text_table(data, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
+        if is_zemax(data):
+            table = zemax_table(data)
+        else:
+            table = parse_text_table(data, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
         found = sample_columns(unfolded(table), options)
     except MeasurementFormatError as error:
         known = known_format(data)

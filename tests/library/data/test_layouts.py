@@ -16,7 +16,6 @@ from tests.library.data.test_sample_tables import table
 
 LAYOUTS = Path(__file__).parent / "layouts"
 REFUSED = {
-    "zemax.txt": "is a Zemax BSDF file, which is not read",
     "astm_e1392.txt": "is a file of ASTM E1392, which is not read",
     "window_bsdf.txt": "is HTML or XML",
     "bird.txt": "is JSON",

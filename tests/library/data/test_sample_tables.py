@@ -278,8 +278,16 @@ WRONG = [
         "is a ZIP archive or a NumPy .npz file; scattered samples are a table in a text: save a",
     ),
     (
-        b"AngleOfIncidence 2\n0 30\nScatterAzimuth 1\n0\nScatterRadial 3\n0 1 2\nDataBegin\n",
-        "The data is a Zemax BSDF file, which is not read: write its samples as a table with theta_in, phi_in,",
+        b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 9\nScatterAzimuth 1\n0\nScatterRadial 2\n0 9\nDataBegin\n1 2 3\n",
+        "The Zemax BSDF file has 3 values, and its angles need 4.",
+    ),
+    (
+        b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 30\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
+        "The Zemax BSDF file has no line ScatterAzimuth with a count, and the angles below it.",
+    ),
+    (
+        b"SpectralContent XYZ\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
+        "The Zemax BSDF file has SpectralContent XYZ; Monochrome alone is read.",
     ),
     (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),
     (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
