@@ -196,6 +196,7 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
 def _radians(name: str, angle: Array, unit: str) -> Array:
     if unit not in (*_NO_UNIT, *DEGREES, *RADIANS):
         raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
+    angle = np.where(np.isfinite(angle), angle, np.nan)
     radians = angle if unit in RADIANS else np.radians(angle)
     bound = 180.0 if name.startswith("theta") else 360.0
     if _largest(radians) > np.radians(bound) + 1e-9:

@@ -4,6 +4,7 @@ Angles of the receiver are about the mirror direction: ScatterRadial is the angl
 it, 0 towards the normal.
 """
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ _NAMES = ("omega_in_x", "omega_in_y", "omega_in_z", "omega_out_x", "omega_out_y"
 
 def is_zemax(data: bytes) -> bool:
     """Whether a text is such a file."""
-    return b"ScatterRadial" in data and b"DataBegin" in data
+    return b"ScatterRadial" in data and re.search(rb"(?m)^[ \t]*DataBegin[ \t\r]*$", data) is not None
 
 
 def zemax_table(data: bytes) -> TextTable:
@@ -35,8 +36,8 @@ def zemax_table(data: bytes) -> TextTable:
     _, incidence, azimuth, radial = lists = [_numbers(name, head) for name in _LISTS]
     if lists[0].size != 1:
         raise MeasurementFormatError("The Zemax BSDF file has several sample rotations; a material here is isotropic.")
-    values = [pair for pair in zip(lines, at, strict=True) if pair[0][0] not in ("TIS", "DataEnd")][begin + 1 :]
-    cells = [(cell, number) for line, number in values for cell in line]
+    values = zip(lines[begin + 1 :], at[begin + 1 :], strict=True)
+    cells = [(cell, number) for line, number in values if line[0] not in ("TIS", "DataEnd") for cell in line]
     wanted = incidence.size * azimuth.size * radial.size
     if len(cells) != wanted:
         raise MeasurementFormatError(f"The Zemax BSDF file has {len(cells)} values, and its angles need {wanted}.")
@@ -61,6 +62,6 @@ def _numbers(name: str, head: Sequence[list[str]]) -> Array:
         numbers = np.array(cells[:count], dtype=np.float64)
     except (StopIteration, IndexError, ValueError):
         numbers = np.zeros(0)
-    if numbers.size == 0 or numbers.size != count:
+    if numbers.size == 0 or numbers.size != count or not np.isfinite(numbers).all():
         raise MeasurementFormatError(f"The Zemax BSDF file has no line {name} with a count, and the angles below it.")
     return numbers

@@ -184,12 +184,12 @@ def test_weights_and_columns_that_are_not_read() -> None:
 
 def test_what_is_no_number_is_left_out_and_counted() -> None:
     lines = WORDS.copy()
-    lines[3:3] = ["10,0,20,0,nan,1,1", "10,0,20,0,,1,1", "10,0,20,0,1,1,N/A", "10,0,20,0,inf,1,1"]
+    lines[3:3] = ["10,0,20,0,nan,1,1", "10,0,20,0,,1,1", "10,0,20,0,1,1,N/A", "10,0,20,0,inf,1,1", "inf,0,20,0,1,1,1"]
     lines[9:9] = ["10,0,90,0,1,1,1", "120,0,20,0,1,1,1"]
     samples = parse_samples("\n".join(lines).encode())
     check_same(samples, ANGLES, RGB)
     assert samples.notes == (
-        "4 rows have no finite number in a column that is needed; they are left out.",
+        "5 rows have no finite number in a column that is needed; they are left out.",
         "2 rows have a direction at or below the horizon; they are left out.",
     )
 
@@ -289,6 +289,7 @@ WRONG = [
         b"SpectralContent XYZ\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
         "The Zemax BSDF file has SpectralContent XYZ; Monochrome alone is read.",
     ),
+    (b"TIS 1\nScatterRadial\n# DataBegin\n", "begins with 'TIS 1' and has no line that names its columns"),
     (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),
     (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
     (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
