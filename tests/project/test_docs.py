@@ -102,7 +102,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def test_every_block_is_run() -> None:
     languages = {name: {language for language, _ in blocks_of(text)} for name, text in PAGES.items()}
-    assert set().union(*languages.values()) - SPHINX == {"python", "sh", "text", "ini"}
+    assert set().union(*languages.values()) - SPHINX == {"python", "sh", "text", "ini", "yaml"}
     assert {name for name, used in languages.items() if "{code-cell}" in used} == RUN_BY_SPHINX
     assert {name for name, used in languages.items() if "python" in used} == {"index.md", "python.md", "http.md"}
     shell = [command.split()[0] for text in blocks("sh", http=False) for command in commands(text)]

@@ -23,6 +23,7 @@ from . import problems as table
 from .request_log import HEALTH
 
 BINARY = "application/octet-stream"
+_TAGS = ("fits", "components", "values", "export", "figures", "measurements", "health")
 Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
@@ -160,6 +161,9 @@ def header_parameter(name: str, description: str, **schema: Any) -> dict[str, An
     return {"name": name, "in": "header", "description": description, "schema": {"type": "string", **schema}}
 
 
+ENCODING = header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"])
+
+
 def reference(model: type[BaseModel]) -> dict[str, str]:
     """Return the schema that refers to a model's."""
     return {"$ref": _REFERENCE.format(model=model.__name__)}
@@ -167,7 +171,8 @@ def reference(model: type[BaseModel]) -> dict[str, str]:
 
 def file(media_type: str, **schema: Any) -> dict[str, Any]:
     """Return the content of a binary body or response."""
-    return {"schema": {"type": "string", "contentMediaType": media_type, **schema}}
+    # `format` is what generators of clients know; version 3.1 has the media type alone.
+    return {"schema": {"type": "string", "format": "binary", "contentMediaType": media_type, **schema}}
 
 
 def document_of(app: FastAPI) -> dict[str, Any]:
@@ -184,7 +189,25 @@ def document_of(app: FastAPI) -> dict[str, Any]:
         for operation in methods.values():
             operation["security"] = [] if path.startswith(HEALTH) else [{}, {"key": []}]
             _complete(operation)
-    return document
+    document["tags"] = [{"name": name} for name in _TAGS]
+    # Readers and generated pages begin where the work does.
+    document["paths"] = dict(sorted(document["paths"].items(), key=lambda item: _place(item[1])))
+    enumerated: dict[str, Any] = _enumerated(document)
+    return enumerated
+
+
+def _place(methods: dict[str, Any]) -> int:
+    return min(_TAGS.index(operation["tags"][0]) for operation in methods.values())
+
+
+def _enumerated(part: Any) -> Any:
+    """Return a part of the document with each `const` as an `enum` of one, which more generators of clients know."""
+    if isinstance(part, list):
+        return [_enumerated(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    renamed = {name: _enumerated(value) for name, value in part.items() if name != "const"}
+    return renamed | ({"enum": [part["const"]]} if "const" in part else {})
 
 
 def _without_head(route: BaseRoute) -> BaseRoute:
@@ -202,7 +225,9 @@ def _complete(operation: dict[str, Any]) -> None:
     if "HTTPValidationError" in str(operation["responses"].get("422")):
         del operation["responses"]["422"]
     for part in (operation.get("requestBody", {}), *operation["responses"].values()):
-        part.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
+        if (stream := part.get("content", {}).get("text/event-stream")) is not None:
+            stream.pop("itemSchema", None)
+            stream["schema"] = {"type": "string"}
         described = part.get("content", {}).get(JSON, {})
         model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
         if model in _EXAMPLES:
@@ -210,11 +235,16 @@ def _complete(operation: dict[str, Any]) -> None:
 
 
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas."""
-    none = {"type": "string", "const": "none"}
-    choices = [none if choice["type"] == "null" else choice for choice in schema.get("anyOf", ())]
-    schema = {**schema, "default": "none"} if schema["default"] is None else dict(schema)
-    description = schema.pop("description")
-    if choices:
-        schema["anyOf"] = choices
-    return {"name": name, "in": "query", "explode": False, "description": description, "schema": schema}
+    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas.
+
+    The default is told in words: generated clients would send it, also beside a JSON body with options of its own.
+    """
+    none = {"type": "string", "enum": ["none"]}
+    described = {**schema}
+    description, default = described.pop("description"), described.pop("default")
+    if "anyOf" in schema:
+        described["anyOf"] = [none if choice["type"] == "null" else choice for choice in schema["anyOf"]]
+    if default != []:
+        word = "none" if default is None else str(default).lower()
+        description += f" Default: `{word}`."
+    return {"name": name, "in": "query", "explode": False, "description": description, "schema": described}

@@ -116,7 +116,7 @@ _BATCH = openapi.body(
         },
         NPY: openapi.file(NPY),
     },
-)
+) | {"parameters": [openapi.ENCODING]}
 _GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished", "invalid-argument")
 _POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
     "not-found", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS

@@ -45,8 +45,9 @@ _SUBMISSION_BODY = openapi.body(
     CONTENT | {JSON: {"schema": openapi.reference(inputs.FitRequest)}},
 )
 
-_EXPORTED = {name: openapi.file(name) for name in (kind.media_type.partition(";")[0] for kind in FORMATS.values())}
-_EXPORTED[JSON] = {"schema": {"type": "object"}}
+_MEDIA_TYPES = (BINARY, *(kind.media_type.partition(";")[0] for kind in FORMATS.values()))
+# Generated clients read an answer as the first type that they know: any of these files is bytes.
+_EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schema": {"type": "object"}}}
 
 
 @router.post(

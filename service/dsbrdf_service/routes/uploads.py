@@ -43,7 +43,7 @@ PARAMETERS = [
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
-    openapi.header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"]),
+    openapi.ENCODING,
 ]
 OPTION_PARAMETERS = [openapi.option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
 TABLE_PARAMETERS = [parameter for parameter in OPTION_PARAMETERS if parameter["name"] in OF_TABLES]
