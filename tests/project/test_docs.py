@@ -226,7 +226,7 @@ def test_glossary_names_all_metrics_and_parameters() -> None:
 
 
 def test_the_table_becomes_a_sphere_with_a_purple_highlight(tmp_path: Path) -> None:
-    mitsuba = mitsuba_variant("llvm_ad_rgb")
+    mitsuba = mitsuba_variant("scalar_rgb")
     for name in ("satin-purple.csv", "sphere.xml"):
         shutil.copy(DOCS / "_static" / name, tmp_path)
     assert cli.main(["convert", str(tmp_path / "satin-purple.csv"), str(tmp_path / "satin-purple.bsdf")]) == 0
