@@ -88,4 +88,4 @@ if not TYPE_CHECKING:  # a type checker would take every name for granted
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return __all__

@@ -258,3 +258,7 @@ def test_arguments_have_no_order(folder: Path) -> None:
     )
     (text,) = {printed(*words.split()) for words in orders}
     assert text.count("\n") == 3
+
+
+def test_dir_of_the_package_is_what_is_public() -> None:
+    assert dir(dsbrdf) == dsbrdf.__all__
