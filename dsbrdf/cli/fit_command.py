@@ -112,6 +112,8 @@ def fit(
         print_json(documents[0] if single else {"items": documents})
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
+        if work.output is None:
+            print("nothing was saved: -o DIR saves the fits")
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
@@ -144,6 +146,8 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 _print_above(bar, f"dsbrdf: {item.file}: {message}", error=True)
             for line in [] if quiet else _text(item, whole=len(files) == 1):
                 _print_above(bar, line)
+            if len(done) < len(files):
+                bar.start()
     return done
 
 
@@ -175,8 +179,8 @@ def _text(item: FileFit, *, whole: bool) -> list[str]:
     if not whole:
         saved = "" if item.output is None else f" -> {item.output}{kept}"
         return [headline(item.file, item.result) + saved]
-    saved_line = [] if item.output is None else [f"saved: {item.output}{kept}"]
-    return [*result_text(item.file, item.result), *saved_line]
+    saved = "nothing was saved: -o DIR saves the fit" if item.output is None else f"saved: {item.output}{kept}"
+    return [*result_text(item.file, item.result), saved]
 
 
 def _document(item: FileFit) -> dict[str, Any]:
@@ -223,12 +227,11 @@ def _row(item: FileFit) -> dict[str, Any]:
     if item.result is None:
         return {"file": item.file, "status": "failed", "error": item.error}
     model, report = item.result.model, item.result.report
-    rings = int(np.count_nonzero(model.is_ring))
     return asdict(report.metrics) | {
         "file": item.file,
         "status": "succeeded",
-        "n_lobes": model.n_lobes - rings,
-        "ring_lobes": rings,
+        "n_lobes": model.n_lobes,
+        "ring_lobes": int(np.count_nonzero(model.is_ring)),
         "seconds": round(sum(report.timings.values()), 3),
         "output": item.output,
         "warnings": " ".join(report.warnings),
@@ -248,7 +251,6 @@ def _progress_bar() -> Progress:
 
 
 def _print_above(bar: Progress, line: str, *, error: bool = False) -> None:
-    """Print a line to stdout, or to stderr, above a bar."""
-    bar.stop()  # which takes the bar away, so that the line can go to another stream
+    """Take the bar away and print a line to stdout, or to stderr."""
+    bar.stop()  # so that the line can go to another stream
     print(line, file=sys.stderr if error else sys.stdout, flush=True)
-    bar.start()

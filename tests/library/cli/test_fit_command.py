@@ -112,7 +112,13 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"
     fit = [*command, "-o", str(tmp_path)]
-    for words, last in ((fit, f"saved: {file}\n"), (fit, "plastic.json (kept)\n"), (["show", str(file)], "\n")):
+    unsaved = "nothing was saved: -o DIR saves the fit\n"
+    for words, last in (
+        (command, unsaved),
+        (fit, f"saved: {file}\n"),
+        (fit, "plastic.json (kept)\n"),
+        (["show", str(file)], "\n"),
+    ):
         captured = run(*words)
         assert captured.stderr == ""
         assert captured.stdout.endswith(last)
@@ -226,13 +232,14 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     command = ["fit", "good.binary", "none.binary", "bad.binary"]
     captured = run(*command, "--csv", table, code=2)
     assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
-    first, second, _, head, *rows, failed = captured.stdout.splitlines()
+    first, second, _, head, *rows, failed, nothing = captured.stdout.splitlines()
     assert first.startswith("good: close (")
     assert second.startswith("bad: close (")
     assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
     assert [row.split()[-1] for row in rows] == ["bad", "good"]
     assert rows[0].split()[0] == "0.9"
     assert failed == "1 file could not be fitted"
+    assert nothing == "nothing was saved: -o DIR saves the fits"
 
     written = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
