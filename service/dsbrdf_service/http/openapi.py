@@ -32,8 +32,8 @@ _REFERENCED = (Problem, FitRequest, NewName, AnglesRequest, DirectionsRequest, M
 _KEY = {
     "type": "http",
     "scheme": "bearer",
-    "description": "An API key, made with `dsbrdf keys add`. From the machine itself no key is needed, unless the "
-    "service is set to require one; a key that is sent is always checked.",
+    "description": "An API key, made with `dsbrdf keys add`. A service that listens on loopback needs none, unless it "
+    "is set to require one; on any other address everyone needs one. A key that is sent is always checked.",
 }
 _EVERYWHERE = ("bad-request", "head-too-long", "internal", "overloaded", "shutting-down")
 _BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")

@@ -190,7 +190,7 @@ async def draw_figure(
     """Return a figure of the fit and its measurement, which must still be stored.
 
     `profiles` measured and fitted values over theta_half; `components` the red channel's components with
-    their own lobes; `lobes` its lobes in the model; `parameters` height, half width, tail and elongation of the
+    their own lobes; `lobes` its lobes in the model; `parameters` height, half width, kappa and elongation of the
     components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
     Of a table of samples, `profiles` and `residual` have the samples; there are no `components` and `lobes`.
     """
