@@ -8,8 +8,8 @@
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
 Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, fitting,
-output, engines, cli. One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, and `export`
-`dsbrdf.output.export`.
+output, engines, cli. One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, `save`
+`dsbrdf.output.serialize` and `export` `dsbrdf.output.export`.
 """
 
 from importlib import import_module

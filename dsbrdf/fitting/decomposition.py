@@ -73,6 +73,11 @@ class Component(ReflectanceModel):
         width = "" if self.half_width is None else f", half width {np.degrees(self.half_width):.1f} degrees"
         return f"<Component: {self.label}, {self.light_share:.0%} of the light{width}>"
 
+    def _repr_html_(self) -> str:
+        from dsbrdf.output.notebook import component_html
+
+        return component_html(self)
+
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
         return self.whole.split_unmasked(theta_half, theta_diff, phi_diff)[self._index]

@@ -168,6 +168,12 @@ class FitResult:
 
         return result_html(self)
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the model and the report to a .json file, see `dsbrdf.save`."""
+        from dsbrdf.output.serialize import save
+
+        save(self, path)
+
     def export(self, path: str | PathLike[str], file_format: str | None = None) -> None:
         """Write the model to a file for another program, see `dsbrdf.export`."""
         from dsbrdf.output.export import export

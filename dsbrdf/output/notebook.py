@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from dsbrdf.fitting.decomposition import Component
     from dsbrdf.fitting.options import FitOptions
     from dsbrdf.fitting.report import FitReport, FitResult
     from dsbrdf.model.dsbrdf import DSBRDF
@@ -70,6 +71,12 @@ def model_html(model: DSBRDF) -> str:
     return _card(model, _model_table(model))
 
 
+def component_html(component: Component) -> str:
+    """Return a lit sphere of a component beside its light, albedo and half width, and the structure it is from."""
+    rows = {component.label.replace("_", " "): _component_phrase(component), "structure": component.structure}
+    return _card(component, _table(rows))
+
+
 def layers_html(model: LayeredModel) -> str:
     """Return a lit sphere of a layered model beside the parameters of its layers."""
     rows = {"layered model": f"{len(model.layers)} layers, {model.n_numbers} numbers"}
@@ -98,13 +105,17 @@ def report_html(report: FitReport) -> str:
 def _model_table(model: DSBRDF) -> str:
     rows = {"model": f"{lobes_phrase(model)}, {model.n_numbers} numbers"}
     for component in decompose(model):
-        albedo = ", ".join(f"{value:.4f}" for value in component.albedo)
-        width = "" if component.half_width is None else f", half width {np.degrees(component.half_width):.1f}°"
-        rows[component.label.replace("_", " ")] = f"{component.light_share:.0%} of the light, albedo {albedo}{width}"
+        rows[component.label.replace("_", " ")] = _component_phrase(component)
     return _table(rows)
 
 
-def _card(source: DSBRDF | LayeredModel | Measurement, *parts: str) -> str:
+def _component_phrase(component: Component) -> str:
+    albedo = ", ".join(f"{value:.4f}" for value in component.albedo)
+    width = "" if component.half_width is None else f", half width {np.degrees(component.half_width):.1f}°"
+    return f"{component.light_share:.0%} of the light, albedo {albedo}{width}"
+
+
+def _card(source: DSBRDF | LayeredModel | Component | Measurement, *parts: str) -> str:
     """Return a sphere, with nothing drawn around it, and parts to its right."""
     sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
     shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))

@@ -95,8 +95,8 @@ def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 package = pytest.mark.parametrize("package", FOLDERS)
-# What `_repr_html_`, `plot` and `export` of the wings to their left call.
-OF_METHODS = {"dsbrdf.output.notebook", "dsbrdf.output.export"}
+# What `_repr_html_`, `plot`, `save` and `export` of the wings to their left call.
+OF_METHODS = {"dsbrdf.output.notebook", "dsbrdf.output.serialize", "dsbrdf.output.export"}
 
 
 def module_name(path: Path) -> str:

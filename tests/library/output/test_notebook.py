@@ -48,6 +48,10 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
     assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
     assert f"<td>{plastic.valid.mean():.1%}</td>" in plastic._repr_html_()
     assert "<td>&lt;b&gt;</td>" in replace(plastic, name="<b>")._repr_html_()
+    diffuse = dsbrdf.decompose(two_lobe_fit.model).diffuse
+    assert diffuse is not None
+    assert f"<td>{diffuse.structure}</td>" in diffuse._repr_html_()
+    assert thumbnail(diffuse._repr_html_()) != thumbnail(html)
     assert "0 lobes" in two_lobe_fit.model.select((), with_delta=False)._repr_html_()
 
 

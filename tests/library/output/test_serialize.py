@@ -109,7 +109,7 @@ def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix:
     assert_same_bits(load(path), model)
     with pytest.raises(ModelFormatError, match="has no report of a fit"):
         load_result(path)
-    save(FitResult(model, report), path)  # replaces
+    FitResult(model, report).save(path)  # replaces
     assert_same_bits(load(str(path)), model)
     assert load_result(path) == result_from_json(to_json(model, report)) == FitResult(model, report)
     assert list(tmp_path.iterdir()) == [path]
