@@ -39,6 +39,13 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Label = Literal[*LABELS]  # type: ignore[valid-type]
 _Component = Annotated[Label | None, Field(description="One component instead of the whole fit.")]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
+_NUMBER: dict[str, Any] = {"type": "number"}
+Angles = Annotated[
+    list[Number],
+    BeforeValidator(lambda given: [given] if isinstance(given, int | float) else given),
+    WithJsonSchema({"anyOf": [{"type": "array", "items": _NUMBER}, _NUMBER]}),
+]
+"""Angles of all points, or one that counts for all."""
 
 
 class _Input(BaseModel):
@@ -101,12 +108,12 @@ class FitRequest(_Input):
 
 
 class AnglesRequest(_Input):
-    """Points by half and difference angles."""
+    """Points by half and difference angles; a number counts for all points."""
 
-    theta_half_deg: list[Number]
-    theta_diff_deg: list[Number]
+    theta_half_deg: Angles
+    theta_diff_deg: Angles
     phi_diff_deg: Annotated[
-        list[Number] | None, Field(description="90 where it is left out: both directions at one angle to the normal.")
+        Angles | None, Field(description="90 where it is left out: both directions at one angle to the normal.")
     ] = None
 
 

@@ -75,6 +75,7 @@ def test_what_is_given_once_counts_for_all_points(server: Server, url: str, mode
     query = {"theta_half_deg": [0, 10, 20], "theta_diff_deg": [30], "phi_diff_deg": [5, 25, 85]}
     close(server.http.get(url, params=query), expected)
     close(server.http.post(url, json=query), expected)
+    close(server.http.post(url, json=query | {"theta_diff_deg": 30}), expected)
     omega_in, omega_out = pairs_of_directions(4)
     omega_out = omega_out[:1]
     expected = model.evaluate_directions(omega_in, omega_out)
@@ -270,6 +271,8 @@ def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None
         b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
         b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": true, "theta_diff_deg": [1]}',
+        b'{"theta_half_deg": "1", "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2, 3], "phi_diff_deg": [1, 2]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": ["1"]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
