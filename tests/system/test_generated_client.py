@@ -82,7 +82,7 @@ def test_fit_is_listed_followed_and_renamed(call: Callable[..., Any], fit: Any) 
     listed = {item.id: item for item in call("fits.list_fits").parsed.items}
     assert listed[fit.id].options.n_lobes == 1
     assert call("fits.get_fit", fit.id, wait=1.0).parsed.model is not None
-    assert "event: succeeded" in call("fits.follow_fit", fit.id).parsed
+    assert b"event: succeeded" in call("fits.follow_fit", fit.id).content
     renamed = call("fits.rename_fit", fit.id, body=model("NewName")(name="another name"))
     assert renamed.parsed.name == "another name"
 

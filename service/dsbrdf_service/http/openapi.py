@@ -225,9 +225,7 @@ def _complete(operation: dict[str, Any]) -> None:
     if "HTTPValidationError" in str(operation["responses"].get("422")):
         del operation["responses"]["422"]
     for part in (operation.get("requestBody", {}), *operation["responses"].values()):
-        if (stream := part.get("content", {}).get("text/event-stream")) is not None:
-            stream.pop("itemSchema", None)
-            stream["schema"] = {"type": "string"}
+        part.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
         described = part.get("content", {}).get(JSON, {})
         model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
         if model in _EXAMPLES:

@@ -7,8 +7,9 @@ export async function showForm(box) {
   /** @type {any[]} */
   const given = document.paths["/v1/fits"].post.parameters;
   const options = given.filter((one) => one.in === "query" && one.name !== "name");
+  const described = document.components.schemas.FitRequest.properties.options.properties;
   box.replaceChildren(...options.map(({ name, description, schema }) => {
-    const field = fieldOf(name, schema);
+    const field = fieldOf(name, schema, String(described[name].default ?? "none"));
     const sentence = make("span", { className: "note", id: `about-${name}` }, description);
     field.id = `option-${name}`;
     field.setAttribute("aria-describedby", sentence.id);
@@ -16,11 +17,10 @@ export async function showForm(box) {
   }));
 }
 
-/** A field for a value; its `data-usual` is what counts where nothing is chosen. @param {string} name @param {any} schema */
-function fieldOf(name, schema) {
-  const usual = String(schema.default);
+/** A field for a value; `usual` is what counts where nothing is chosen. @param {string} name @param {any} schema @param {string} usual */
+function fieldOf(name, schema, usual) {
   const kinds = [schema, ...(schema.anyOf ?? [])];
-  const words = kinds.flatMap((kind) => kind.enum ?? (kind.const === undefined ? [] : [kind.const])).map(String);
+  const words = kinds.flatMap((kind) => kind.enum ?? []).map(String);
   if (schema.type === "boolean") words.push("false", "true");
   const range = kinds.find((kind) => ["integer", "number", "array"].includes(kind.type));
   if (range?.type === "integer" && range.maximum - range.minimum < 20) {

@@ -78,11 +78,13 @@ include-operation-id = ["get_values", "get_component_values", "post_values", "po
 parameters = {{ "path.fit_id" = "{fit}" }}
 
 [[operations]]
-include-operation-id = ["get_values", "get_component_values", "post_values", "post_component_values", "export_fit"]
+include-operation-id = ["get_values", "get_component_values", "export_fit"]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
 
 [[operations]]
-include-operation-id = ["submit_fit", "upload_measurement"]
+include-operation-id = [
+  "submit_fit", "upload_measurement", "post_values", "post_component_values", "post_measured_values"
+]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "422"]
 
 [[operations]]
