@@ -16,7 +16,7 @@ from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import model_to_dict
 
 from ..wire.fit_options import DEFAULTS
-from ..wire.inputs import AnglesRequest, DirectionsRequest, FitRequest, NewName
+from ..wire.inputs import AnglesRequest, DirectionsRequest, FitRequest, NewName, SidesRequest
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, Problem, Progress
 from . import problems as table
@@ -28,7 +28,8 @@ Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
 # FastAPI does not find these itself.
-_REFERENCED = (Problem, FitRequest, NewName, AnglesRequest, DirectionsRequest, MeasurementDetails, Progress)
+POINTS: tuple[type[BaseModel], ...] = (AnglesRequest, SidesRequest, DirectionsRequest)
+_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *POINTS, MeasurementDetails, Progress)
 _KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -105,6 +106,7 @@ _SUMMARY: dict[str, Any] = {
 }
 EXAMPLE_POINTS: dict[str, Any] = {
     "angles": {"value": {"theta_half_deg": [0, 10], "theta_diff_deg": [0, 30], "phi_diff_deg": [90, 45]}},
+    "sides": {"value": {"theta_in_deg": 45, "theta_out_deg": [30, 45, 60]}},
     "directions": {"value": {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}},
 }
 _EXAMPLES: dict[str, dict[str, Any]] = {

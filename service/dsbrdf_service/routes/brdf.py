@@ -26,13 +26,14 @@ from ..jobs.results import LoadedFit
 from ..jobs.steps import StoredMeasurement, measured_step
 from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
-from ..wire.inputs import AnglesRequest, DirectionsRequest
 from ..wire.points import (
     ANGLES,
     DIRECTIONS,
     JSON,
     NPY,
     PHI_DIFF,
+    SIDES,
+    TURNS,
     Array,
     Points,
     batch_step,
@@ -98,12 +99,16 @@ def _point_parameter(name: str, description: str, items: dict[str, Any], **examp
 _ANGLE = {"type": "number", "minimum": 0, "maximum": 90}
 _VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
 _IN_DEGREES = "Angles in degrees; repeat for several points."
+_TO_NORMAL = "Angles to the normal in degrees, instead of half and difference angles; repeat for several points."
+_ABOUT_NORMAL = f"{_IN_DEGREES} Where they are left out, 0 of omega_in and 180, the other side, of omega_out."
 _UNIT_VECTORS = "Unit vectors x,y,z; repeat for several points. Values are 0 where one is below the horizon (z < 0)."
 _QUERY = {
     "parameters": [
         _point_parameter(ANGLES[0], _IN_DEGREES, _ANGLE, example=[10]),
         _point_parameter(ANGLES[1], _IN_DEGREES, _ANGLE, example=[30]),
         _point_parameter(PHI_DIFF, f"{_IN_DEGREES} 90 where it is left out.", {"type": "number"}, example=[90]),
+        *(_point_parameter(name, _TO_NORMAL, _ANGLE) for name in SIDES),
+        *(_point_parameter(name, _ABOUT_NORMAL, {"type": "number"}) for name in TURNS),
         *(_point_parameter(name, _UNIT_VECTORS, _VECTOR) for name in DIRECTIONS),
     ]
 }
@@ -111,7 +116,7 @@ _BATCH = openapi.body(
     "Points, in degrees or as unit vectors.",
     {
         JSON: {
-            "schema": {"oneOf": [openapi.reference(AnglesRequest), openapi.reference(DirectionsRequest)]},
+            "schema": {"oneOf": [openapi.reference(kind) for kind in openapi.POINTS]},
             "examples": openapi.EXAMPLE_POINTS,
         },
         NPY: openapi.file(NPY),

@@ -117,6 +117,17 @@ class AnglesRequest(_Input):
     ] = None
 
 
+class SidesRequest(_Input):
+    """Points by the angles of both directions to the normal, and about it; a number counts for all points."""
+
+    theta_in_deg: Angles
+    theta_out_deg: Angles
+    phi_in_deg: Angles = [0.0]
+    phi_out_deg: Annotated[Angles, Field(description="180, the side of the mirror direction, where left out.")] = [
+        180.0
+    ]
+
+
 class DirectionsRequest(_Input):
     """Points by pairs of unit vectors; the surface's normal is (0, 0, 1)."""
 

@@ -12,22 +12,26 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from dsbrdf import InvalidArgumentError
-from dsbrdf.data.geometry import check_directions, half_difference
+from dsbrdf.data.geometry import check_directions, half_difference, spherical
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..errors import ProblemError
-from .inputs import AnglesRequest, DirectionsRequest, parse_document
+from .inputs import AnglesRequest, DirectionsRequest, SidesRequest, parse_document
 from .numbers import number_of
 
 Array = NDArray[np.float64]
 
 ANGLES = ("theta_half_deg", "theta_diff_deg")
 PHI_DIFF = "phi_diff_deg"
+SIDES = ("theta_in_deg", "theta_out_deg")
+TURNS = ("phi_in_deg", "phi_out_deg")
 DIRECTIONS = ("omega_in", "omega_out")
 JSON = "application/json"
 NPY = "application/x-npy"
-_KNOWN = (*ANGLES, PHI_DIFF, *DIRECTIONS)
+_FORMS: dict[tuple[str, str], tuple[str, ...]] = {ANGLES: (PHI_DIFF,), SIDES: TURNS, DIRECTIONS: ()}
+"""Pairs of names by which points are given, and what may be left out beside them."""
+_KNOWN = tuple(name for pair, others in _FORMS.items() for name in (*pair, *others))
 _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _POINTS = (
@@ -35,8 +39,9 @@ _POINTS = (
 )
 _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
-_CHOICE = f"give {' and '.join(ANGLES)}, or {' and '.join(DIRECTIONS)}, once for each point"
+_CHOICE = f"give {', or '.join(' and '.join(pair) for pair in _FORMS)}, once for each point"
 _STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
+_STARTS_WITH_SIDES = re.compile(rb'\s*\{\s*"(theta|phi)_(in|out)_')
 MAX_POINTS = 100_000
 """Points of one request."""
 
@@ -71,11 +76,12 @@ def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
         if name not in _KNOWN:
             raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; known are {', '.join(_KNOWN)}.")
         given.setdefault(name, []).append(text)
-    first, second = _pair(given)
-    if first == ANGLES[0]:
-        columns = ([_angle(name, text) for text in given[name]] for name in (first, second, PHI_DIFF) if name in given)
-        return from_angles(*columns)
-    return from_directions([_vector(first, t) for t in given[first]], [_vector(second, t) for t in given[second]])
+    pair = _pair(given)
+    if pair == DIRECTIONS:
+        first, second = ([_vector(name, text) for text in given[name]] for name in pair)
+        return from_directions(first, second)
+    columns = {name: [_angle(name, text) for text in texts] for name, texts in given.items()}
+    return from_angles(**columns) if pair == ANGLES else from_sides(**columns)
 
 
 def from_angles(
@@ -88,10 +94,20 @@ def from_angles(
     if phi_diff_deg is None:
         theta_half, theta_diff = _broadcast(ANGLES, columns)
         return Points(theta_half, theta_diff, np.full(len(theta_half), np.pi / 2))
-    phi_diff = np.radians(np.asarray(phi_diff_deg, dtype=float))
-    if not np.isfinite(phi_diff).all():
-        raise InvalidArgumentError(f"{PHI_DIFF} must be a finite number of degrees.")
-    return Points(*_broadcast((*ANGLES, PHI_DIFF), [*columns, phi_diff]))
+    return Points(*_broadcast((*ANGLES, PHI_DIFF), [*columns, _turn(PHI_DIFF, phi_diff_deg)]))
+
+
+def from_sides(
+    theta_in_deg: Sequence[float] | Array,
+    theta_out_deg: Sequence[float] | Array,
+    phi_in_deg: Sequence[float] | Array = (0.0,),
+    phi_out_deg: Sequence[float] | Array = (180.0,),
+) -> Points:
+    """Return the points of both directions' angles in degrees, equally long or of one; phi 0 and 180 are opposite."""
+    thetas = [_radians(name, given) for name, given in zip(SIDES, (theta_in_deg, theta_out_deg), strict=True)]
+    phis = [_turn(name, given) for name, given in zip(TURNS, (phi_in_deg, phi_out_deg), strict=True)]
+    theta_in, theta_out, phi_in, phi_out = _broadcast((*SIDES, *TURNS), [*thetas, *phis])
+    return from_directions(spherical(theta_in, phi_in), spherical(theta_out, phi_out))
 
 
 def from_directions(
@@ -106,11 +122,13 @@ def from_directions(
 
 
 def from_json(body: bytes) -> Points:
-    """Return the points of a JSON document: an `AnglesRequest` or a `DirectionsRequest`.
+    """Return the points of a JSON document: an `AnglesRequest`, a `SidesRequest` or a `DirectionsRequest`.
 
-    Raises InvalidArgumentError if it is neither.
+    Raises InvalidArgumentError if it is none of them; the message is about the one that it begins as.
     """
-    if _STARTS_WITH_DIRECTIONS.match(body):  # so that the message is about the document that is meant
+    if _STARTS_WITH_SIDES.match(body):
+        return from_sides(**dict(parse_document(SidesRequest, body, strict=True)))
+    if _STARTS_WITH_DIRECTIONS.match(body):
         return from_directions(**dict(parse_document(DirectionsRequest, body, strict=True)))
     return from_angles(**dict(parse_document(AnglesRequest, body, strict=True)))
 
@@ -169,8 +187,8 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
 
 def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
     """Return the two names that are given, which have to belong together."""
-    for pair in (ANGLES, DIRECTIONS):
-        if set(given) - ({PHI_DIFF} if pair == ANGLES else set()) == set(pair):
+    for pair, others in _FORMS.items():
+        if set(given) - set(others) == set(pair):
             return pair
     fault = f"has {' and '.join(given)}" if given else "names no point"
     raise InvalidArgumentError(f"The query {fault}; {_CHOICE}.")
@@ -194,6 +212,13 @@ def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
         worst = angle[~inside][0]
         raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {float(worst)!r}.")
     return np.radians(angle)
+
+
+def _turn(name: str, degrees: Sequence[float] | Array) -> Array:
+    angle = np.radians(np.asarray(degrees, dtype=float))
+    if not np.isfinite(angle).all():
+        raise InvalidArgumentError(f"{name} must be a finite number of degrees.")
+    return angle
 
 
 def _angle(name: str, text: str) -> float:

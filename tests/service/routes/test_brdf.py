@@ -83,6 +83,23 @@ def test_what_is_given_once_counts_for_all_points(server: Server, url: str, mode
     close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
 
 
+def test_angles_of_both_directions_equal_the_library(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
+    theta_in, theta_out, phi_in, phi_out = ([30.0], [10.0, 50.0], [20.0], [200.0, -40.0])
+    sides = [
+        [[np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)] for t, p in np.radians(pairs)]
+        for pairs in ([(30.0, 20.0)] * 2, [(10.0, 200.0), (50.0, -40.0)])
+    ]
+    columns = {"theta_in_deg": theta_in, "theta_out_deg": theta_out, "phi_in_deg": phi_in, "phi_out_deg": phi_out}
+    expected = model.evaluate_directions(*sides)
+    close(server.http.get(url, params=columns), expected)
+    close(server.http.post(url, json=columns | {"theta_in_deg": 30, "phi_in_deg": 20.0}), expected)
+    mirror = model.evaluate(0.0, np.radians([35.0]))
+    close(server.http.get(url, params={"theta_in_deg": 35, "theta_out_deg": 35}), mirror)
+    close(server.http.post(url, json={"theta_out_deg": 35, "theta_in_deg": [35]}), mirror)
+    problem = server.http.get(url, params={"theta_in_deg": 35, "theta_diff_deg": 35}).json()
+    assert "theta_in_deg and theta_out_deg" in problem["detail"]
+
+
 def test_value_below_the_horizon_is_0_and_fails_no_batch(server: Server, url: str) -> None:
     vectors = [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]]
     pairs = [(first, second) for first in vectors for second in vectors]
