@@ -113,7 +113,7 @@ def fit(
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
         if work.output is None:
-            print("nothing was saved: -o DIR saves the fits")
+            print("the models were not saved here: -o DIR saves each as NAME.json")
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
@@ -179,7 +179,9 @@ def _text(item: FileFit, *, whole: bool) -> list[str]:
     if not whole:
         saved = "" if item.output is None else f" -> {item.output}{kept}"
         return [headline(item.file, item.result) + saved]
-    saved = "nothing was saved: -o DIR saves the fit" if item.output is None else f"saved: {item.output}{kept}"
+    saved = f"saved: {item.output}{kept}"
+    if item.output is None:
+        saved = "the model was not saved here: -o DIR saves it as NAME.json"
     return [*result_text(item.file, item.result), saved]
 
 

@@ -112,7 +112,7 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"
     fit = [*command, "-o", str(tmp_path)]
-    unsaved = "nothing was saved: -o DIR saves the fit\n"
+    unsaved = "the model was not saved here: -o DIR saves it as NAME.json\n"
     for words, last in (
         (command, unsaved),
         (fit, f"saved: {file}\n"),
@@ -221,7 +221,7 @@ def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> Non
         worse = replace(report, metrics=replace(report.metrics, relative_rms=0.9), warnings=("Look at it.",))
         yield FileFit(files[0], result=two_lobe_fit)
         yield FileFit(files[1], error="no measurement")
-        yield FileFit(files[2], result=FitResult(two_lobe_fit.model, worse))
+        yield FileFit(files[2], result=FitResult(single_lobe(5.0, 20.0, center=0.2), worse))
 
     monkeypatch.setattr(fit_command, "fit_files", known)
 
@@ -239,13 +239,13 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert [row.split()[-1] for row in rows] == ["bad", "good"]
     assert rows[0].split()[0] == "0.9"
     assert failed == "1 file could not be fitted"
-    assert nothing == "nothing was saved: -o DIR saves the fits"
+    assert nothing == "the models were not saved here: -o DIR saves each as NAME.json"
 
     written = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
     assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
     assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
-    assert (written[0]["n_lobes"], written[0]["ring_lobes"]) == ("2", "0")
+    assert [(row["n_lobes"], row["ring_lobes"]) for row in (written[0], written[2])] == [("2", "0"), ("1", "1")]
     assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
     items = document(*command, "--json", code=2)["items"]
     assert [(item["file"], item["status"]) for item in items] == [(row["file"], row["status"]) for row in written]
