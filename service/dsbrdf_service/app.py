@@ -28,6 +28,7 @@ from .http.request_log import RequestLogMiddleware
 from .jobs.computations import Computations
 from .jobs.jobs import Jobs
 from .jobs.results import ModelCache
+from .jobs.thumbnails import Thumbnails
 from .operations.metrics import Metrics
 from .operations.readiness import Readiness
 from .routes import about, brdf, figures, fits, measurements, page
@@ -80,12 +81,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         for warning in store.warnings:  # not before: the log has its form only when the folder is open
             logger.warning("%s", warning)
         engine = make_engine(settings)
-        jobs = Jobs(store, engine, settings, metrics)
         models = ModelCache(store, settings.model_cache)
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
-        parts = settings, store, jobs, models, keys, metrics, readiness, computations, Bodies()
+        thumbnails = Thumbnails(store, models, computations)
+        jobs = Jobs(store, engine, settings, metrics, thumbnails.draw_soon)
+        parts = settings, store, jobs, models, thumbnails, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
@@ -96,8 +98,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         finally:
             trimming.cancel()
             await asyncio.gather(trimming, return_exceptions=True)
-            await computations.close()
             await jobs.close()
+            await thumbnails.close()
+            await computations.close()
             await asyncio.to_thread(engine.close)
     finally:
         store.close()

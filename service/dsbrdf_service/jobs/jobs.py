@@ -58,12 +58,20 @@ class _RunningFit:
 class Jobs:
     """Runs fits, and lets requests wait for them or follow them."""
 
-    def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
+    def __init__(
+        self,
+        store: Store,
+        engine: Engine,
+        settings: Settings,
+        metrics: Metrics,
+        on_success: Callable[[FitKey], object] = lambda _: None,
+    ) -> None:
         self._store = store
         self._engine = engine
         self._turns = FairTurns(settings.workers)
         self._settings = settings
         self._metrics = metrics
+        self._on_success = on_success
         self._loop = asyncio.get_running_loop()
         self._stopping: asyncio.Future[None] = self._loop.create_future()
         self._running: dict[FitKey, _RunningFit] = {}
@@ -195,7 +203,10 @@ class Jobs:
                 await asyncio.sleep(_LOST_DELAY)
                 if self._stopping.done():  # its process was ended together with this one: the next one runs it
                     return True
-            return await _write(self._record, row, outcome)
+            is_over = await _write(self._record, row, outcome)
+        if isinstance(outcome, FitDocument):
+            self._on_success(key)
+        return is_over
 
     async def _until_ready(self) -> None:
         """Wait as long as the engine can run no fit."""

@@ -1,16 +1,13 @@
 """Pictures of fits and of measurements."""
 
 import hashlib
-import sqlite3
 from collections.abc import Awaitable, Callable, Hashable
-from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Depends, Path, Query, Request
 from numpy.typing import NDArray
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 import dsbrdf
@@ -21,7 +18,7 @@ from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
-from ..http.responses import not_modified, tag_of
+from ..http.responses import not_modified, tag_of, tagged_reply
 from ..jobs.steps import (
     FIGURES,
     StoredMeasurement,
@@ -31,9 +28,7 @@ from ..jobs.steps import (
     sphere_step,
     spheres_step,
     table_step,
-    thumbnail_step,
 )
-from ..storage.database import in_write_thread
 from ..wire.fit_options import from_wire
 from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
 from ..wire.points import NPY, panorama_from_npy
@@ -81,7 +76,6 @@ async def _drawn(
     step: Callable[..., bytes],
     *arguments: Any,
     of: Hashable = None,
-    kept: bytes | None = None,
 ) -> Response:
     """Return what `step` draws, unless the client has it: its address, its owner and what it is `of` determine it."""
     path = request.scope["path"]
@@ -89,7 +83,7 @@ async def _drawn(
     headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
     if known := not_modified(request, headers):
         return known
-    content = kept or await in_process(request, key, step, *arguments)
+    content = await in_process(request, key, step, *arguments)
     return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
 
 
@@ -141,19 +135,12 @@ async def draw_spheres(
 
 
 @_get("/fits/{fit_id}/figures/thumbnail.png", "A small picture of a fit", "fit-not-finished")
-async def draw_thumbnail(draw: Draw, context: TheContext, fit: TheFit) -> Response:
+async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return a small sphere in the environment: the fit, and on the left its measurement if it is stored on a grid.
 
-    It is drawn when it is asked for first, and kept as long as the fit.
+    It is drawn after the fit, and kept as long as the fit.
     """
-    if kept := await run_in_threadpool(context.store.thumbnail, fit):
-        return await draw(thumbnail_step, kept=kept)
-    model, stored = (await context.models.get(fit)).model, await _measurement_if_any(context, fit)
-    answer = await draw(thumbnail_step, model, stored)
-    if answer.body:
-        with suppress(OSError, sqlite3.Error):  # the disk may be full: then it is drawn again
-            await in_write_thread(context.store.keep_thumbnail, fit, bytes(answer.body))
-    return answer
+    return tagged_reply(request, await context.thumbnails.get(fit), _MEDIA_TYPES["png"])
 
 
 @_get("/fits/{fit_id}/figures/sphere.npy", "Radiance of a lit sphere of a fit", "fit-not-finished", formats=("npy",))

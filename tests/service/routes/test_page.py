@@ -2,6 +2,8 @@
 
 import io
 import re
+import sqlite3
+from contextlib import closing
 
 import httpx
 import numpy as np
@@ -15,6 +17,7 @@ from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.render import render_sphere
 from dsbrdf_service.http.static_files import STATIC_FILES
 from tests.support.guarded import Guarded
+from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
@@ -109,6 +112,19 @@ def test_spheres_stand_side_by_side_with_one_exposure(guarded: Guarded, data: by
     again = http.get(f"{figures}/thumbnail.png", headers=own)
     assert again.content == small.content  # half of it measured: it is kept
     assert again.headers["etag"] == small.headers["etag"]
+
+
+def test_thumbnail_is_drawn_after_the_fit_before_anybody_asks(server: Server, data: bytes) -> None:
+    answer = server.http.post("/v1/fits", params=QUICK | {"em_iterations": 4}, content=data)
+    fit = answer.json()["id"]
+
+    def kept() -> bytes | None:
+        with closing(sqlite3.connect(f"file:{server.data_dir}/dsbrdf.sqlite?mode=ro", uri=True)) as database:
+            found: bytes | None = database.execute("SELECT thumbnail FROM fits WHERE id = ?", (fit,)).fetchone()[0]
+        return found
+
+    wait_until(lambda: kept() is not None, 60.0)
+    assert server.http.get(f"/v1/fits/{fit}/figures/thumbnail.png").content == kept()
 
 
 def test_radiance_is_that_of_the_library(
