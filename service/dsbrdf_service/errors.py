@@ -3,9 +3,24 @@
 The library's own errors and those of the machine are answered with problem documents too: `http.problems`.
 """
 
+import re
 import sqlite3
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+_PLAIN_WORDS = {  # for what pydantic says
+    r", unable to [^,]*| after validation": "",
+    r"^(Input|String|List|Value) should (be|have|match) ": r"must \2 ",
+    r"^Value error, ": "",
+    r"^Field required$": "is missing",
+    r"^Invalid JSON: ": "The body is not JSON: ",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    r"a valid array\b": "a list",
+    r"a valid boolean\b": "true or false",
+    r"a valid integer\b": "a whole number",
+    r"a valid string\b": "a text",
+}
 
 
 class DSBRDFServiceError(Exception):
@@ -78,12 +93,22 @@ class MeasurementDamagedError(ProblemError):
         super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
+def plain_words(message: str) -> str:
+    """Return what pydantic says of a value in plain words: "must be at most 5" or "is missing"."""
+    for pattern, words in _PLAIN_WORDS.items():
+        message = re.sub(pattern, words, message)
+    return message
+
+
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:
     """Return pydantic's list of errors as one sentence."""
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))
-        message = str(error["msg"])
-        parts.append(f"{place}: {message[:1].lower()}{message[1:]}" if place else message)
+        message = plain_words(error["msg"])
+        if message.startswith(("must ", "is ")):
+            parts.append(f"{place or 'The body'} {message}")
+        else:
+            parts.append(f"{place}: {message}" if place else message)
     more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
     return "; ".join(parts) + more + "."

@@ -34,8 +34,8 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
     [
         (["--prot", "3"], "dsbrdf serve: there is no option --prot; did you mean --port"),
         (["--port"], "dsbrdf serve: --port needs a value"),
-        (["--port", "eighty"], "dsbrdf: --port: "),
-        (["--port", "99999"], "dsbrdf: --port: input should be less than or equal to 65535, not '99999'.\n"),
+        (["--port", "eighty"], "dsbrdf: --port must be a whole number, not 'eighty'.\n"),
+        (["--port", "99999"], "dsbrdf: --port must be at most 65535, not '99999'.\n"),
         (["8000"], "dsbrdf serve: there is no place for 8000"),
     ],
 )
@@ -78,7 +78,7 @@ def test_invalid_setting_is_named_in_one_sentence(
     monkeypatch.setenv(name, value)
     assert main(["--data-dir", str(tmp_path / "data")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"dsbrdf: {name}: ")
+    assert said.startswith(f"dsbrdf: {name} must be ")
     assert repr(value) in said
     assert said.count("\n") == 1
     assert not (tmp_path / "data").exists()
