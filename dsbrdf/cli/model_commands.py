@@ -36,7 +36,7 @@ from dsbrdf.data.hdr_image import SUFFIXES as PANORAMA_SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES, read_samples
+from dsbrdf.data.sample_tables import is_table, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
@@ -224,10 +224,9 @@ def _converted(
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
-    is_table = source.suffix.lower() in TABLE_SUFFIXES
-    if not is_table:
+    if not is_table(source):
         options.refuse_on_grid()
-    if is_table:
+    if is_table(source):
         result = fit(read_samples(source, options), FitOptions())
         found, sentences = result.model, result.report.warnings
         about = {"error_of_the_fit": result.report.metrics.relative_rms}
@@ -443,9 +442,8 @@ def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | No
 def _source(path: Path, options: FitOptions) -> tuple[Any, dict[str, Any]]:
     """Read a model, or a measurement, a table with these options; return it with what is known of it."""
     if path.suffix.lower() in MEASUREMENTS:
-        is_table = path.suffix.lower() in TABLE_SUFFIXES
-        kind = "samples" if is_table else "measurement"
-        measured = read_measured(path, options if is_table else AS_WRITTEN)
+        kind, chosen = ("samples", options) if is_table(path) else ("measurement", AS_WRITTEN)
+        measured = read_measured(path, chosen)
         return measured, {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
     model, report = read_model(path)
     metrics = {name: None if report is None else report.metrics[name] for name in METRICS}

@@ -10,7 +10,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, named_in_errors
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES, ReadTable, read_table
+from dsbrdf.data.sample_tables import TABLE_SUFFIXES, ReadTable, is_table, read_table
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.sample_units import sample_units
@@ -27,10 +27,10 @@ def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_F
     Parameters
     ----------
     file
-        A .csv, .tsv or .txt file.
+        A .csv, .tsv or .txt file, or a .bsdf file of Zemax.
     """
     with named_in_errors(file):
-        if file.suffix.lower() not in TABLE_SUFFIXES:
+        if not is_table(file):
             raise InvalidArgumentError(f"a table of samples ends in {one_of(TABLE_SUFFIXES)}")
         found = read_table(file.read_bytes(), file.stem, options)
     about = _document(found)

@@ -8,7 +8,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES, parse_samples, read_samples
+from dsbrdf.data.sample_tables import is_table, parse_samples, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import MeasurementFormatError
@@ -24,8 +24,8 @@ def read_measurement(
     Parameters
     ----------
     path : path-like
-        ``.bsdf`` is an RGL file, whose values are taken at the nodes of the MERL grid; ``.csv``, ``.tsv`` and
-        ``.txt`` are tables of scattered samples; any other file is a MERL ``.binary`` file.
+        ``.csv``, ``.tsv`` and ``.txt`` are tables of scattered samples; ``.bsdf`` is one of Zemax, or an RGL file,
+        whose values are taken at the nodes of the MERL grid; any other file is a MERL ``.binary`` file.
     options : TableOptions, optional
         How a table is read.
     **choices
@@ -42,7 +42,7 @@ def read_measurement(
     """
     options = options or TableOptions(**choices)
     suffix = Path(path).suffix.lower()
-    if suffix in TABLE_SUFFIXES:
+    if is_table(path):
         return read_samples(path, options)
     if suffix in _SPREADSHEETS:
         raise MeasurementFormatError("The file is a spreadsheet: save its sheet as .csv.")

@@ -33,6 +33,10 @@ _POSSIBLE = (
     "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
     "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF"
 )
+LOWEST_COSINE = 1e-6
+"""Of a direction above the horizon: sines and cosines of angles in degrees are rounded."""
+_FEW_VALUES, _MANY_EQUAL, _FAR_OFF = 10, 4, 3.0  # different values; equal ones; a factor to the next value
+_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
 _SURELY_DEGREES = 1.6  # theta never gets further than this in radians
 
 
@@ -89,20 +93,38 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
     for side in from_horizon:
         quarter = np.pi / 2.0 if units[f"theta_{side}"] in RADIANS else 90.0
         column[f"theta_{side}"] = quarter - column[f"theta_{side}"]
-    colors = np.stack([column[name] for name in values], axis=-1)
+    colors = written = np.stack([column[name] for name in values], axis=-1)
     wavelengths = np.array([wavelength for _, wavelength in bands.values()])
     if bands:
         colors = linear_srgb(wavelengths, colors)
     weight = column.get(_WEIGHT, np.ones(len(table.rows)))
     numbers = np.column_stack([*_vectors(column, form, units), np.broadcast_to(colors, (len(colors), 3)), weight])
+    is_above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE
     if by_rows:
         numbers, wavelengths = of_rows(numbers, _in_nanometres(column[_WAVELENGTH], units[_WAVELENGTH]))
     notes = [*_notes(table, form, phis, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
-    notes += _about_color(values, wavelengths)
+    notes += [*_about_color(values, wavelengths), *_repeated(written[is_above])]
     notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
     read = {places[name][0]: name for name in used}
     columns = tuple((name, read.get(at, ""), _unit(table, at)) for at, name in enumerate(table.names))
     return SampleColumns(numbers, tuple(notes), columns)
+
+
+def _repeated(values: Array) -> list[str]:
+    """Name the smallest and the largest of values (n, k) where many rows have it and the next one is far off."""
+    values = values[np.isfinite(values).all(axis=1)]
+    found = np.unique(values)
+    if found.size < _FEW_VALUES:
+        return []
+    least = max(_FAR_OFF * found[0], _CLEARLY_LIT * float(np.median(values)))
+    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
+    counts = {place: int(np.count_nonzero(np.any(values == found[place], axis=1))) for place in (0, -1)}
+    return [
+        f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
+        f"what is missing, set missing to {found[place]:g}."
+        for which, place, is_far in extremes
+        if is_far and counts[place] >= _MANY_EQUAL
+    ]
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:

@@ -15,22 +15,19 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
-from dsbrdf.data.sample_columns import sample_columns
+from dsbrdf.data.sample_columns import LOWEST_COSINE, sample_columns
 from dsbrdf.data.sample_layouts import count_names, known_format, unfolded
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
-from dsbrdf.data.zemax import is_zemax, zemax_table
+from dsbrdf.data.zemax import begins_as_zemax, is_zemax, zemax_table
 from dsbrdf.errors import MeasurementFormatError
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 """Suffixes of tables of scattered samples."""
 _LARGEST_FILE = 1 << 30  # [bytes]
-_LOWEST_COSINE = 1e-6  # of a direction above the horizon: sines and cosines of angles in degrees are rounded
 _TABLE_TOLERANCE = 0.02
 _ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
-_FEW_VALUES, _MANY_EQUAL, _FAR_OFF = 10, 4, 3.0  # different values; equal ones; a factor to the next value
-_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
 _LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
 
 
@@ -43,8 +40,16 @@ class ReadTable:
     samples: ScatteredSamples
 
 
+def is_table(path: str | os.PathLike[str]) -> bool:
+    """Whether a path names a table of samples: by its suffix, or a ``.bsdf`` file of Zemax by its content."""
+    suffix = Path(path).suffix.lower()
+    return suffix in TABLE_SUFFIXES or (suffix == ".bsdf" and begins_as_zemax(path))
+
+
 def read_samples(path: str | os.PathLike[str], options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
-    """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, whose stem becomes the name.
+    """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, or a ``.bsdf`` file of Zemax.
+
+    The stem of the file becomes the name.
 
     A MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
@@ -87,13 +92,11 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
     first, second = (
         _unit_vectors(side, numbers[:, at : at + 3], used, notes) for side, at in (("omega_in", 0), ("omega_out", 3))
     )
-    above = np.minimum(first[:, 2], second[:, 2]) > _LOWEST_COSINE
+    above = np.minimum(first[:, 2], second[:, 2]) > LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
     values = numbers[used, 6:9]
     is_grey = bool(np.all(values == values[:, :1]))
-    if values.size:
-        notes += _repeated(values[:, 0])
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
     samples = ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
     return ReadTable(found.columns, len(table.rows), samples.changed(options.of_table()))
@@ -129,21 +132,6 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     counts = "it counts" if count == 1 else "they count"
     notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
     return np.maximum(values, 0.0)
-
-
-def _repeated(values: Array) -> list[str]:
-    """Name the smallest and the largest value where many samples have it and the next one is far off."""
-    found, counts = np.unique(values, return_counts=True)
-    if found.size < _FEW_VALUES:
-        return []
-    least = max(_FAR_OFF * found[0], _CLEARLY_LIT * float(np.median(values)))
-    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
-    return [
-        f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
-        f"what is missing, set missing to {found[place]:g}."
-        for which, place, is_far in extremes
-        if is_far and counts[place] >= _MANY_EQUAL
-    ]
 
 
 def _left_out(rows: Mask, fault: str) -> list[str]:

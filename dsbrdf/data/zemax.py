@@ -4,8 +4,10 @@ Angles of the receiver are about the mirror direction: ScatterRadial is the angl
 it, 0 towards the normal.
 """
 
+import os
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.text_table import TextTable
 from dsbrdf.errors import MeasurementFormatError
 
+_LONGEST_HEAD = 1 << 16  # [bytes]
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _READ = {"ScatterType": "BRDF", "SpectralContent": "Monochrome"}
 _NAMES = ("omega_in_x", "omega_in_y", "omega_in_z", "omega_out_x", "omega_out_y", "omega_out_z", "value")
@@ -21,6 +24,14 @@ _NAMES = ("omega_in_x", "omega_in_y", "omega_in_z", "omega_out_x", "omega_out_y"
 def is_zemax(data: bytes) -> bool:
     """Whether a text is such a file."""
     return b"ScatterRadial" in data and re.search(rb"(?m)^[ \t]*DataBegin[ \t\r]*$", data) is not None
+
+
+def begins_as_zemax(path: str | os.PathLike[str]) -> bool:
+    """Whether a path names such a file."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return is_zemax(file.read(_LONGEST_HEAD))
 
 
 def zemax_table(data: bytes) -> TextTable:

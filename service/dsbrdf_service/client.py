@@ -22,7 +22,7 @@ import httpx
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES
+from dsbrdf.data.sample_tables import is_table
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
 from dsbrdf.errors import DSBRDFError
@@ -191,11 +191,14 @@ class Client:
 
         The options of a table tell how to read it; the service checks that it can be.
         """
-        suffix, own_name = "", None
+        media_type, own_name = "application/octet-stream", None
         if isinstance(measurement, str | os.PathLike):
             path = Path(measurement)
-            suffix, own_name = path.suffix.lower(), path.stem
-            measurement = read_rgl(path).measurement() if suffix == ".bsdf" else path.read_bytes()
+            own_name = path.stem
+            if is_table(path):
+                media_type = "text/csv"
+            is_rgl = path.suffix.lower() == ".bsdf" and not is_table(path)
+            measurement = read_rgl(path).measurement() if is_rgl else path.read_bytes()
         if isinstance(measurement, Measurement):
             own_name, measurement = measurement.name, encode_merl(measurement)
         sha256 = hashlib.sha256(measurement).hexdigest()
@@ -207,8 +210,7 @@ class Client:
             if not name and own_name is not None:
                 with suppress(InvalidArgumentError):  # one that the service would not take
                     name = check_name(own_name)
-            headers = {"Content-Type": "text/csv" if suffix in TABLE_SUFFIXES else "application/octet-stream"}
-            chosen = table_query(options)
+            headers, chosen = {"Content-Type": media_type}, table_query(options)
             self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name, **chosen)
         return sha256
 

@@ -26,6 +26,7 @@ from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
+from dsbrdf.data.zemax import begins_as_zemax
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import Component
@@ -201,14 +202,17 @@ def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path
 def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
     """Check a file that is no MERL file, and replace that of RGL by a MERL table; a table of samples stays as it is.
 
+    A file of Zemax may have the suffix of RGL's.
+
     Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
 
-    Raises MeasurementFormatError if the file is wrong.
+    Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table that it is not.
     """
-    if kind == "samples":
+    if kind == "samples" or begins_as_zemax(path):
         content, valid_nodes = path.read_bytes(), 0
         parse_samples(content, options=options)
     else:
+        options.refuse_on_grid()
         measurement = read_rgl(path).measurement()
         content, valid_nodes = encode_merl(measurement), int(measurement.valid.sum())
         with path.open("wb") as file:

@@ -71,7 +71,7 @@ async def receive_upload(
     if name is not None and kind is not None:
         name = Path(name).stem
     kind = "samples" if media_type in TEXTS else kind
-    if kind != "samples":
+    if kind is None:
         options.refuse_on_grid()
     declared = request.headers.get("content-length", "")
     length = int(declared) if declared.isdecimal() and not encoding_of(request) else None

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.sample_tables import parse_samples, read_samples
+from dsbrdf.data.measurement_files import read_measurement
+from dsbrdf.data.sample_tables import is_table, parse_samples, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import MeasurementFormatError
@@ -46,6 +47,13 @@ def test_layouts_are_read_or_refused_by_name(path: Path) -> None:
     check_true(samples)
 
 
+def test_a_zemax_file_may_end_in_bsdf(tmp_path: Path) -> None:
+    path = tmp_path / "tile.bsdf"
+    path.write_bytes((LAYOUTS / "zemax.txt").read_bytes())
+    assert is_table(path)
+    np.testing.assert_array_equal(read_measurement(path).values, read_samples(LAYOUTS / "zemax.txt").values)
+
+
 RANDOM = np.random.default_rng(7)
 NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "value")
 ANGLES = RANDOM.uniform((0.0, 0.0, 0.0, 0.0), (80.0, 360.0, 80.0, 360.0), (400, 4))
@@ -67,6 +75,7 @@ IN_PLANE = truth(*vectors(np.insert(PLANE, [1, 2], [180.0, 0.0], axis=1)))[:, :1
 ALL = np.hstack([ANGLES, VALUES])
 SPOILED = np.arange(400)[:, None] % 13 == 0
 FLAT = VALUES * np.ones(5)
+SPECTRAL = (*NAMES[:4], *(f"{band} nm" for band in range(450, 651, 50)))
 MIRRORED = np.add(ANGLES, [0.0, 180.0, 0.0, 0.0]) % 360.0
 
 
@@ -101,10 +110,15 @@ TRUTHS: dict[str, tuple[bytes, dict[str, Any], str]] = {
         {"columns": dict(zip(NAMES, "abcde", strict=True))},
         "",
     ),
-    "flat spectra": (made(FLAT, names=(*NAMES[:4], *(f"{one} nm" for one in range(450, 651, 50)))), {}, ""),
+    "flat spectra": (made(FLAT, names=SPECTRAL), {}, ""),
     "0 is missing, not said": (made(np.where(SPOILED, 0.0, VALUES)), {}, "set missing to 0."),
     "9999 is missing, not said": (made(np.where(SPOILED, 9999.0, VALUES)), {}, "set missing to 9999."),
     "-999 is missing, not said": (made(np.where(SPOILED, -999.0, VALUES)), {}, "set missing to -999."),
+    "0 is missing in one of five bands, not said": (
+        made(np.where(SPOILED * [0, 1, 0, 0, 0], 0.0, FLAT), names=SPECTRAL),
+        {},
+        "31 samples have the same smallest value, 0, far from all others",
+    ),
     "1e30 is missing, not said": (made(np.where(SPOILED, 1e30, VALUES)), {}, "if 1e+30 stands for what is missing"),
     "mirror at the same phi, not said": (table(NAMES, np.hstack([MIRRORED, VALUES])), {}, 'set phi to "mirror"'),
     "in plane, sign turned, not said": (in_plane(PLANE * [1, -1], IN_PLANE), {}, 'set phi to "mirror"'),
