@@ -30,7 +30,13 @@ from dsbrdf.fitting.report_warnings import (
     sample_warnings,
 )
 from dsbrdf.fitting.sample_bins import predicted_profiles, sample_rows, scattered_metrics
-from dsbrdf.fitting.sample_errors import expected_error, left_out_errors
+from dsbrdf.fitting.sample_errors import (
+    expected_error,
+    left_out_errors,
+    left_out_values,
+    pairs_to_measure,
+    unconfirmed_sample,
+)
 from dsbrdf.fitting.sample_prediction import SamplePrediction, thinned, without_outliers
 from dsbrdf.fitting.sample_units import sample_units
 from dsbrdf.process_settings import one_blas_thread
@@ -105,7 +111,7 @@ def fit(
             clock.lap("em")
         else:
             found, _ = fit_global(data, options, on_share, clock.lap)
-        result = _result(found, data, options, clock, scattered=False)
+        result = _result(found, data, options, clock)
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
@@ -115,14 +121,16 @@ def fit(
     return result
 
 
-def _result(found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, scattered: bool) -> FitResult:
+def _result(
+    found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, is_unit_wrong: bool = False
+) -> FitResult:
     """Model and report, without the metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
     in_slices = options.method == "paper"
     report = FitReport(
-        warnings=tuple(fit_warnings(model, data, knots, albedo, in_slices=in_slices, scattered=scattered)),
+        warnings=tuple(fit_warnings(model, data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -162,25 +170,27 @@ def _fit_samples(
             found, mixture = refine_at_samples(data, mixture, found.growth)
         clock.lap("refine at samples")
     progress(0.9)
-    left_out, rows = left_out_errors(known, prediction, found.model, options.horizon_cutoff)
-    expected, pairs = expected_error(prediction, found.model)
+    without = left_out_values(known, prediction, found.model)
+    left_out, rows = left_out_errors(known, without, options.horizon_cutoff)
+    expected = expected_error(prediction, found.model)
+    pairs = pairs_to_measure(prediction, found.model) if expected > LARGEST_EXPECTED else ()
     clock.lap("left out")
     amplitude = found.model.amplitude / units.factor
     if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit
         amplitude = np.broadcast_to(amplitude.mean(axis=0), amplitude.shape).copy()
     found = replace(found, model=replace(found.model, amplitude=amplitude))
-    result = _result(found, table, options, clock, scattered=True)
+    result = _result(found, table, options, clock, is_unit_wrong=units.factor != 1.0)
     metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
     metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
-    matters = expected > LARGEST_EXPECTED
     sentences = (
         *samples.notes,
         *units.sentences,
         *sample_warnings(samples, metrics, prediction.layers.structures[0].name, FEW_SAMPLES),
+        *unconfirmed_sample(known, without),
         *result.report.warnings,
     )
-    report = replace(result.report, metrics=metrics, warnings=sentences, left_out=rows)
-    return replace(result, report=replace(report, measure_next=pairs if matters else ()))
+    report = replace(result.report, metrics=metrics, warnings=sentences, left_out=rows, measure_next=pairs)
+    return replace(result, report=report)
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:

@@ -20,7 +20,6 @@ _RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; th
 _LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
 _LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
 _LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
-_TOO_BRIGHT = 1.05  # of scattered samples: then their unit is wrong
 _LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
 
 
@@ -31,11 +30,11 @@ def fit_warnings(
     albedo: DirectionalAlbedo,
     *,
     in_slices: bool = False,
-    scattered: bool = False,
+    is_unit_wrong: bool = False,
 ) -> Iterator[str]:
     """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
 
-    Of scattered samples that are far too bright `dsbrdf.fitting.sample_units` speaks.
+    Of scattered samples in a wrong unit `dsbrdf.fitting.sample_units` speaks.
     """
     if not np.all(knots.converged):
         yield convergence_sentence(knots, in_slices=in_slices)
@@ -49,7 +48,7 @@ def fit_warnings(
             )
     values = np.array(albedo.albedo)
     row, channel = np.unravel_index(values.argmax(), values.shape)
-    if _LARGEST_ALBEDO < values[row, channel] <= (_TOO_BRIGHT if scattered else np.inf):
+    if values[row, channel] > _LARGEST_ALBEDO and not is_unit_wrong:
         yield (
             f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
             f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
@@ -97,6 +96,7 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
 
 LARGEST_EXPECTED = 0.1
 """Expected error over all directions from which on a report says where to measure next."""
+_OUT_OF_PLANE = 0.02  # sines of both angles to the normal times that of the turn
 _LARGE, _MUCH_LARGER, _WORTH_A_WORD = 0.3, 2.0, 0.05  # errors
 
 
@@ -109,6 +109,12 @@ def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str,
         yield (
             f"{len(samples.values)} samples are few: the model is that of layers ({structure}) that were fitted to the "
             "samples and corrected near them; more samples would tell more."
+        )
+    first, second = samples.omega_in, samples.omega_out
+    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _OUT_OF_PLANE:
+        yield (
+            "All samples lie in one plane of incidence: out of it the model has highlights as those of most materials; "
+            "of a few they are several times as bright there, as only samples out of the plane tell."
         )
     if here > _LARGE:
         yield (

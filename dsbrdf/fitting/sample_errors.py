@@ -2,10 +2,13 @@
 
 At a sample left out, the fit is taken to be what it is there, times the ratio of the prediction without the sample and
 the prediction with it. Over all directions the expected error is that of a prediction with its uncertainty, at pairs of
-which half are where the model reflects and half are anywhere.
+which half are where the model reflects and half are anywhere. A few bright ones decide it, so that pairs are drawn in
+proportion to what they count.
 
-The directions to measure next are those that lower the expected squared error over these pairs most, one after another.
+The directions to measure next are those that lower the expected squared error most, one after another.
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,7 +16,12 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
-from dsbrdf.fitting.sample_prediction import SamplePrediction, expected_squared_error, left_out_predictions
+from dsbrdf.fitting.sample_prediction import (
+    SamplePrediction,
+    dark_level,
+    expected_squared_error,
+    left_out_predictions,
+)
 from dsbrdf.model.dsbrdf import DSBRDF
 
 BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
@@ -21,9 +29,10 @@ BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
 MIRROR = np.radians(10.0)
 """Samples are near the mirror direction where theta_half is below this [rad]."""
 N_SUGGESTED = 20
-_N_PAIRS, _N_CANDIDATES = 2000, 700
+_N_DRAWN, _N_PAIRS, _N_CANDIDATES = 24_000, 1000, 700
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
 _LEAST_STEP = 4.0  # in one of the three angles, between pairs that are named [degrees]
+_UNCONFIRMED, _MOST_OF_ERROR = np.log(3.0), 0.5  # of a logarithm; of the squared errors of samples left out
 _LEAST_ANGLE = np.cos(np.radians(8.0))  # between light and viewer: instruments stand in their own way
 
 
@@ -33,17 +42,33 @@ def relative_rms(values: Array, expected: Array, weight: Array) -> float | None:
     return float(np.sqrt(np.sum(weight[:, np.newaxis] * (values - expected) ** 2) / signal)) if signal > 0.0 else None
 
 
-def left_out_errors(
-    samples: ScatteredSamples, prediction: SamplePrediction, model: DSBRDF, cutoff: float | None
-) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
-    """Errors at samples left out: of all within the cutoff, of bands of theta_out, and near the mirror direction.
-
-    The samples are those of the prediction.
-    """
+def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, model: DSBRDF) -> Array:
+    """Values (n, 3) of a fit without each of the samples of the prediction [1/sr]."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     dark = prediction.layers.dark
     ratio = (left_out_predictions(samples, prediction) + dark) / (prediction.evaluate_unmasked(*angles) + dark)
-    values = model.evaluate_unmasked(*angles) * ratio
+    return model.evaluate_unmasked(*angles) * ratio
+
+
+def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str]:
+    """Name the sample that others do not confirm, if most of the error at samples left out is that of one."""
+    dark = dark_level(samples)
+    off = np.log((samples.values.mean(axis=1) + dark) / (values.mean(axis=1) + dark))
+    at = int(np.argmax(np.abs(off)))
+    if np.abs(off[at]) > _UNCONFIRMED and off[at] ** 2 > _MOST_OF_ERROR * np.sum(off**2):
+        pair = _suggested(samples.omega_in[at], samples.omega_out[at])
+        yield (
+            f"Much depends on one sample, at theta_in = {pair.theta_in_deg:.0f}, theta_out = {pair.theta_out_deg:.0f} "
+            f"and phi = {pair.phi_deg:.0f} degrees: it is {np.exp(off[at]):.2g} times what a fit without it has there; "
+            "measure near it again, or leave it out if it is wrong."
+        )
+
+
+def left_out_errors(
+    samples: ScatteredSamples, values: Array, cutoff: float | None
+) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
+    """Errors of `left_out_values`: of all within the cutoff, of bands of theta_out, and near the mirror direction."""
+    angles = half_difference(samples.omega_in, samples.omega_out)
     theta_in, theta_out = (np.arccos(np.minimum(omega[:, 2], 1.0)) for omega in (samples.omega_in, samples.omega_out))
     within = np.maximum(theta_in, theta_out) <= (np.pi / 2 if cutoff is None else cutoff) + 1e-9
     places = {
@@ -60,26 +85,36 @@ def left_out_errors(
     return relative_rms(values, samples.values, samples.weight * within), rows
 
 
-def expected_error(prediction: SamplePrediction, model: DSBRDF) -> tuple[float, tuple[SuggestedPair, ...]]:
-    """Expected relative_rms over all directions, and the pairs to measure next, the most useful first."""
-    omega_in, omega_out = _pairs(model)
+def expected_error(prediction: SamplePrediction, model: DSBRDF) -> float:
+    """Expected relative_rms over all directions."""
+    omega_in, omega_out, values, light = _drawn(model)
+    counted = np.sum(values**2, axis=1) * (light / light.sum() + 1.0 / light.size)
+    bright = np.random.default_rng(6).choice(counted.size, _N_PAIRS, p=counted / counted.sum())
+    angles = half_difference(omega_in[bright], omega_out[bright])
+    return float(np.sqrt(np.mean(expected_squared_error(prediction.spread(*angles)))))
+
+
+def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[SuggestedPair, ...]:
+    """Pairs of directions to measure next, the most useful first."""
+    omega_in, omega_out, _, light = _drawn(model)
+    lit = np.random.default_rng(5).choice(light.size, _N_CANDIDATES // 2, p=light / light.sum())
+    chosen_at = np.concatenate([lit, np.arange(_N_CANDIDATES - lit.size)])
+    chosen_at = chosen_at[np.sum(omega_in[chosen_at] * omega_out[chosen_at], axis=1) < _LEAST_ANGLE]
+    omega_in, omega_out = omega_in[chosen_at], omega_out[chosen_at]
     angles = half_difference(omega_in, omega_out)
     squared = np.sum(prediction.evaluate_unmasked(*angles) ** 2, axis=1)
-    error = squared * expected_squared_error(prediction.spread(*angles))
-    apart = np.flatnonzero(np.sum(omega_in * omega_out, axis=1) < _LEAST_ANGLE)
-    candidates = apart[:: _N_PAIRS // _N_CANDIDATES]
-    covariance = prediction.covariance(*(angle[candidates] for angle in angles))
-    named = [_suggested(omega_in[at], omega_out[at]) for at in candidates]
+    covariance = prediction.covariance(*angles)
+    named = [_suggested(*pair) for pair in zip(omega_in, omega_out, strict=True)]
     degrees = np.array([(pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in named])
-    free, chosen = np.ones(candidates.size), list[SuggestedPair]()
+    free, chosen = np.ones(len(named)), list[SuggestedPair]()
     while len(chosen) < N_SUGGESTED and free.any():
-        gain = free * (squared[candidates] @ covariance**2) / (np.diag(covariance) + prediction.noise_variance)
+        gain = free * (squared @ covariance**2) / (np.diag(covariance) + prediction.noise_variance)
         best = int(np.argmax(gain))
         chosen.append(named[best])
         free[np.abs(degrees - degrees[best]).max(axis=1) < _LEAST_STEP] = 0.0
         column = covariance[:, best]
         covariance = covariance - np.outer(column, column) / (column[best] + prediction.noise_variance)
-    return float(np.sqrt(error.sum() / squared.sum())), tuple(chosen)
+    return tuple(chosen)
 
 
 def _suggested(omega_in: Array, omega_out: Array) -> SuggestedPair:
@@ -91,12 +126,10 @@ def _suggested(omega_in: Array, omega_out: Array) -> SuggestedPair:
     )
 
 
-def _pairs(model: DSBRDF) -> tuple[Array, Array]:
-    """Pairs of directions up to 80 degrees from the normal, drawn anywhere or in proportion to reflected light."""
+def _drawn(model: DSBRDF) -> tuple[Array, Array, Array, Array]:
+    """Pairs of directions up to 80 degrees from the normal, the values (n, 3) of a model and the light it reflects."""
     generator = np.random.default_rng(5)
-    cosines = (np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, 6 * _N_PAIRS)) for _ in range(2))
+    cosines = (np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, _N_DRAWN)) for _ in range(2))
     omega_in, omega_out = (random_directions(generator, cosine) for cosine in cosines)
-    light = model.evaluate_unmasked(*half_difference(omega_in, omega_out)).mean(axis=1) * omega_in[:, 2]
-    lit = generator.choice(light.size, _N_PAIRS // 2, p=light / light.sum())
-    chosen = np.concatenate([lit, np.arange(_N_PAIRS - lit.size)])
-    return omega_in[chosen], omega_out[chosen]
+    values = model.evaluate_unmasked(*half_difference(omega_in, omega_out))
+    return omega_in, omega_out, values, values.mean(axis=1) * omega_in[:, 2]

@@ -32,7 +32,8 @@ _POWER, _PLAIN = 1.4, 0.3  # as in `dsbrdf.fitting.layer_data`
 _DARK = 0.02  # of the median of the channels' mean: errors of values below count alike
 _MOST, _MOST_OF_SEARCH = 800, 500  # samples; of more, so many taken at random
 _NEGLIGIBLE = 1e-3  # weight of a structure
-_DRAWS = 16
+_AGREED = 0.5  # variance of the logarithms of structures, below which their mean is taken
+_DRAWS, _DOUBT = 32, 0.5  # layers drawn; power of their weights with which: evidence is surer than it should be
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
 _REACH = np.array([0.4, np.radians(15.0), 0.4])  # of the kernel in x and y, times one of
@@ -67,7 +68,11 @@ def thinned(samples: ScatteredSamples, most: int = _MOST) -> ScatteredSamples:
 
 @dataclass(frozen=True, eq=False)
 class SampleLayers:
-    """Structures of layers fitted to samples; their values are the weighted geometric mean."""
+    """Structures of layers fitted to samples.
+
+    Their values are the weighted geometric mean, and less where they disagree: a highlight between the samples that
+    only some of them have is rather not there.
+    """
 
     found: tuple[FittedStructure, ...]
     weights: Array  # (S,)
@@ -94,7 +99,10 @@ class SampleLayers:
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values (n, 3) at angles (n,) [1/sr]."""
         logs = self._logs([fitted.model for fitted in self.found], Points.at(theta_half, theta_diff, phi_diff))
-        return np.maximum(np.exp(np.tensordot(self.weights, logs, axes=1)) - self.dark, 0.0)
+        mean = np.tensordot(self.weights, logs, axes=1)
+        apart = np.tensordot(self.weights, (logs - mean) ** 2, axes=1)
+        lower = mean - 0.5 * apart**3 / (apart**2 + _AGREED**2)
+        return np.maximum(np.exp(np.maximum(lower, logs.min(axis=0))) - self.dark, 0.0)
 
     def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Standard deviation of the logarithm of the values, over layers that are as probable (n,)."""
@@ -104,7 +112,8 @@ class SampleLayers:
     @cached_property
     def _drawn(self) -> list[LayeredModel]:
         generator = np.random.default_rng(0)
-        counts = generator.multinomial(_DRAWS, self.weights).tolist()
+        weights = self.weights**_DOUBT
+        counts = generator.multinomial(_DRAWS, weights / weights.sum()).tolist()
         pairs = zip(self.found, counts, strict=True)
         return [model for fitted, count in pairs for model in fitted.draw(generator, count)]
 

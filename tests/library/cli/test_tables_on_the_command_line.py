@@ -7,6 +7,7 @@ import pytest
 
 from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.output.serialize import load_result
+from tests.library.data.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run
 from tests.support.mixtures import mixture, scattered_samples
 
@@ -36,6 +37,17 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
         errors[1], rel=0.05
     )  # the metric leaves grazing angles out
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
+
+
+def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> None:
+    """Of some, no sample is near: a needle of a highlight that no sample sees would be 500 times as bright."""
+    files = [path for path in sorted(LAYOUTS.iterdir()) if path.name not in REFUSED]
+    run("fit", *files, "-o", tmp_path)
+    out = np.array([np.sin(np.radians(60.0)), 0.0, np.cos(np.radians(60.0))])
+    for path in files:
+        model = load_result(tmp_path / f"{path.stem}.json").model
+        value = model.evaluate_directions(out * [-1.0, 1.0, 1.0], out)
+        assert value == pytest.approx([MIRROR_60] * 3, rel=0.3), path.name
 
 
 def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:

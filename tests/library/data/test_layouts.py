@@ -15,6 +15,8 @@ from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.fitting.sample_units import sample_units
 from tests.library.data.test_sample_tables import table
 
+MIRROR_60 = 0.48
+"""The truth at 60 degrees, in the mirror direction [1/sr]."""
 LAYOUTS = Path(__file__).parent / "layouts"
 REFUSED = {
     "astm_e1392.txt": "is a file of ASTM E1392, which is not read",
