@@ -5,7 +5,7 @@ A family is an entry of `FAMILIES`; `dsbrdf.model.lobes` has the formulas, and w
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -18,14 +18,6 @@ LARGEST_CENTER = 1.57
 LARGEST_TANGENT = float(np.tan(LARGEST_CENTER))
 _STEEPEST_TANGENT = 1e12
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
-
-
-class SeriesMath(NamedTuple):
-    """Functions on numbers of another program."""
-
-    exp: Callable[[Any], Any]
-    expm1: Callable[[Any], Any]
-    log1p: Callable[[Any], Any]
 
 
 def tangent_of_offset(squared_tangent: Array, center: Array, largest: float = LARGEST_TANGENT) -> Array:
@@ -59,10 +51,6 @@ class LobeFamily:
     # Value and derivatives in log kappa, log gamma, the offset (else tan(theta')**2) and the negative part of the
     # center; of the arguments of `values` and the tangents of the offset, if there is a center, and of that part.
     derivatives: Callable[[Array, Array, Array, Array | None, Array | None, Array], tuple[Array, ...]]
-    # A lobe of height 1 on numbers of another program, of the squared tangents of the offset and of the negative part
-    # of the center, and of kappa and gamma; `glsl` are statements that return it.
-    value_of_squares: Callable[[SeriesMath, Any, Any, Any, Any], Any]
-    glsl: str
 
 
 def _hemi_epd_fall(kappa: Array) -> Array:
@@ -103,13 +91,6 @@ def _hemi_epd_derivatives(
     return value, by_log_top, by_log_gamma, by_offset, by_top
 
 
-def _hemi_epd_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
-    log_cos, log_cos_top = -0.5 * math.log1p(squared), -0.5 * math.log1p(top_squared)
-    top, log_ratio = kappa * math.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
-    # expm1(top * ratio) / expm1(top), without overflow.
-    return math.exp(top * math.expm1(log_ratio)) * math.expm1(-top * math.exp(log_ratio)) / math.expm1(-top)
-
-
 def _student_slope(kappa: Array) -> Array:
     power = np.log(2.0) / kappa
     return -power / -np.expm1(-power)
@@ -135,10 +116,6 @@ def _student_derivatives(
     return value, value * fall, by_log_gamma, by_offset, by_top
 
 
-def _student_of_squares(math: SeriesMath, squared: Any, top_squared: Any, kappa: Any, gamma: Any) -> Any:
-    return math.exp(-kappa * (math.log1p(gamma * squared) - math.log1p(gamma * top_squared)))
-
-
 FAMILIES = {
     "hemi_epd": LobeFamily(
         fall_to_half=_hemi_epd_fall,
@@ -148,15 +125,6 @@ FAMILIES = {
         slope_of_width=lambda reach, tangent: reach / tangent,
         values=_hemi_epd_values,
         derivatives=_hemi_epd_derivatives,
-        value_of_squares=_hemi_epd_of_squares,
-        glsl="""\
-  float log_cos_top = -0.5 * dsbrdf_log1p(top_squared);
-  float log_cos = -0.5 * dsbrdf_log1p(squared);
-  float top = kappa * exp(gamma * log_cos_top);
-  // expm1(top * ratio) / expm1(top), without overflow.
-  float log_ratio = gamma * (log_cos - log_cos_top);
-  return exp(top * dsbrdf_expm1(log_ratio)) * dsbrdf_expm1(-top * exp(log_ratio)) / dsbrdf_expm1(-top);
-""",
     ),
     "student": LobeFamily(
         fall_to_half=lambda kappa: np.expm1(np.log(2.0) / kappa),
@@ -166,10 +134,6 @@ FAMILIES = {
         slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # the reach is the tangent's square
         values=_student_values,
         derivatives=_student_derivatives,
-        value_of_squares=_student_of_squares,
-        glsl="""\
-  return exp(-kappa * (dsbrdf_log1p(gamma * squared) - dsbrdf_log1p(gamma * top_squared)));
-""",
     ),
 }
-"""Known lobes, by name; a new family is an entry here and a name in `Family`."""
+"""Known lobes, by name. A new one also needs a name in `Family` and its formula in the exports to GLSL and Mitsuba."""

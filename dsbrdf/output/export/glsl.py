@@ -25,7 +25,6 @@ from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.layers import LayeredModel
-from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES, DirectionSampler, direction_sampler
 from dsbrdf.output.export.glsl_layers import layered_function, shares_function
@@ -108,7 +107,7 @@ def _model_function(model: DSBRDF) -> str:
     lobes, shapes = model.n_lobes, model.kappa.shape[0]
     rows, count = _parameter_rows(model, "dsbrdf")
     centers, delta = 4 * lobes + 2 * shapes * lobes, "result += vec3({0}[{1}], {0}[{2}], {0}[{3}]);"
-    text = _LOBE.replace("FALL", FAMILIES[model.lobe].glsl) + _MODEL
+    text = _LOBE.replace("FALL", _FALLS[model.lobe]) + _MODEL
     words = {
         "CENTER": f"rows[{centers} + shape]" if model.center.any() else "0.0",
         "DELTA": delta.format("rows", *range(count - 3, count)) if model.delta.any() else "",
@@ -315,6 +314,21 @@ float dsbrdf_lobe(float squared, float kappa, float gamma, float center) {
 FALL}
 
 """
+
+# family -> statements that return a lobe of height 1
+_FALLS = {
+    "hemi_epd": """\
+  float log_cos_top = -0.5 * dsbrdf_log1p(top_squared);
+  float log_cos = -0.5 * dsbrdf_log1p(squared);
+  float top = kappa * exp(gamma * log_cos_top);
+  // expm1(top * ratio) / expm1(top), without overflow.
+  float log_ratio = gamma * (log_cos - log_cos_top);
+  return exp(top * dsbrdf_expm1(log_ratio)) * dsbrdf_expm1(-top * exp(log_ratio)) / dsbrdf_expm1(-top);
+""",
+    "student": """\
+  return exp(-kappa * (dsbrdf_log1p(gamma * squared) - dsbrdf_log1p(gamma * top_squared)));
+""",
+}
 
 _MODEL = """\
 vec3 dsbrdf_model(dsbrdf_Angles angles) {

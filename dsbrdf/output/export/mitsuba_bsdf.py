@@ -35,7 +35,6 @@ from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import LUMINANCE
-from dsbrdf.model.lobe_families import FAMILIES, SeriesMath
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
@@ -369,8 +368,12 @@ class MitsubaModel:
             root, tan_center = _safe_root(squared), dr.tan(self._row(row + 2 * step, place))
             tangent = dr.clip((root - tan_center) / (1.0 + root * dr.maximum(tan_center, 0.0)), -1e12, 1e12)
             squared, top_squared = tangent * tangent, dr.minimum(tan_center, 0.0) ** 2
-        math = SeriesMath(dr.exp, _expm1, _log1p)
-        return FAMILIES[self._model.lobe].value_of_squares(math, squared, top_squared, kappa, gamma)
+        if self._model.lobe == "student":
+            return dr.exp(-kappa * (_log1p(gamma * squared) - _log1p(gamma * top_squared)))
+        log_cos, log_cos_top = -0.5 * _log1p(squared), -0.5 * _log1p(top_squared)
+        top, log_ratio = kappa * dr.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
+        # expm1(top * ratio) / expm1(top), without overflow.
+        return dr.exp(top * _expm1(log_ratio)) * _expm1(-top * dr.exp(log_ratio)) / _expm1(-top)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
         """Cosine and sine of the azimuth, 1 and 0 along the normal."""
