@@ -10,7 +10,7 @@ import pytest
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles, Profiles
 from dsbrdf.fitting.options import Weighting
-from dsbrdf.fitting.weighting import bin_weights
+from dsbrdf.fitting.weighting import bin_weights, seen_weight
 
 CUTOFF = float(np.radians(80.0))
 BINS: list[tuple[int, int, int]] = [(0, 40, 3), (30, 20, 0), (60, 30, 8), (70, 25, 4), (75, 12, 2)]
@@ -78,6 +78,14 @@ def test_balanced_lets_dark_nodes_count_more_than_plain_does_whatever_the_unit(f
     bright, dark = (0, 0, 9, 4), (0, 0, 60, 4)  # of red, at normal incidence: in the highlight, and beside it
     assert folded.mean[bright] > 4.0 * folded.mean[dark]
     assert balanced[dark] / balanced[bright] > 2.0 * plain[dark] / plain[bright]
+
+
+def test_balanced_counts_errors_of_dark_values_alike_below_a_fiftieth_of_what_a_lit_material_shows() -> None:
+    lit, typical = np.ones(3), 0.5
+    mean = np.array([0.0, 0.01, 1.0])  # none, a fiftieth of the typical value, and far above it
+    black, at_a_fiftieth, bright = seen_weight(lit, mean, typical)
+    assert black / at_a_fiftieth == pytest.approx(2.0**1.2, rel=1e-6)
+    assert bright == pytest.approx(1.01**-1.2, rel=1e-6)
 
 
 def test_material_without_phi_diff_has_finite_weights(folded: FoldedProfiles) -> None:
