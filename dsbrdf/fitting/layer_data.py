@@ -19,8 +19,10 @@ from dsbrdf.model.reflectance import ReflectanceModel
 _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _AZIMUTHS = np.radians([15.0, 45.0, 75.0])
-_POWER = 1.4
-_PLAIN = 0.3  # weight of the plain error, in units of the other's
+LAYER_POWER = 1.4
+"""Errors of layers count relative to f to this power: the wide, faint range decides what is diffuse."""
+PLAIN_SHARE = 0.3
+"""Weight of the plain error, which keeps the heights of highlights, in units of the other's."""
 _BRIGHTEST = 1e100  # what is far beyond any material must have a square all the same
 _LEAST_COSINE = 1e-3  # to the normal
 
@@ -44,8 +46,8 @@ def layer_data(model: ReflectanceModel) -> LayerData | None:
         return None
     over_phi = np.sum(grid.lit * mean, axis=3) / np.maximum(grid.lit.sum(axis=2), 1e-300)
     typical = float(np.sum(grid.lit * mean) / (3.0 * grid.lit.sum()))
-    seen = seen_weight(grid.lit, over_phi[..., np.newaxis], typical, _POWER)
-    weight = seen / np.sum(seen * mean**2) + _PLAIN / np.sum(grid.plain * mean**2) * grid.plain
+    seen = seen_weight(grid.lit, over_phi[..., np.newaxis], typical, LAYER_POWER)
+    weight = seen / np.sum(seen * mean**2) + PLAIN_SHARE / np.sum(grid.plain * mean**2) * grid.plain
     return LayerData.of(grid.points, mean[:, grid.above], weight[:, grid.above])
 
 

@@ -22,13 +22,13 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.reduction import OUTLIER
 from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.fitting.layer_data import LAYER_POWER, PLAIN_SHARE
 from dsbrdf.fitting.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
 from dsbrdf.fitting.layer_structures import STRUCTURES, LayerStructure
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.layer_points import Points
 from dsbrdf.model.layers import LayeredModel
 
-_POWER, _PLAIN = 1.4, 0.3  # as in `dsbrdf.fitting.layer_data`
 _DARK = 0.02  # of the median of the channels' mean: errors of values below count alike
 _MOST, _MOST_OF_SEARCH = 800, 500  # samples; of more, so many taken at random
 _NEGLIGIBLE = 1e-3  # weight of a structure
@@ -50,8 +50,8 @@ _NORMAL_QUARTILE, _LEAST_OUTLIER = 1.15, 1e-2
 def layer_samples(samples: ScatteredSamples) -> LayerData:
     """Samples, weighted so that layers are fitted to errors relative to f**1.4, and to a share of plain ones."""
     level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
-    seen = samples.weight / (level + dark_level(samples)) ** _POWER
-    weight = seen / np.sum(seen * square) + _PLAIN * samples.weight / np.sum(samples.weight * square)
+    seen = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
+    weight = seen / np.sum(seen * square) + PLAIN_SHARE * samples.weight / np.sum(samples.weight * square)
     points = Points.at(*half_difference(samples.omega_in, samples.omega_out))
     return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)))
 
