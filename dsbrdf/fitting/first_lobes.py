@@ -31,7 +31,8 @@ _GGX_KAPPA, _USUAL_DIFFUSE_KAPPA = 2.0, 1.1
 _USUAL_REACH = float(np.log(reach_of_width(np.radians(70.0), _FAMILY)))
 _STARTS = ((0.6, 65.0), (2.0, 65.0), (8.0, 65.0))  # half widths [degrees]
 _START_ELONGATION = 0.5
-_FAINTEST_START = 0.02
+FAINTEST_START = 0.02
+"""Of a typical amplitude, the least at the start: the derivatives of a fainter lobe are too small to change it."""
 _TOLERANCE, _ITERATIONS = 1e-3, 60
 
 
@@ -84,6 +85,6 @@ def _start(problem: MixtureProblem, widths: tuple[float, ...]) -> Array:
         root = np.sqrt(data.weight[channel, row].ravel())
         heights[row, channel] = nnls(curves[:, row].T * root[:, np.newaxis], data.mean[channel, row].ravel() * root)[0]
     level = np.sqrt(np.mean(heights**2, axis=(0, 1)))
-    logs = np.log(np.maximum(heights, _FAINTEST_START * level + 1e-9)).reshape(n_rows, -1)
+    logs = np.log(np.maximum(heights, FAINTEST_START * level + 1e-9)).reshape(n_rows, -1)
     amplitude[...] = smooth_control_values(problem.bases[0], logs)
     return unknowns

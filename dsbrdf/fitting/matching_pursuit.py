@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.fitting.first_lobes import fit_first_lobes
+from dsbrdf.fitting.first_lobes import FAINTEST_START, fit_first_lobes
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
@@ -44,7 +44,6 @@ _START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the first lobes
-_FAINTEST_START = 0.02  # of the lobe's typical amplitude: the derivatives of a fainter one are too small to change it
 _FIRST_TWO, _LAST_TWO = 2, 5  # numbers of lobes between which a near and a far one are tried
 _FAR = 20.0 * _DEGREE
 _RIDGE, _TINY = 1e-3, 1e-300
@@ -291,7 +290,7 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     structure = replace(old, rings=rings)
     basis = MixtureProblem(data, replace(structure, rings=())).bases[0]
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
-    target = np.log(np.maximum(amplitude, _FAINTEST_START * level + 1e-9))
+    target = np.log(np.maximum(amplitude, FAINTEST_START * level + 1e-9))
     amplitudes, shapes, elongations = old.split(mixture.unknowns)
     n, reach = old.n_lobes, reach_of_width(np.array(candidate.width), old.family)
     heights = amplitudes.reshape(len(amplitudes), 3, n)
