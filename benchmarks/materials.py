@@ -1,8 +1,6 @@
-"""Accuracy and time of the fit on every material of a folder, in this process or through a running service.
+"""Accuracy and time of the fit on every material of a folder.
 
-The folder is the one that ``DSBRDF_REFERENCE_DATA`` names; without it three synthetic materials are fitted. With
-``--http`` the materials are sent to a service; their time is then that of the whole exchange, and nearly nothing for a
-fit that the service already has.
+The folder is the one that ``DSBRDF_REFERENCE_DATA`` names; without it three synthetic materials are fitted.
 """
 
 import argparse
@@ -12,7 +10,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +26,6 @@ from dsbrdf.errors import ConvergenceWarning, DSBRDFError
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.dsbrdf import DSBRDF
 
 FIGURES = (*METRICS, "numbers", "seconds")
 DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}
@@ -50,8 +46,6 @@ class Row:
 
 Source = tuple[str, Callable[[], Measurement]]
 """Name of a material, and the function that reads it."""
-Runner = Callable[[Measurement, FitOptions], tuple[Mapping[str, float | None], DSBRDF]]
-"""Metrics and model of a fit."""
 
 
 def sources(arguments: argparse.Namespace) -> Iterator[Source]:
@@ -68,31 +62,13 @@ def sources(arguments: argparse.Namespace) -> Iterator[Source]:
     yield from chosen[:: arguments.every]
 
 
-def here(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
-    """Fit in this process."""
-    result = fit(material, options)
-    return asdict(result.report.metrics), result.model
-
-
-def through(url: str, stack: ExitStack) -> Runner:
-    """Return the function that fits through the service at a URL."""
-    from dsbrdf_service.client import Client
-
-    client = stack.enter_context(Client(url))
-
-    def run(material: Measurement, options: FitOptions) -> tuple[Mapping[str, float | None], DSBRDF]:
-        result = client.fit(material, options)
-        return asdict(result.report.metrics), result.model
-
-    return run
-
-
-def measured(name: str, material: Measurement, run: Runner, options: FitOptions) -> Row:
+def measured(name: str, material: Measurement, options: FitOptions) -> Row:
     """Fit one material."""
     start = time.perf_counter()
-    metrics, model = run(material, options)
+    result = fit(material, options)
     seconds = time.perf_counter() - start
-    figures = {metric: metrics.get(metric) for metric in METRICS}
+    model, metrics = result.model, asdict(result.report.metrics)
+    figures = {metric: metrics[metric] for metric in METRICS}
     rings = int(np.count_nonzero(model.is_ring))
     return Row(name, figures | {"numbers": model.n_numbers, "seconds": seconds}, model.n_lobes - rings, rings)
 
@@ -140,19 +116,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks materials", description=__doc__, epilog=options_help)
     parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th of them (default: 1)")
-    parser.add_argument("--http", metavar="URL", help="fit through the service there, not in this process")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
     arguments, words = parser.parse_known_args(argv)
     options: FitOptions = App(default_command=_options, result_action="return_value")(words)
     rows, failures = [], []
     if not arguments.json:
         print(f"{'':34}{''.join(f'{figure:>{WIDTH}}' for figure in FIGURES)}{'lobes':>7}")
-    with ExitStack() as stack, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        run = through(arguments.http, stack) if arguments.http else here
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         for name, get in sources(arguments):
             try:
-                row = measured(name, get(), run, options)
+                row = measured(name, get(), options)
             except DSBRDFError as error:
                 failures.append(name)
                 print(f"{name}: {error}", file=sys.stderr)
