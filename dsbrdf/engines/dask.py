@@ -11,6 +11,7 @@ Anyone who can connect to a Dask cluster can run any code on it, unless TLS is s
 import asyncio
 import logging
 import multiprocessing
+import time
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -112,10 +113,13 @@ class DaskEngine:
             )
             self._progress[future.key] = on_progress
             try:
-                while not (future.done() or stopped.is_set()) and client is self._client and workers & self._usable():
+                seen = time.monotonic()
+                while not (future.done() or stopped.is_set()) and client is self._client:
+                    if workers & self._usable():
+                        seen = time.monotonic()
+                    elif time.monotonic() - seen > _TIMEOUT:  # sooner, it may not have been told that the fit has ended
+                        break
                     stopped.wait(_POLL_INTERVAL)
-                if not future.done():
-                    stopped.wait(_LOOK_INTERVAL)  # that a loss has ended the fit is heard a moment after the loss
                 if future.status in ("finished", "error"):
                     return _answer(future)
             finally:

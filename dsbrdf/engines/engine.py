@@ -168,8 +168,8 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
             return MEMORY_LIMIT
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return DISK_FULL
-        logger.exception("a measurement could not be read")
-        reason = error.strerror or type(error).__name__
+        reason = error.strerror or type(error).__name__  # for example, it was deleted meanwhile
+        logger.warning("a measurement could not be read: %s", reason)
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
     except Exception as error:
         logger.exception("a fit failed with an unexpected error")

@@ -84,8 +84,8 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
     own_cluster.start_scheduler()
     for _ in range(4):
         own_cluster.add_worker()
+    wait_until(lambda: own_cluster.log().count("Registered to:") == 4, PATIENCE)  # so that the engine asks all at once
     with started(Stage(own_cluster).engine()) as engine:
-        wait_until(lambda: own_cluster.log().count("Registered to:") == 4, PATIENCE)
         fit = engine.submit(FitTask("one", plastic_file, ENDLESS), ignore)
         for _ in range(4):
             worker = until_busy(own_cluster)
