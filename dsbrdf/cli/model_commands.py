@@ -32,7 +32,6 @@ from dsbrdf.cli.parameters import (
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.geometry import spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.hdr_image import SUFFIXES as PANORAMA_SUFFIXES
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
@@ -258,7 +257,7 @@ class Look:
     Attributes
     ----------
     lighting
-        three_lights, environment, or a panorama of 360 by 180 degrees, .hdr or .exr.
+        three_lights, environment, or a panorama of 360 by 180 degrees, .exr.
     size
         Of a sphere [pixels].
     exposure
@@ -272,9 +271,9 @@ class Look:
     exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
 
     def __post_init__(self) -> None:
-        if self.lighting not in LIGHTINGS and not self.lighting.lower().endswith(PANORAMA_SUFFIXES):
+        if self.lighting not in LIGHTINGS and Path(self.lighting).suffix.lower() != ".exr":
             raise InvalidArgumentError(
-                f"--lighting: must be {', '.join(LIGHTINGS)} or a .hdr or .exr file, not {self.lighting!r}"
+                f"--lighting: must be {', '.join(LIGHTINGS)} or an .exr file, not {self.lighting!r}"
             )
         if self.exposure is not None and not 0.0 < self.exposure < float("inf"):
             raise InvalidArgumentError(f"the exposure must be a positive number, not {self.exposure:g}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +15,8 @@ from scipy.ndimage import label
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import spherical
-from dsbrdf.data.hdr_image import read_hdr_image
 from dsbrdf.errors import ImageFormatError
+from dsbrdf.extras import require
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """What red, green and blue in linear sRGB count."""
@@ -148,23 +149,37 @@ class EnvironmentMap:
 
 
 def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
-    """Read a panorama of an environment for `render_sphere`.
+    """Read a panorama of an environment for `render_sphere`; negative values become 0.
 
     Parameters
     ----------
     path : path-like
-        A Radiance ``.hdr`` file, or an OpenEXR ``.exr`` file with the extra ``exr``.
+        An OpenEXR ``.exr`` file.
 
     Raises
     ------
     ImageFormatError
         If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
     MissingExtraError
-        For an OpenEXR file if the extra ``exr`` is not installed.
+        If the extra ``exr`` is not installed.
     OSError
         If the file cannot be read.
     """
-    return EnvironmentMap.from_pixels(read_hdr_image(path))
+    with Path(path).open("rb") as file:
+        if file.read(4) != b"v/1\x01":
+            raise ImageFormatError("A panorama must be an OpenEXR picture; save it as .exr.")
+    require("exr", "OpenEXR", purpose="OpenEXR pictures")
+    import OpenEXR  # type: ignore[import-not-found]  # ships no types
+
+    try:
+        with OpenEXR.File(str(path)) as picture:
+            channels = {name: np.asarray(channel.pixels) for name, channel in picture.channels().items()}
+    except Exception:  # the library raises several kinds, ill-documented
+        raise ImageFormatError("The OpenEXR picture is damaged or cut off.") from None
+    pixels = channels.get("RGB", channels.get("RGBA"))
+    if pixels is None:
+        raise ImageFormatError(f"The OpenEXR picture has the channels {', '.join(sorted(channels))}, not R, G and B.")
+    return EnvironmentMap.from_pixels(np.maximum(pixels[..., :3].astype(np.float64), 0.0))
 
 
 def averaged(image: Array, width: int) -> Array:

@@ -210,7 +210,7 @@ export class Sphere {
     const around = { environment: "environment", panorama: `panorama${panorama.number}/${now.turn}` }[now.lighting];
     now.show = !subject.fit ? "measured" : subject.measured ? now.show : "fit";
     if (now.lighting === "panorama" && !panorama.pixels) {
-      this.hint.textContent = "Choose a panorama below: a .hdr file or a picture, 360 by 180 degrees.";
+      this.hint.textContent = "Choose a panorama below, a picture of 360 by 180 degrees.";
       return false;
     }
     if (!this.has(this.needed(kind, now.show, around))) return false;

@@ -216,8 +216,9 @@ MISTAKES = {
     "render plastic.binary model.json -o a.png --component diffuse": "leave --component out",
     "render plastic.binary model.json model.json -o a.png": "one or two sources can be drawn, not 3",
     "render model.json -o a.png --lighting moon": "moon",
-    "render model.json -o a.png --lighting no.hdr": "no.hdr: No such file",
-    "render model.json -o a.png --lighting bad.exr": "bad.exr: The file is neither a Radiance nor an OpenEXR picture",
+    "render model.json -o a.png --lighting no.exr": "no.exr: No such file",
+    "render model.json -o a.png --lighting bad.exr": "bad.exr: A panorama must be an OpenEXR picture; save it as .exr",
+    "render model.json -o a.png --lighting room.hdr": "must be three_lights, environment or an .exr file",
     "render cut.bsdf -o a.png": BAD_TENSORS,
     "render felt.csv -o a.png": "felt.csv: scattered samples are no measurement on a grid",
     # convert

@@ -258,8 +258,9 @@ def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path) -> None:
 def test_measurement_and_fit_are_compared_under_a_panorama(
     plastic_file: Path, model_file: Path, two_lobe_fit: FitResult, tmp_path: Path
 ) -> None:
-    panorama, output = tmp_path / "even.hdr", tmp_path / "both.png"
-    panorama.write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n" + bytes([128, 128, 128, 129]) * 32)
+    openexr = pytest.importorskip("OpenEXR")
+    panorama, output = tmp_path / "even.exr", tmp_path / "both.png"
+    openexr.File({}, {"RGB": np.ones((4, 8, 3), np.float32)}).write(str(panorama))
     command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
     words = printed(*command, "--size", "24")
     labels = decompose(two_lobe_fit).labels
