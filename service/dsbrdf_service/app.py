@@ -146,7 +146,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
     of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, brdf.measured, measurements.router, about.router, page.router)
+    routers = (*of_fits, brdf.measured, measurements.router, measurements.tables, about.router, page.router)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation

@@ -23,7 +23,7 @@ from dsbrdf.data.measurement_files import open_checked
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import parse_samples
+from dsbrdf.data.sample_tables import parse_samples, read_table
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.data.zemax import begins_as_zemax
@@ -43,6 +43,7 @@ from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
+from dsbrdf.output.table_summary import summary_of_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,6 +193,14 @@ def samples_step(stored: StoredMeasurement, options: TableOptions, most: int, _:
     if len(table) > most:
         table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
     return _npy(table.astype("<f4"))
+
+
+def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dict[str, Any]:
+    """Return what is understood of a table, as `summary_of_table`.
+
+    Raises MeasurementFormatError if it is wrong.
+    """
+    return summary_of_table(read_table(content, options=options))
 
 
 def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path: str, _: OnProgress) -> None:

@@ -1,11 +1,15 @@
 """Measurements: upload once, fit often."""
 
+import hashlib
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+
+from ..access.authentication import CALLER_NAME
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
@@ -19,16 +23,18 @@ from ..http.responses import (
     prefix_of,
     tagged_reply,
 )
+from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
 from ..wire.fit_options import OF_TABLES, from_query
 from ..wire.inputs import Page
 from ..wire.names import content_disposition
 from ..wire.points import JSON
-from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, from_row
+from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, TableDocument, from_row
 from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
-from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
+from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TEXTS, UPLOADED, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
+tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=NO_REPETITION)
 
 _VARY = {"Vary": "Accept"}
 _MOST_FITS = 200
@@ -61,6 +67,33 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     row, new = await receive_upload(request, context, caller, media_type, from_query(given))
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
+
+
+@tables.post(
+    "",
+    response_model=TableDocument,
+    summary="Say what is understood of a table",
+    responses=openapi.problems("invalid-argument", "too-large", "measurement-format", *openapi.BODY_PROBLEMS),
+    openapi_extra={
+        "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
+        **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TEXTS}),
+    },
+)
+async def describe_table(request: Request, context: TheContext, caller: TheCaller) -> Response:
+    """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
+
+    Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
+    """
+    media_type_of(request, *TEXTS)
+    await no_query(request, *OF_TABLES)
+    options = from_query(request.query_params.multi_items()).of_table()
+    async with context.bodies.received(request, MOST_CONVERTED, request.scope[CALLER_NAME]) as content:
+        key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
+        try:
+            found = await context.computations.run_in_process(request, key, understood_step, content, options)
+        except InvalidArgumentError as error:  # as every fault of a step's arguments
+            raise MeasurementFormatError(str(error)) from None
+    return json_reply(TableDocument(**found))
 
 
 @router.get(

@@ -54,7 +54,8 @@ _PIECE = 1 << 19  # bytes that are worth a switch to another thread
 _SMALL_PIECE = 1 << 16  # of many uploads at once
 _BLOCK = 1 << 18  # bytes that are read back from the file at a time
 _MAX_ENCODED = most_encoded(FILE_SIZE)
-_MAX_CONVERTED = 1 << 23  # bytes of an RGL file or a table: to read one takes up to 70 times as much memory
+MOST_CONVERTED = 1 << 23
+"""Bytes of an RGL file or a table: to read one takes up to 70 times as much memory."""
 
 
 async def receive_upload(
@@ -189,6 +190,6 @@ def _check_not_longer(n_bytes: int) -> None:
 
 
 def _check_convertible(n_bytes: int) -> None:
-    if n_bytes > _MAX_CONVERTED:
-        most = f"A .bsdf file or a table has at most {_MAX_CONVERTED} bytes here, and this one is longer."
+    if n_bytes > MOST_CONVERTED:
+        most = f"A .bsdf file or a table has at most {MOST_CONVERTED} bytes here, and this one is longer."
         raise ProblemError("measurement-too-large", most)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, computed_field
 
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.output.report_text import likeness
+from dsbrdf.output.table_summary import ANGLES
 
 from ..storage.schema import FitRow, MeasurementRow, Status
 from .inputs import FIT_ID, SHA256, Label, Options
@@ -174,6 +175,30 @@ class MeasurementList(BaseModel):
     """A page of measurements, newest first."""
 
     items: list[MeasurementDocument]
+
+
+class ColumnDocument(BaseModel):
+    """A column of a table."""
+
+    name: str
+    read_as: Annotated[str | None, Field(description="What it means; null if it is not read.")]
+    unit: Annotated[str, Field(description="As the table says it, empty if it does not.")]
+
+
+class TableDocument(BaseModel):
+    """What is understood of a table of samples."""
+
+    n_rows: int
+    n_samples: Annotated[int, Field(description="Rows that can be fitted.")]
+    columns: list[ColumnDocument]
+    ranges: Annotated[
+        dict[str, _Range],
+        Field(description=f"Smallest and largest of {', '.join(ANGLES)} [degrees], red, green and blue [1/sr]."),
+    ]
+    angles_of_incidence: Annotated[list[float] | None, Field(description="theta_in [degrees], if they are few.")]
+    in_plane_of_incidence: Annotated[Share, Field(description="Share of the samples.")]
+    warnings: list[str]
+    first: Annotated[list[list[float]], Field(description="The first samples, with numbers as those of `ranges`.")]
 
 
 class Values(BaseModel):

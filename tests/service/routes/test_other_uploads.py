@@ -225,3 +225,29 @@ def test_a_zemax_file_may_end_in_bsdf(server: Server) -> None:
     answer = post(server, content, "tile.bsdf", "application/octet-stream")
     assert answer.status_code == 201, answer.text
     assert (answer.json()["name"], answer.json()["size"]) == ("tile", len(content))
+
+
+def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:
+    rows = [f"{incidence},{seen},{25 if seen else -999}" for incidence in (0, 30) for seen in range(0, 61, 2)]
+    content = "\n".join(["AOI [deg],AOR,reflectance", *rows])
+    headers = {"Content-Type": "text/csv"}
+    before = server.files()
+    answer = server.http.post("/v1/tables", content=content, headers=headers)
+    assert "reflectance" in assert_problem(answer, 422, "measurement-format")
+    chosen = {"columns": "value=reflectance", "missing": "-999", "scale": "0.01"}
+    told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
+    assert [(column["name"], column["read_as"]) for column in told["columns"]] == [
+        ("AOI [deg]", "theta_in"),
+        ("AOR", "theta_out"),
+        ("reflectance", "value"),
+    ]
+    assert (told["n_rows"], told["n_samples"]) == (62, 60)
+    assert told["angles_of_incidence"] == [0.0, 30.0]
+    assert told["ranges"]["theta_out"] == pytest.approx([2.0, 60.0])
+    assert told["ranges"]["red"] == pytest.approx([0.25, 0.25])
+    assert told["in_plane_of_incidence"] == 1.0
+    assert any("2 rows have" in sentence for sentence in told["warnings"])
+    assert told["first"][0] == pytest.approx([0.0, 2.0, 180.0, 0.25, 0.25, 0.25])
+    answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
+    assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
+    assert server.files() == before
