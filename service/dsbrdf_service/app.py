@@ -20,7 +20,7 @@ from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.process_settings import trim_memory
 
-from .access.authentication import AuthenticationMiddleware
+from .access.authentication import Access
 from .access.keys import Keys
 from .http import openapi, problems
 from .http.request_body import Bodies
@@ -66,8 +66,8 @@ class _Application(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         state = self.state
-        authenticated = AuthenticationMiddleware(super().build_middleware_stack(), state.settings, state.keys)
-        return RequestLogMiddleware(authenticated, state.settings, state.metrics)
+        access = Access(state.settings, state.keys, state.metrics.requests_in_progress)
+        return RequestLogMiddleware(super().build_middleware_stack(), access, state.settings, state.metrics)
 
 
 @asynccontextmanager
@@ -150,7 +150,5 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation
-        if route.methods and "GET" in route.methods:  # HEAD is answered wherever GET is
-            route.methods.add("HEAD")
     app.router.routes.extend(given)
     return app

@@ -12,6 +12,7 @@ from ..errors import ProblemError
 
 _MAX_LINE = 8192  # bytes of a header, or of what is asked for
 _MAX_HEADERS = 100
+_ONCE = (b"host", b"origin", b"sec-fetch-site")  # of two, it would not be clear which one counts
 _CLOSE = {"Connection": "close"}
 
 
@@ -24,22 +25,27 @@ class Connection(HttpToolsProtocol):
         self.headers = self.headers.copy()
 
 
-def check_head(scope: Scope) -> None:
-    """Raise ProblemError if a request's head is too long, or does not say clearly whom it is for and where it ends."""
-    headers = scope["headers"]
-    lines = [len(name) + len(value) for name, value in headers]
-    if len(lines) > _MAX_HEADERS or max(lines, default=0) > _MAX_LINE:
+def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
+    """Raise ProblemError if a request's head is too long, or does not say clearly whom it is for and where it ends.
+
+    `headers` are those of `scope` by name.
+    """
+    sent = scope["headers"]
+    too_long = len(sent) > _MAX_HEADERS
+    for name, value in sent:
+        too_long = too_long or len(name) + len(value) > _MAX_LINE
+    if too_long:
         detail = f"A request has at most {_MAX_HEADERS} headers of {_MAX_LINE} bytes each."
         raise ProblemError("head-too-long", detail, _CLOSE)
     if len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE:
         detail = f"An address has at most {_MAX_LINE} bytes; many points are sent with POST."
         raise ProblemError("head-too-long", detail, _CLOSE)
-    names = [name for name, _ in headers]
-    if b"transfer-encoding" in names and b"content-length" in names:  # a proxy may see another end than this server
+    if b"transfer-encoding" in headers and b"content-length" in headers:  # a proxy may see another end than this server
         detail = "Content-Length and Transfer-Encoding both say where the body ends; send one of them."
         raise ProblemError("bad-request", detail, _CLOSE)
-    if scope["http_version"] == "1.1" and names.count(b"host") != 1:
-        raise ProblemError("bad-request", "A request of HTTP/1.1 has exactly one Host.", _CLOSE)
+    twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _ONCE)
+    if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
+        raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE)
 
 
 class BodyTimeout:

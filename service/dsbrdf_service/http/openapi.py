@@ -1,15 +1,12 @@
 """The OpenAPI document: what routes declare to FastAPI beyond their types, and what is true of every operation."""
 
-from copy import copy
 from typing import Any
 
 import numpy as np
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
-from starlette.routing import BaseRoute
 
 import dsbrdf
 from dsbrdf import DSBRDF
@@ -200,8 +197,7 @@ def file(media_type: str, **schema: Any) -> dict[str, Any]:
 
 def document_of(app: FastAPI) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`."""
-    routes = [_without_head(route) for route in app.routes]
-    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
+    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
     schemas = document["components"]["schemas"]
     _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
     schemas.update(described["$defs"])
@@ -210,7 +206,7 @@ def document_of(app: FastAPI) -> dict[str, Any]:
     document["components"]["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
         for operation in methods.values():
-            operation["security"] = [] if path.startswith(HEALTH) else [{}, {"key": []}]
+            operation["security"] = [] if path in HEALTH else [{}, {"key": []}]
             _complete(operation)
     document["tags"] = [{"name": name} for name in _TAGS]
     # Readers and generated pages begin where the work does.
@@ -231,15 +227,6 @@ def _enumerated(part: Any) -> Any:
         return part
     renamed = {name: _enumerated(value) for name, value in part.items() if name != "const"}
     return renamed | ({"enum": [part["const"]]} if "const" in part else {})
-
-
-def _without_head(route: BaseRoute) -> BaseRoute:
-    """Return a route as it is described: HEAD, which is as GET without a body, is no operation of its own."""
-    if not isinstance(route, APIRoute) or route.methods != {"GET", "HEAD"}:
-        return route
-    described = copy(route)
-    described.methods = {"GET"}
-    return described
 
 
 def _complete(operation: dict[str, Any]) -> None:

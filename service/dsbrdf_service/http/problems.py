@@ -135,11 +135,12 @@ def _nothing_at(path: str) -> ProblemError:
 
 
 def _methods(request: Request) -> list[str]:
-    """Return what the routes of the request's path support, each route being one method."""
-    return [
+    """Return what the routes of the request's path support, each route being one method; HEAD is as GET."""
+    asked = ("GET", "POST", "PUT", "PATCH", "DELETE")
+    scopes = [{**request.scope, "method": method} for method in asked]
+    found = [
         method
-        for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
-        if any(
-            route.matches({**request.scope, "method": method})[0] is Match.FULL for route in request.app.router.routes
-        )
+        for method, scope in zip(asked, scopes, strict=True)
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.router.routes)
     ]
+    return [*found[:1], "HEAD", *found[1:]] if "GET" in found else found

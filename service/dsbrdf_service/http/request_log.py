@@ -1,6 +1,6 @@
-"""The outermost middleware: every request gets an id, a line in the log, and is counted; every response has the id.
+"""The only middleware: every request gets an id, is let in or refused, gets a line in the log, and is counted.
 
-It also limits the number of requests in progress and the time that a body may take to arrive.
+Every response has the id, and headers that tell browsers and caches what they must not do with it.
 """
 
 import asyncio
@@ -8,80 +8,100 @@ import logging
 import re
 import secrets
 from time import perf_counter
+from typing import Protocol
 
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..errors import ProblemError
 from ..operations.logging import bind
 from ..operations.metrics import NO_ROUTE, Metrics
 from ..settings import Settings
-from .limits import BodyTimeout
-from .problems import problem_response
-from .responses import with_security_headers
+from .limits import BodyTimeout, check_head
+from .problems import problem_of, problem_response
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-SAFE_METHODS = ("GET", "HEAD")
-HEALTH = "/health/"
-"""Prefix of the paths that are answered even when the service is overloaded."""
+HEALTH = ("/health/live", "/health/ready")
+"""Paths that are answered to everyone, even when the service is overloaded."""
+IS_HEAD = "dsbrdf.is_head"
+"""Member of the ASGI scope of a HEAD, which routes see as a GET."""
+# Nothing in a response may run, be framed, be read by a page of another site, or be shown to someone who has not asked
+# with the same key.
+_SECURITY_HEADERS = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"vary", b"Authorization"),
+    # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
+    (b"cache-control", b"private, no-cache"),
+)
+_POLICY = b"content-security-policy"  # pages have one of their own
+_STRICT = b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 logger = logging.getLogger(__name__)
+
+
+class Admission(Protocol):
+    """Who decides which requests are let in."""
+
+    def admit(self, scope: Scope, headers: dict[bytes, bytes]) -> str | None:
+        """Count a request and return whom it counts for; raise ProblemError if it is not let in."""
+
+    def release(self, caller: str | None) -> None:
+        """Take note that a request has been answered that was let in."""
 
 
 class RequestLogMiddleware:
     """Pure ASGI middleware, around everything else of the application."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, access: Admission, settings: Settings, metrics: Metrics) -> None:
         self._app = app
-        self._settings = settings
+        self._access = access
+        self._body_limits = settings.idle_timeout, settings.least_upload_rate
         self._metrics = metrics
         self._level_of_success = logging.INFO if settings.access_log else logging.DEBUG
-        self._in_progress = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, log it and count it."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        body = BodyTimeout(receive, self._settings.idle_timeout, self._settings.least_upload_rate)
-        exchange = _Exchange(scope, send)
+        headers = dict(scope["headers"])
+        body = BodyTimeout(receive, *self._body_limits)
+        exchange = _Exchange(scope["method"], headers.get(b"x-request-id", b""), send)
         bind("request_id", exchange.request_id)
-        self._in_progress += 1
-        self._metrics.requests_in_progress.inc()
+        if exchange.method == "HEAD":
+            scope = {**scope, "method": "GET", IS_HEAD: True}
+        caller = None
         try:
-            await self._answer(scope, body, exchange)
-        finally:
-            self._in_progress -= 1
-            self._metrics.requests_in_progress.dec()
-            self._log(scope, exchange, body.n_bytes)
-
-    async def _answer(self, scope: Scope, receive: Receive, exchange: "_Exchange") -> None:
-        path = scope["path"]
-        if self._in_progress > self._settings.limit_concurrency and not path.startswith(HEALTH):
-            detail = f"{self._settings.limit_concurrency} requests are in progress, the most allowed; ask again later."
-            await problem_response(ProblemError("overloaded", detail), path)(scope, receive, exchange.send)
-            return
-        try:
-            await self._app(scope, receive, exchange.send)
+            check_head(scope, headers)
+            caller = self._access.admit(scope, headers)
+            await self._app(scope, body, exchange.send)
         except asyncio.CancelledError:
             # The server is stopping and has waited as long as it may; its task of this request ends here anyway.
-            if exchange.status is None:
-                detail = "The service is shutting down and cannot finish this request; ask again later."
-                await problem_response(ProblemError("shutting-down", detail), path)(scope, receive, exchange.send)
-        except Exception:
-            # Answered with a problem document already, and logged then. An answer that broke off in the middle
-            # is the server's to log and to cut off.
+            detail = "The service is shutting down and cannot finish this request; ask again later."
+            await exchange.refuse(scope, ProblemError("shutting-down", detail))
+        except Exception as error:
+            # What the application raises is answered and logged by it. An answer that broke off in the middle is the
+            # server's to log and to cut off.
+            await exchange.refuse(scope, error)
             if not exchange.complete:
                 raise
+        finally:
+            self._access.release(caller)
+            self._log(scope, exchange, body.n_bytes)
 
     def _log(self, scope: Scope, exchange: "_Exchange", n_received: int) -> None:
         seconds = perf_counter() - exchange.begin
-        method, status = scope["method"], exchange.status or 499  # the client went before there was an answer
+        method, status = exchange.method, exchange.status or 499  # the client went before there was an answer
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         self._metrics.answered(method, route, status, seconds)
-        self._metrics.uploaded_bytes.inc(n_received)
+        if n_received:
+            self._metrics.uploaded_bytes.inc(n_received)
         if status >= 500:
             level = logging.ERROR if status == 500 else logging.WARNING
-        elif status < 400 and method in SAFE_METHODS:
+        elif status < 400 and scope["method"] == "GET":
             level = self._level_of_success
         else:
             level = logging.INFO
@@ -101,24 +121,31 @@ class RequestLogMiddleware:
 class _Exchange:
     """One request and the state of its response."""
 
-    __slots__ = ("_head", "_send", "begin", "complete", "request_id", "status")
+    __slots__ = ("_send", "begin", "complete", "method", "request_id", "status")
 
-    def __init__(self, scope: Scope, send: Send) -> None:
+    def __init__(self, method: str, given_id: bytes, send: Send) -> None:
         self.begin = perf_counter()
+        self.method = method
         self.status: int | None = None
         self.complete = False
         self._send = send
-        self._head = scope["method"] == "HEAD"
-        given = next((value for name, value in reversed(scope["headers"]) if name == b"x-request-id"), b"")
-        self.request_id = given.decode() if _ACCEPTABLE_ID.fullmatch(given) else secrets.token_hex(8)
+        self.request_id = given_id.decode() if _ACCEPTABLE_ID.fullmatch(given_id) else secrets.token_hex(8)
+
+    async def refuse(self, scope: Scope, error: Exception) -> None:
+        """Answer with a problem document, if there is no answer yet."""
+        if self.status is None:
+            request = Request(scope)
+            await problem_response(problem_of(request, error), scope["path"])(scope, request.receive, self.send)
 
     async def send(self, message: Message) -> None:
         """Pass a part of the response on; its head gets the request's id."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            message["headers"] = with_security_headers(message.get("headers", ()))
-            message["headers"].append((b"x-request-id", self.request_id.encode()))
-        elif self._head:  # it has no body; what was about to make one learns that the request is over
+            headers = [*message.get("headers", ()), *_SECURITY_HEADERS, (b"x-request-id", self.request_id.encode())]
+            if _POLICY not in dict(headers):
+                headers.append((_POLICY, _STRICT))
+            message["headers"] = headers
+        elif self.method == "HEAD":  # it has no body; what was about to make one learns that the request is over
             if self.complete:
                 return
             message, self.complete = {"type": "http.response.body"}, True

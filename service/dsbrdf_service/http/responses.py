@@ -1,11 +1,11 @@
-"""Responses: JSON documents with strong ETags, files, links to the next page, and the headers that every one has."""
+"""Responses: JSON documents with strong ETags, files, and links to the next page."""
 
 import hashlib
 import json
 import logging
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -21,34 +21,9 @@ from ..wire.points import JSON
 
 logger = logging.getLogger(__name__)
 
-_SECURITY_HEADERS = (
-    (b"x-content-type-options", b"nosniff"),
-    (b"x-frame-options", b"DENY"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"vary", b"Authorization"),
-)
-# Of the headers that a response may give itself: the page of the documentation has a policy of its own.
-_DEFAULT_HEADERS = (
-    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"),
-    # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
-    (b"cache-control", b"private, no-cache"),
-)
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
-
-
-def with_security_headers(headers: Iterable[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
-    """Return the headers of a response with those that tell browsers and caches what they must not do with it.
-
-    Nothing in it may run, be framed, be read by a page of another site, or be shown to someone who has not asked with
-    the same key.
-    """
-    complete = [*headers, *_SECURITY_HEADERS]
-    given = {name for name, _ in complete}
-    complete += [header for header in _DEFAULT_HEADERS if header[0] not in given]
-    return complete
 
 
 def prefix_of(request: Request) -> str:

@@ -14,6 +14,7 @@ from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
+from ..http.request_log import IS_HEAD
 from ..http.responses import (
     OpenFileResponse,
     json_reply,
@@ -139,7 +140,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     if known := not_modified(request, headers):
         return known
-    if request.method == "HEAD":
+    if IS_HEAD in request.scope:
         return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
     headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{'.binary' if row.on_grid else '.txt'}")
     try:
