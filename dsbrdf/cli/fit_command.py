@@ -89,7 +89,7 @@ def fit(
     ----------
     files
         A MERL .binary file, a folder of them, an RGL .bsdf file, or a table of scattered samples, .csv,
-        .tsv or .txt.
+        .tsv, .txt, .astm or .xlsx.
     csv
         Write the metrics of all files as a table.
     plot

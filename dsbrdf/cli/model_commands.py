@@ -196,8 +196,8 @@ def convert(
     Parameters
     ----------
     source
-        A MERL .binary file, an isotropic RGL .bsdf file, or a table of samples, .csv, .tsv or .txt, which is fitted
-        first: the file has the values of the fit.
+        A MERL .binary file, an isotropic RGL .bsdf file, or a table of samples, such as .csv, which is
+        fitted first: the file has the values of the fit.
     target
         The file to write; .bsdf is for Mitsuba 3, .binary a MERL table.
     spectral

@@ -18,7 +18,7 @@ def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_F
     Parameters
     ----------
     file
-        A .csv, .tsv or .txt file, or a .bsdf file of Zemax.
+        A .csv, .tsv, .txt, .astm or .xlsx file, or a .bsdf file of Zemax.
     """
     with named_in_errors(file):
         if not is_table(file):

@@ -13,7 +13,7 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import MeasurementFormatError
 
-_SPREADSHEETS = (".xlsx", ".xls", ".ods")
+_OTHER_SPREADSHEETS = (".xls", ".ods")
 
 
 def read_measurement(
@@ -24,8 +24,9 @@ def read_measurement(
     Parameters
     ----------
     path : path-like
-        ``.csv``, ``.tsv`` and ``.txt`` are tables of scattered samples; ``.bsdf`` is one of Zemax, or an RGL file,
-        whose values are taken at the nodes of the MERL grid; any other file is a MERL ``.binary`` file.
+        ``.csv``, ``.tsv``, ``.txt``, ``.astm`` and ``.xlsx`` are tables of scattered samples; ``.bsdf`` is one of
+        Zemax, or an RGL file, whose values are taken at the nodes of the MERL grid; any other file is a MERL
+        ``.binary`` file.
     options : TableOptions, optional
         How a table is read.
     **choices
@@ -37,6 +38,8 @@ def read_measurement(
         If an option is wrong, or of a table where the file is none.
     MeasurementFormatError
         With one sentence that says what is wrong and what would be right.
+    MissingExtraError
+        Of a spreadsheet, if the extra ``xlsx`` is not installed.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -44,8 +47,10 @@ def read_measurement(
     suffix = Path(path).suffix.lower()
     if is_table(path):
         return read_samples(path, options)
-    if suffix in _SPREADSHEETS:
-        raise MeasurementFormatError("The file is a spreadsheet: save its sheet as .csv.")
+    if suffix in _OTHER_SPREADSHEETS:
+        raise MeasurementFormatError(
+            "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
+        )
     options.refuse_on_grid()
     return read_rgl(path).measurement() if suffix == ".bsdf" else read_merl(path)
 

@@ -106,7 +106,7 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
     notes += [*_about_color(values, wavelengths), *_repeated(written[is_above])]
     notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
     read = {places[name][0]: name for name in used}
-    columns = tuple((name, read.get(at, ""), _unit(table, at)) for at, name in enumerate(table.names))
+    columns = tuple((name, read.get(at, ""), _unit(table, at)) for at, name in enumerate(table.names) if name)
     return SampleColumns(numbers, tuple(notes), columns)
 
 
@@ -183,7 +183,7 @@ def _unit(table: TextTable, place: int) -> str:
 
 
 def _listed(table: TextTable) -> str:
-    return ", ".join(name or "one without a name" for name in table.names[:20])
+    return ", ".join([name for name in table.names if name][:20])
 
 
 def _missing(
@@ -241,7 +241,7 @@ def _notes(table: TextTable, form: tuple[str, ...], phis: list[str], read: set[i
         )
     if phis == ["phi_out"]:
         yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if mirror else 180}."
-    others = [name for place, name in enumerate(table.names) if place not in read]
+    others = [name for place, name in enumerate(table.names) if place not in read and name]
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
         yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."

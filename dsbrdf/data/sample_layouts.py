@@ -1,4 +1,8 @@
-"""Tables that do not have a row for each sample, and files of instruments that are told by their name."""
+"""Tables that do not have a row for each sample, and files of instruments that are told by their content.
+
+A file of ASTM E1392, as the measurements of Cornell University's Program of Computer Graphics are, has lines of a word
+and a value, then the names of the columns after the word VARS, then the samples; its angles are in radians.
+"""
 
 import re
 
@@ -6,6 +10,7 @@ from dsbrdf.data.sample_names import MEANINGS, is_known, name_and_unit
 from dsbrdf.data.text_table import TextTable
 
 _THETAS = {"theta_in", "theta_out"}
+_ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
 _FORMATS = {
     rb"\bE\s?-?1392\b": "a file of ASTM E1392",
     rb"\bE\s?-?2387\b": "a file of ASTM E2387",
@@ -15,6 +20,16 @@ _FORMATS = {
 def known_format(data: bytes) -> str | None:
     """Return what the text is, such as "a file of ASTM E1392"; None for any other."""
     return next((name for pattern, name in _FORMATS.items() if re.search(pattern, data)), None)
+
+
+def plain_table(data: bytes) -> bytes:
+    """Return a file of ASTM E1392 as a table with names and units, each row on its line; any other text as it is."""
+    found = _ASTM_NAMES.search(data)
+    if found is None:
+        return data
+    names = (name.strip() for name in found[1].split(b","))
+    in_radians = b",".join(name + b" [rad]" if name.startswith((b"theta", b"phi")) else name for name in names)
+    return b"\n" * data.count(b"\n", 0, found.start()) + in_radians + data[found.end() :]
 
 
 def count_names(cell: str) -> int:

@@ -1,4 +1,4 @@
-"""Files of text with a table of scattered samples.
+"""Files with a table of scattered samples.
 
 `dsbrdf.data.text_table` finds the cells of a file, `dsbrdf.data.sample_columns` what they mean. What a measurement
 leaves behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or
@@ -16,14 +16,15 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.sample_columns import LOWEST_COSINE, sample_columns
-from dsbrdf.data.sample_layouts import count_names, known_format, unfolded
+from dsbrdf.data.sample_layouts import count_names, known_format, plain_table, unfolded
 from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.spreadsheet import ARCHIVE, SPREADSHEET, is_spreadsheet, spreadsheet_text
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.data.text_table import parse_text_table
 from dsbrdf.data.zemax import begins_as_zemax, is_zemax, zemax_table
 from dsbrdf.errors import MeasurementFormatError
 
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".astm", SPREADSHEET)
 """Suffixes of tables of scattered samples."""
 _LARGEST_FILE = 1 << 30  # [bytes]
 _TABLE_TOLERANCE = 0.02
@@ -46,12 +47,19 @@ def is_table(path: str | os.PathLike[str]) -> bool:
     return suffix in TABLE_SUFFIXES or (suffix == ".bsdf" and begins_as_zemax(path))
 
 
+def table_suffix(path: str | os.PathLike[str]) -> str:
+    """Return the suffix that goes with the content of a table, ``.txt`` or that of a spreadsheet."""
+    with Path(path).open("rb") as file:
+        return SPREADSHEET if file.read(len(ARCHIVE)) == ARCHIVE else ".txt"
+
+
 def read_samples(path: str | os.PathLike[str], options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
-    """Read a table of scattered samples: a ``.csv``, ``.tsv`` or ``.txt`` file, or a ``.bsdf`` file of Zemax.
+    """Read a table of scattered samples: a text, a ``.bsdf`` file of Zemax, or, with the extra ``xlsx``, a spreadsheet.
 
     The stem of the file becomes the name.
 
-    A MeasurementFormatError says in one sentence what is wrong and what would be right.
+    A MeasurementFormatError says in one sentence what is wrong and what would be right; a MissingExtraError, that
+    the extra is not installed.
     """
     source = Path(path)
     if source.stat().st_size > _LARGEST_FILE:
@@ -66,17 +74,21 @@ def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS
 
 def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
     """Return the samples in the bytes of a table with what was understood; errors are those of `read_samples`."""
+    notes: list[str] = []
+    if is_spreadsheet(data):
+        data, notes = spreadsheet_text(data)
     kind = known_kind(data[:16])
     if kind is not None:
         raise MeasurementFormatError(
-            f"The data is {kind}; scattered samples are a table in a text: save a spreadsheet as .csv."
+            f"The data is {kind}; scattered samples are a table, in a text or in a spreadsheet (.xlsx)."
         )
     named = {column.lower() for column in options.named_columns().values()}
     try:
         if is_zemax(data):
             table = zemax_table(data)
         else:
-            table = parse_text_table(data, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
+            text = plain_table(data)
+            table = parse_text_table(text, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
         found = sample_columns(unfolded(table), options)
     except MeasurementFormatError as error:
         known = known_format(data)
@@ -86,7 +98,8 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
             f"The data is {known}, which is not read: write its samples as a table with theta_in, phi_in, theta_out, "
             "phi_out and value."
         ) from error
-    numbers, notes = found.numbers, [*found.notes]
+    numbers = found.numbers
+    notes += found.notes
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
     first, second = (

@@ -65,7 +65,7 @@ def parse_text_table(data: bytes, count_names: Callable[[str], int]) -> TextTabl
     while kept:
         separator = _separator_of_rows(kept[0], names)
         first = _cells(kept[0][1], separator)
-        if any(_as_number(cell, separator) is not None for cell in first):
+        if not _has_words(first, separator):
             break
         units = tuple(cell.strip(" []()") for cell in first[: len(names)])
         kept = kept[1:]
@@ -155,6 +155,12 @@ def _wrong_count(number: int, count: int, separator: str, names: tuple[str, ...]
         f"Line {number} of the table has {count} {'cell' if count == 1 else 'cells'}{between}, and the line of names "
         f"has {len(names)}{hint}."
     )
+
+
+def _has_words(cells: Sequence[str], separator: str) -> bool:
+    """Whether cells are no sample: some words, and no number beside them."""
+    numbers = [_as_number(cell, separator) for cell in cells]
+    return None in numbers and all(number is None or np.isnan(number) for number in numbers)
 
 
 def _as_number(cell: str, separator: str) -> float | None:

@@ -2,7 +2,7 @@
 import { find, keyHeader, Problem, request, root } from "./app.js";
 import { chosen, inJson } from "./options.js";
 
-const SUFFIXES = /\.(binary|bsdf|csv|tsv|txt)$/i;
+const SUFFIXES = /\.(binary|bsdf|csv|tsv|txt|astm|xlsx)$/i;
 /** @type {XMLHttpRequest | null} */
 let sending = null;
 addEventListener("beforeunload", (event) => sending && event.preventDefault());

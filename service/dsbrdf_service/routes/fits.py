@@ -29,7 +29,7 @@ from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
 from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of
-from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TEXTS, receive_upload
+from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
@@ -71,7 +71,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     """
     name = name_of(request)
     given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
-    media_type = media_type_of(request, BINARY, JSON, *TEXTS)
+    media_type = media_type_of(request, BINARY, JSON, *TABLES)
     if media_type != JSON:
         chosen = from_query(given)
         stored, _ = await receive_upload(request, context, caller, media_type, chosen)

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
+from dsbrdf.data.sample_tables import table_suffix
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 from ..access.authentication import CALLER_NAME
@@ -32,7 +33,7 @@ from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, TableDocument, from_row
 from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
-from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TEXTS, UPLOADED, receive_upload
+from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TABLES, UPLOADED, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
 tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=NO_REPETITION)
@@ -77,7 +78,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     responses=openapi.problems("invalid-argument", "too-large", "measurement-format", *openapi.BODY_PROBLEMS),
     openapi_extra={
         "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
-        **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TEXTS}),
+        **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
     },
 )
 async def describe_table(request: Request, context: TheContext, caller: TheCaller) -> Response:
@@ -85,7 +86,7 @@ async def describe_table(request: Request, context: TheContext, caller: TheCalle
 
     Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
     """
-    media_type_of(request, *TEXTS)
+    media_type_of(request, *TABLES)
     await no_query(request, *OF_TABLES)
     options = from_query(request.query_params.multi_items()).of_table()
     async with context.bodies.received(request, MOST_CONVERTED, request.scope[CALLER_NAME]) as content:
@@ -142,8 +143,9 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
         return known
     if IS_HEAD in request.scope:
         return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
-    headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{'.binary' if row.on_grid else '.txt'}")
     try:
+        suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
+        headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
         return await run_in_threadpool(OpenFileResponse, path, headers | {"Content-Type": BINARY}, sha256)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None

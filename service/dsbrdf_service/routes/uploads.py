@@ -1,4 +1,4 @@
-"""Uploads of measurements: MERL files, RGL ``.bsdf`` files, and tables of samples as text.
+"""Uploads of measurements: MERL files, RGL ``.bsdf`` files, and tables of samples.
 
 They are hashed and checked while they are written; a body is never held whole, and nothing of it stays if anything is
 wrong with it.
@@ -30,8 +30,11 @@ from ..wire.inputs import OPTIONS_SCHEMA
 from ..wire.names import MAX_LENGTH
 from .dependencies import Context, name_of
 
-TEXTS = ("text/csv", "text/tab-separated-values", "text/plain")
-UPLOADED = (BINARY, *TEXTS)
+TABLES = (
+    *("text/csv", "text/tab-separated-values", "text/plain"),
+    "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+)
+UPLOADED = (BINARY, *TABLES)
 """Media types of uploads."""
 _SUFFIXES: dict[str, Kind] = {".bsdf": "rgl", **dict.fromkeys(TABLE_SUFFIXES, "samples")}
 PARAMETERS = [
@@ -71,7 +74,7 @@ async def receive_upload(
     kind = _SUFFIXES.get(Path(name or "").suffix.lower())
     if name is not None and kind is not None:
         name = Path(name).stem
-    kind = "samples" if media_type in TEXTS else kind
+    kind = "samples" if media_type in TABLES else kind
     if kind is None:
         options.refuse_on_grid()
     declared = request.headers.get("content-length", "")

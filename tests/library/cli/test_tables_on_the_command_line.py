@@ -77,4 +77,7 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
     assert "63 rows, 62 samples" in text
     assert "probe        not read" in text
     assert "angles of incidence: 0, 30, 60" in text
-    assert "a table of samples ends in .csv, .tsv or .txt" in run("table", tmp_path / "tile.binary", code=2).stderr
+    assert (
+        "a table of samples ends in .csv, .tsv, .txt, .astm or .xlsx"
+        in run("table", tmp_path / "tile.binary", code=2).stderr
+    )

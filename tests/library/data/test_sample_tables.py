@@ -164,7 +164,7 @@ def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
     assert [words in note for note in samples.notes] == [True]
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".TXT"])
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".TXT", ".astm"])
 def test_the_suffix_tells_a_table(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"felt{suffix}"
     path.write_bytes(table())
@@ -275,7 +275,7 @@ WRONG = [
     (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),
     (
         b"PK\x03\x04" + bytes(30),
-        "is a ZIP archive or a NumPy .npz file; scattered samples are a table in a text: save a",
+        "is a ZIP archive or a NumPy .npz file; scattered samples are a table, in a text or in a spreadsheet",
     ),
     (
         b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 9\nScatterAzimuth 1\n0\nScatterRadial 2\n0 9\nDataBegin\n1 2 3\n",

@@ -17,6 +17,7 @@ from dsbrdf.data.rgl_material import parse_rgl
 from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.output.export import export_model
 from dsbrdf.output.serialize import from_json
+from tests.library.data.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
@@ -87,6 +88,25 @@ def test_a_table_is_stored_as_it_was_sent(server: Server, table: bytes, name: st
     file = server.http.get(answer.headers["location"])
     assert file.content == table
     assert file.headers["content-disposition"] == 'attachment; filename="felt.txt"'
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [
+        ("felt.xlsx", "application/octet-stream"),
+        ("felt", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"),
+    ],
+)
+def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes, name: str, media_type: str) -> None:
+    content = spreadsheet(Data=[HEAD.split(","), *([*map(float, line.split(b","))] for line in table.splitlines()[1:])])
+    answer = post(server, content, name, media_type)
+    assert answer.status_code in (200, 201), answer.text
+    place = answer.headers["location"]
+    found = np.load(BytesIO(server.http.get(f"{place}/samples.npy").content))
+    np.testing.assert_allclose(found[:, 6:], parse_samples(table).values, rtol=1e-6)
+    file = server.http.get(place)
+    assert file.content == content
+    assert file.headers["content-disposition"] == 'attachment; filename="felt.xlsx"'
 
 
 def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, merl: bytes) -> None:

@@ -1,0 +1,70 @@
+"""Spreadsheets, ``.xlsx``, as the text of a table; they need the extra ``xlsx``."""
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.extras import require
+
+SPREADSHEET = ".xlsx"
+ARCHIVE = b"PK\x03\x04"
+"""What such a file begins with, as every ZIP archive."""
+_WORKBOOK = "xl/workbook.xml"
+_LARGEST = 1 << 28  # [bytes] of all that is in the file when it is unpacked
+_LONGEST_TEXT = 1 << 26  # [characters]
+
+
+def is_spreadsheet(data: bytes) -> bool:
+    """Whether bytes are those of such a file."""
+    if not data.startswith(ARCHIVE):
+        return False
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return _WORKBOOK in archive.namelist()
+    except zipfile.BadZipFile:
+        return False
+
+
+def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
+    """Return the longest sheet of a file as text, cells separated by semicolons, and what was decided, a sentence each.
+
+    A line of the text is a row of the sheet; of formulas it has the results that the file keeps. Raises
+    MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without openpyxl.
+    """
+    require("xlsx", "openpyxl", purpose="spreadsheets, which can also be saved as .csv")
+    import openpyxl
+
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if sum(part.file_size for part in archive.infolist()) > _LARGEST:
+            raise MeasurementFormatError(f"The spreadsheet is longer than {_LARGEST} bytes; save its sheet as .csv.")
+    try:
+        workbook = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+        texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
+    except (MeasurementFormatError, MemoryError):
+        raise
+    except Exception as error:  # of openpyxl, of XML or of ZIP, whatever is wrong with the file
+        raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
+    title = max(texts, key=lambda name: len(texts[name]), default="")
+    notes = [f"Of {len(texts)} sheets the longest was read, {title!r}."] if len(texts) > 1 else []
+    return texts.get(title, "").encode(), notes
+
+
+def _text(rows: Iterable[Sequence[Any]]) -> str:
+    """Return rows as lines of one width, which end with a separator; those without anything are empty."""
+    lines: list[list[str]] = []
+    length = 0
+    for row in rows:
+        lines.append([" ".join(str(cell).split()) if cell is not None else "" for cell in row])
+        length += sum(map(len, lines[-1])) + len(row)
+        if length > _LONGEST_TEXT:
+            raise MeasurementFormatError(f"The sheet has more than {_LONGEST_TEXT} characters; save it as .csv.")
+    width = max((at for line in lines for at, cell in enumerate(line, 1) if cell), default=0)
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=";", lineterminator="\n")
+    for line in lines:
+        cells = line[:width]
+        writer.writerow([*cells, *[""] * (width + 1 - len(cells))] if any(cells) else [])
+    return text.getvalue()
