@@ -138,7 +138,7 @@ def print_components(model: ModelFile, /, *, output: LayersFile = None, json: Js
     """
     stored, _ = read_model(model)
     if output is not None:
-        write_atomically(output, [export_model(decompose(stored).layers, format_of(output))])
+        write_atomically(output, [export_model(decompose(stored).layers, format_of(output), title=output.stem)])
         if not json:
             print_written(output, "the layers of all components")
     if json:
@@ -172,8 +172,8 @@ def export(
     kind = file_format or format_of(output)
     stored, report = read_model(model)
     part = named_part(model, stored, component)
-    content = export_model(part, kind, report if component is None else None, name=name, sampling=sampling)
-    write_atomically(output, [content])
+    stored_report = report if component is None else None
+    write_atomically(output, [export_model(part, kind, stored_report, name=name, sampling=sampling, title=output.stem)])
     of = "" if component is None else f" of the {component.replace('_', ' ')}"
     print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}", kind, json=json)
 

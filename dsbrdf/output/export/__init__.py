@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import encode_merl
@@ -26,6 +26,15 @@ PARTS = (*LABELS, LAYERS)
 """Names of parts of a model."""
 
 
+class Extras(NamedTuple):
+    """What some formats take beside the model."""
+
+    report: FitReport | None = None
+    name: str | None = None
+    sampling: bool = False
+    title: str = NAME
+
+
 @dataclass(frozen=True)
 class ExportFormat:
     """One kind of file."""
@@ -33,7 +42,7 @@ class ExportFormat:
     purpose: str  # in a few words, for command line, HTTP reference and page
     suffix: str  # of the file's name, without the dot
     media_type: str  # for HTTP
-    encode: Callable[[Any, FitReport | None], bytes | str]  # content for a model, layers or a component, and its report
+    encode: Callable[[Any, Extras], bytes | str]  # content for a model, layers or a component
     holds_parameters: bool = False  # of lobes or layers, not values, which a component has too
     time: Literal["short", "medium", "long"] = "short"  # at most some 50 ms, about a second, or longer
 
@@ -55,8 +64,12 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
 """
 
 
-def _json(model: DSBRDF | LayeredModel, report: FitReport | None) -> str:
-    return layers_to_json(model) if isinstance(model, LayeredModel) else to_json(model, report)
+def _json(model: DSBRDF | LayeredModel, extras: Extras) -> str:
+    return layers_to_json(model) if isinstance(model, LayeredModel) else to_json(model, extras.report)
+
+
+def _glsl(source: DSBRDF | LayeredModel | Component, extras: Extras) -> str:
+    return glsl_function(source, NAME if extras.name is None else extras.name, sampling=extras.sampling)
 
 
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
@@ -71,7 +84,7 @@ FORMATS = {
         lambda source, _: encode_merl(source.tabulate()),
         time="medium",
     ),
-    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, lambda source, _: glsl_function(source)),
+    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, _glsl),
     "brdf": ExportFormat(
         "for Disney's BRDF Explorer",
         "brdf",
@@ -97,7 +110,7 @@ FORMATS = {
         "the OpenPBR surface that looks most like it, which takes some seconds",
         "mtlx",
         "application/xml",
-        lambda model, _: materialx_document(model),
+        lambda model, extras: materialx_document(model, extras.title),
         holds_parameters=True,
         time="long",
     ),
@@ -122,29 +135,28 @@ def export_model(
     *,
     name: str | None = None,
     sampling: bool = False,
+    title: str = NAME,
 ) -> bytes:
     """Return the content of a file with a model, layers or a component, `file_format` being one of `FORMATS`.
 
-    Only ``json`` stores the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`.
+    Only ``json`` stores the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`. The title
+    is the material's: names in ``materialx`` begin with it.
     Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
     are too large for it, or the name is none, and MeasurementFormatError if a value cannot be stored in a table.
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
-    if check_shader_options(file_format, name, sampling=sampling):
-        return glsl_function(source, NAME if name is None else name, sampling=sampling).encode()
+    check_shader_options(file_format, name, sampling=sampling)
     if isinstance(source, Component):
         check_holds_component(file_format)
-    content = FORMATS[file_format].encode(source, report)
+    content = FORMATS[file_format].encode(source, Extras(report, name, sampling, title))
     return content.encode() if isinstance(content, str) else content
 
 
-def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> bool:
-    """Return whether one is given; raise InvalidArgumentError if the format does not take them."""
-    given = name is not None or sampling
-    if given and file_format != "glsl":
+def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> None:
+    """Raise InvalidArgumentError if one is given and the format does not take them."""
+    if (name is not None or sampling) and file_format != "glsl":
         raise InvalidArgumentError(f"name and sampling are options of the format glsl, not of {file_format}")
-    return given
 
 
 def check_holds_component(file_format: str) -> None:
@@ -191,7 +203,8 @@ def export(
     """
     chosen = format_of(path) if file_format is None else file_format
     model, report = (source.model, source.report) if isinstance(source, FitResult) else (source, None)
-    write_atomically(path, [export_model(model, chosen, report, name=name, sampling=sampling)])
+    title = Path(path).stem
+    write_atomically(path, [export_model(model, chosen, report, name=name, sampling=sampling, title=title)])
 
 
 def format_of(path: str | os.PathLike[str]) -> str:

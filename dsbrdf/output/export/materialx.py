@@ -6,6 +6,7 @@ them. OpenPBR has about a dozen numbers, so some difference is left: it is state
 sphere, of its highlights (the brightest tenth), of what is seen at more than 60 degrees, and of the rest.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from typing import NamedTuple
@@ -26,11 +27,11 @@ from dsbrdf.version import __version__
 _DOCUMENT = """\
 <?xml version="1.0"?>
 <materialx version="1.39" colorspace="lin_rec709">
-  <open_pbr_surface name="dsbrdf_surface" type="surfaceshader" doc="{doc}">
+  <open_pbr_surface name="{name}_surface" type="surfaceshader" doc="{doc}">
 {inputs}
   </open_pbr_surface>
-  <surfacematerial name="dsbrdf_material" type="material">
-    <input name="surfaceshader" type="surfaceshader" nodename="dsbrdf_surface" />
+  <surfacematerial name="{name}" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface" />
   </surfacematerial>
 </materialx>
 """
@@ -38,6 +39,7 @@ _FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of t
 _STATED_SIZE = 128  # of those whose PSNR is stated
 _BRIGHTEST = 1e100
 _STEPS = [1e-4]  # of derivatives, relative
+_PAYS, _MOST_STEPS = 1e-3, 16  # of a step: what it lowers the squared error by, or the fit ends: 0.004 dB
 # The numbers of a fit: base and specular colour, then these; in the place of an index is its reflectance, F0.
 _NAMES = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
 _LEAST_ROUGHNESS = 0.03
@@ -60,10 +62,11 @@ class FoundSurface(NamedTuple):
     by_region: dict[str, float]
 
 
-def materialx_document(model: DSBRDF | LayeredModel) -> str:
+def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
     """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it.
 
-    Raises InvalidArgumentError if the values are too large for a picture.
+    The material is named after a title, so that a program can hold several. Raises InvalidArgumentError if the values
+    are too large for a picture.
     """
     for lighting, size in _FIT_SIZES.items():
         if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _BRIGHTEST:
@@ -79,12 +82,15 @@ def materialx_document(model: DSBRDF | LayeredModel) -> str:
         f"PSNR of a lit sphere against the model: {error}. By region of both: {regions}."
     )
     inputs = [_input(field.name, getattr(found.surface, field.name)) for field in fields(OpenPBR)]
-    return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs))
+    name = re.sub("[^A-Za-z0-9]+", "_", title).strip("_")
+    name = name if name[:1].isalpha() else f"material_{name}".rstrip("_")
+    return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs), name=name)
 
 
 def _input(name: str, value: float | Color) -> str:
     numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
-    text = ", ".join(f"{number:.6g}" for number in numbers)
+    # Without an exponent, which not every reader takes; what is too small to be seen is 0.
+    text = ", ".join(np.format_float_positional(round(number, 9), 7, fractional=False, trim="-") for number in numbers)
     return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
@@ -97,7 +103,9 @@ def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
         return np.concatenate([target(surface.evaluate) for target in targets] + [_PULL * (numbers - start)])
 
     ends = [
-        least_squares(difference, start, bounds=_BOUNDS, diff_step=_STEPS, max_nfev=30, args=(start,))
+        least_squares(
+            difference, start, bounds=_BOUNDS, diff_step=_STEPS, ftol=_PAYS, max_nfev=_MOST_STEPS, args=(start,)
+        )
         for start in _starts(layers)
     ]
     surface = _surface(min(ends, key=lambda end: end.cost).x)

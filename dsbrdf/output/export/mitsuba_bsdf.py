@@ -8,9 +8,10 @@
     bsdf = mitsuba.load_dict({"type": "dsbrdf", "filename": "nickel.json"})
 
 `mitsuba.traverse` shows the model's parameters, with derivatives in the variants that have them: tensors amplitude
-(channel, control value, lobe), kappa, gamma and center (shape, control value, lobe) and elongation (control value,
-lobe), the arrays of `dsbrdf.DSBRDF`. ``bsdf.model()`` is the model with the parameters as they are then. Samples keep
-the densities of the model that was loaded, which are right for any model.
+(channel, control value, lobe), kappa and gamma (shape, control value, lobe), center (shape, control value, ring lobe)
+and elongation (control value, lobe that is not round), arrays of `dsbrdf.DSBRDF`; the last two are there if the model
+has such lobes. ``bsdf.model()`` is the model with the parameters as they are then. Samples keep the densities of the
+model that was loaded, which are right for any model.
 
 All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
 once. Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
@@ -29,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.arrays import Array
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
@@ -197,8 +198,13 @@ class MitsubaModel:
     def __init__(self, model: DSBRDF) -> None:
         self._dr, self._mitsuba = import_module("drjit"), import_module("mitsuba")
         breaks, coefficients = bernstein_pieces(model, "Mitsuba")
+        every = np.ones(model.n_lobes, bool)
+        self._lobes_with: dict[str, Mask] = dict.fromkeys(PARAMETERS, every)
+        self._lobes_with |= {"center": model.is_ring, "elongation": model.elongation.any(axis=0)}
         self.parameters: dict[str, Any] = {
-            name: self._mitsuba.TensorXf(getattr(model, name).astype(np.float32)) for name in PARAMETERS
+            name: self._mitsuba.TensorXf(getattr(model, name)[..., lobes].astype(np.float32))
+            for name, lobes in self._lobes_with.items()
+            if lobes.any()
         }
         self._delta = coefficients[-3:]
         self._model = model
@@ -214,10 +220,10 @@ class MitsubaModel:
 
     def changed_model(self) -> DSBRDF:
         """Return the model with the parameters as they are now."""
-        arrays = {
-            name: np.array(tensor, dtype=np.float64).reshape(getattr(self._model, name).shape)
-            for name, tensor in self.parameters.items()
-        }
+        arrays = {name: np.array(getattr(self._model, name)) for name in self.parameters}
+        for name, tensor in self.parameters.items():
+            changed = arrays[name][..., self._lobes_with[name]]
+            arrays[name][..., self._lobes_with[name]] = np.array(tensor, dtype=np.float64).reshape(changed.shape)
         for name in self._bounds:
             arrays[name] = np.maximum(arrays[name], self._bounds[name])
         return replace(self._model, **arrays)  # type: ignore[arg-type]  # the fields of these names are arrays
@@ -239,14 +245,19 @@ class MitsubaModel:
     def _rows_of(self, name: str, basis: Array) -> Number:
         """Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
         dr, index = self._dr, self._mitsuba.UInt32
-        values = self._mitsuba.Float(self.parameters[name].array)
+        shape = getattr(self._model, name).shape
+        values = self._mitsuba.Float(0.0)
+        if name in self.parameters:
+            stored = np.broadcast_to(self._lobes_with[name], shape).ravel()
+            place = index(np.maximum(np.cumsum(stored) - 1, 0).astype(np.uint32))
+            tensor = self._mitsuba.Float(self.parameters[name].array)
+            values = dr.gather(self._mitsuba.Float, tensor, place, self._mitsuba.Bool(stored))
         if name in self._bounds:
             values = dr.maximum(values, self._bounds[name])
             if self._model.interpolation == "spline":
                 values = dr.log(values)
             elif name == "amplitude":
                 values = _log1p(values)
-        shape = getattr(self._model, name).shape
         n_controls, n_lobes = shape[-2:]
         n_rows, size = int(np.prod(shape[:-2])) * n_lobes, basis[0].size
         row, place = (index(part.astype(np.uint32).ravel()) for part in np.indices((n_rows, size)))

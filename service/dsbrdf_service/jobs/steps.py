@@ -203,9 +203,11 @@ def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dic
     return summary_of_table(read_table(content, options=options))
 
 
-def export_step(model: DSBRDF | LayeredModel | Component, file_format: str, path: str, _: OnProgress) -> None:
+def export_step(
+    model: DSBRDF | LayeredModel | Component, file_format: str, title: str, path: str, _: OnProgress
+) -> None:
     """Write a file with a model, as `export_model` makes it, for formats that take long or make long files."""
-    Path(path).write_bytes(export_model(model, file_format))
+    Path(path).write_bytes(export_model(model, file_format, title=title))
 
 
 def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:

@@ -195,6 +195,7 @@ async def export_fit(
             export_step,
             model,
             wanted.format,
+            name,
             folder=context.store.blobs.temporary,
             place=place,
         )

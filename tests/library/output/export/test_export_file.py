@@ -2,7 +2,7 @@
 
 import csv
 import importlib.util
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from io import StringIO
 from pathlib import Path
 
@@ -108,6 +108,22 @@ def test_the_document_is_valid_and_states_surface_and_error(fitted: FoundSurface
     stated = fitted.by_lighting | fitted.by_region
     assert all(f"{value:.1f} dB ({name})" in doc for name, value in stated.items())
     assert [node.getCategory() for node in document.getMaterialNodes()] == ["surfacematerial"]
+
+
+@needs_materialx
+def test_two_documents_share_no_name_and_no_number_has_an_exponent(tmp_path: Path) -> None:
+    faint = replace(COATED, base_color=(3.5e-12, 1.25e-5, 0.5))
+    names = []
+    for title in ("Satin purple (2)", "4e", "été"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(materialx, "fit_openpbr", lambda *_: FoundSurface(faint, {}, {}))
+            dsbrdf.export(MODEL, tmp_path / f"{title}.mtlx")
+        text = (tmp_path / f"{title}.mtlx").read_text()
+        assert 'value="0, 0.0000125, 0.5"' in text
+        document = materialx_document(text)
+        assert document.validate() == (True, "")
+        names.append([node.getName() for node in document.getNodes()])
+    assert names == [[f"{one}_surface", one] for one in ("Satin_purple_2", "material_4e", "t")]
 
 
 def test_a_model_too_bright_for_a_picture_is_refused_and_nothing_is_reflected_below_the_horizon() -> None:
