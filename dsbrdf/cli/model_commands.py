@@ -50,6 +50,8 @@ from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.output.export import FORMATS, export_model, format_of
+from dsbrdf.output.export.examples import example as example_of
+from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
 from dsbrdf.output.notebook import plot_fit
@@ -156,6 +158,7 @@ def export(
     component: ComponentName = None,
     name: str | None = None,
     sampling: bool = False,
+    example: bool = False,
     json: Json = False,
 ) -> None:
     """Write a model, or one of its components, for other programs.
@@ -168,14 +171,22 @@ def export(
         Of the function in GLSL; all other names in the file begin with it, so that a shader can hold several.
     sampling
         Add functions to GLSL that draw directions and return their density.
+    example
+        Write beside it what shows it on a sphere: a page for a browser (glsl), a scene for Mitsuba (bsdf) or pbrt
+        (bsdf-spectral), a script for Blender (materialx).
     """
     kind = file_format or format_of(output)
     stored, report = read_model(model)
     part = named_part(model, stored, component)
     stored_report = report if component is None else None
-    write_atomically(output, [export_model(part, kind, stored_report, name=name, sampling=sampling, title=output.stem)])
+    content = export_model(part, kind, stored_report, name=name, sampling=sampling, title=output.stem)
+    shown = [example_of(output, kind, content, name or NAME)] if example else []
+    for file, what in ((output, content), *shown):
+        write_atomically(file, [what])
     of = "" if component is None else f" of the {component.replace('_', ' ')}"
     print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}", kind, json=json)
+    for file, _ in () if json else shown:
+        print_written(file, "an example that shows it")
 
 
 _SUFFIXES = (".binary", ".bsdf")

@@ -4,7 +4,6 @@ import os
 import re
 import runpy
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -227,10 +226,10 @@ def test_glossary_names_all_metrics_and_parameters() -> None:
 
 def test_the_table_becomes_a_sphere_with_a_purple_highlight(tmp_path: Path) -> None:
     mitsuba = mitsuba_variant("scalar_rgb")
-    for name in ("satin-purple.csv", "sphere.xml"):
-        shutil.copy(DOCS / "_static" / name, tmp_path)
-    assert cli.main(["convert", str(tmp_path / "satin-purple.csv"), str(tmp_path / "satin-purple.bsdf")]) == 0
-    picture = np.array(mitsuba.render(mitsuba.load_file(str(tmp_path / "sphere.xml")), spp=16))
+    model, table = tmp_path / "satin-purple.json", DOCS / "_static" / "satin-purple.csv"
+    assert cli.main(["fit", str(table), "-o", str(tmp_path)]) == 0
+    assert cli.main(["export", str(model), "-o", str(tmp_path / "satin.bsdf"), "--example"]) == 0
+    picture = np.array(mitsuba.render(mitsuba.load_file(str(tmp_path / "satin.xml")), spp=16))
     pixels = picture[..., :3].reshape(-1, 3)
     red, green, blue = pixels[np.argmax(pixels[:, 0])]
     assert min(red, blue) > 1.1 * green  # the highlight is purple, the rest is not

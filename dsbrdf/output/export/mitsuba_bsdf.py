@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.arrays import Array, Mask
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
@@ -198,9 +198,8 @@ class MitsubaModel:
     def __init__(self, model: DSBRDF) -> None:
         self._dr, self._mitsuba = import_module("drjit"), import_module("mitsuba")
         breaks, coefficients = bernstein_pieces(model, "Mitsuba")
-        every = np.ones(model.n_lobes, bool)
-        self._lobes_with: dict[str, Mask] = dict.fromkeys(PARAMETERS, every)
-        self._lobes_with |= {"center": model.is_ring, "elongation": model.elongation.any(axis=0)}
+        self._lobes_with = dict.fromkeys(PARAMETERS, np.ones(model.n_lobes, np.bool_))
+        self._lobes_with |= {"center": model.is_ring, "elongation": np.asarray(model.elongation.any(axis=0))}
         self.parameters: dict[str, Any] = {
             name: self._mitsuba.TensorXf(getattr(model, name)[..., lobes].astype(np.float32))
             for name, lobes in self._lobes_with.items()

@@ -3,6 +3,8 @@
 In that form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dsbrdf.arrays import Array
@@ -19,7 +21,7 @@ def literal(value: float) -> str:
     return text if "." in text or "e" in text else text + ".0"
 
 
-def filled(text: str, words: dict[str, str | int]) -> str:
+def filled(text: str, words: Mapping[str, str | int]) -> str:
     """Return a template with its words in capitals replaced."""
     for word, value in words.items():
         text = text.replace(word, str(value))

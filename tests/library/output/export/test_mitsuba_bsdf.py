@@ -179,7 +179,7 @@ def places(model: dsbrdf.DSBRDF, name: str) -> list[tuple[int, ...]]:
 def lobes_with(model: dsbrdf.DSBRDF, name: str) -> NDArray[np.bool_]:
     """Lobes that have a parameter: a center or an elongation that is not 0."""
     some = {"center": model.center.any(axis=(0, 1)), "elongation": model.elongation.any(axis=0)}
-    return some.get(name, np.ones(model.n_lobes, bool))
+    return np.asarray(some.get(name, np.ones(model.n_lobes, bool)))
 
 
 @pytest.mark.parametrize("kind", MODELS)
