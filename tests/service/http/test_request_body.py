@@ -34,8 +34,6 @@ from tests.support.server import QUICK, Server, assert_problem
 
 CLIENTS, MEGABYTES = 6, 64
 
-# One for each check and each moment of it; the system tests send all kinds of malformed files.
-
 
 def contents(server: Server) -> tuple[list[Path], list[object]]:
     """Files and rows that a server has."""
