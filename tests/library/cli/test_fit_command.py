@@ -321,7 +321,7 @@ def expected_difference(growth: float) -> float:
 
 
 def test_a_table_is_fitted_and_stored_or_converted(tmp_path: Path) -> None:
-    samples, table = scattered_samples(FELT, 500), tmp_path / "felt.csv"
+    samples, table = scattered_samples(FELT, 150), tmp_path / "felt.csv"
     head = ",".join((*VECTORS, "red", "green", "blue"))
     columns = [samples.omega_in, samples.omega_out, samples.values]
     np.savetxt(table, np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.9g")

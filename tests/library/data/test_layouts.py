@@ -12,7 +12,6 @@ from dsbrdf.data.sample_tables import is_table, parse_samples, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.fitting.sample_units import sample_units
 from tests.library.data.test_sample_tables import table
 
 MIRROR_60 = 0.48
@@ -129,11 +128,6 @@ TRUTHS: dict[str, tuple[bytes, dict[str, Any], str]] = {
         "31 samples have the same smallest value, 0, far from all others",
     ),
     "1e30 is missing, not said": (made(np.where(SPOILED, 1e30, VALUES)), {}, "if 1e+30 stands for what is missing"),
-    "mirror at the same phi, not said": (table(NAMES, np.hstack([MIRRORED, VALUES])), {}, 'set phi to "mirror"'),
-    "in plane, sign turned, not said": (in_plane(PLANE * [1, -1], IN_PLANE), {}, 'set phi to "mirror"'),
-    "per cent reflectance factor, not said": (made(100.0 * np.pi * VALUES), {}, "scale 0.003183"),
-    "per cent, not said": (made(100.0 * VALUES), {}, "scale 0.01"),
-    "times the cosine, not said": (made(COS_OUT * VALUES), {}, 'set cosine to "out"'),
     "no phi_in, not said": (
         table(NAMES[:1] + NAMES[2:], np.hstack([ANGLES[:, [0, 2, 3]], VALUES])),
         {},
@@ -143,17 +137,15 @@ TRUTHS: dict[str, tuple[bytes, dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("content", "choices", "words"), TRUTHS.values(), ids=TRUTHS.keys())
 def test_a_table_of_a_known_truth_is_right_or_told(content: bytes, choices: dict[str, Any], words: str) -> None:
     try:
         samples = parse_samples(content, options=TableOptions(**choices))
-        said = [*samples.notes, *sample_units(samples).sentences]
+        said: tuple[str, ...] = samples.notes
     except MeasurementFormatError as error:
-        said = [str(error)]
-        assert words
+        said = (str(error),)
     if words:
         assert any(words in sentence for sentence in said), said
     else:
         check_true(samples)
-        assert not any("set " in sentence or "multiply" in sentence for sentence in said), said
+        assert not any("set " in sentence for sentence in said), said

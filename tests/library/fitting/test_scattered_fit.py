@@ -207,7 +207,8 @@ def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
 def test_the_fit_follows_the_level_of_the_samples(level: float, truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 300)
     one, other = (dsbrdf.fit(part, n_lobes=2, ring_lobes=0) for part in (samples, scaled(samples, level)))
-    np.testing.assert_allclose(other.evaluate(0.1, 0.4), one.evaluate(0.1, 0.4) * level, rtol=0.1)
+    np.testing.assert_allclose(other.model.evaluate(0.1, 0.4), one.model.evaluate(0.1, 0.4) * level, rtol=0.1)
+    assert any("not a BRDF in 1/sr; multiply" in text for text in other.report.warnings) is (level > 1.0)
 
 
 @pytest.mark.parametrize(

@@ -211,19 +211,20 @@ def test_a_long_body_without_a_length_is_refused_while_it_arrives(server: Server
 
 
 def test_the_options_of_a_table_are_those_of_its_upload_and_its_fit(server: Server, table: bytes) -> None:
-    odd = table.replace(b"blue", b"azure", 1)
-    chosen = {"columns": "blue=azure", "scale": "0.5", "phi": "mirror"}
+    odd = table.replace(b"blue", b"azure", 1) + b"0,0,1,0,0,1,-9,-9,-9\n"
+    chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}
     assert "lacks columns for the values: blue" in assert_problem(post(server, odd, "odd.csv"), 422)
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
     fit = server.http.post("/v1/fits", params=FEW_LOBES | chosen, content=odd, headers=headers).json()
     assert fit["status"] == "succeeded", fit
-    given = {"columns": ["blue=azure"], "missing": [], "scale": 0.5, "cosine": None, "phi": "mirror"}
+    given = {"columns": ["blue=azure"], "missing": [-9.0], "scale": 0.5, "cosine": "out", "phi": "mirror"}
     assert {name: fit["options"][name] for name in given} == given
     options = {"n_lobes": 1, "ring_lobes": 0} | given
     again = server.http.post("/v1/fits", json={"measurement": fit["measurement"], "options": options})
     assert again.json()["id"] == fit["id"]
     samples = parse_samples(table)
-    expected = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, 0.5 * samples.values])
+    values = 0.5 * samples.values / samples.omega_out[:, 2:]
+    expected = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, values])
     answer = server.http.get(f"/v1/fits/{fit['id']}/samples.npy")
     np.testing.assert_allclose(np.load(BytesIO(answer.content)), expected, rtol=1e-6, atol=1e-7)
     picture = server.http.get(f"/v1/fits/{fit['id']}/figures/residual.png")
