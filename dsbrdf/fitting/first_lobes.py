@@ -79,11 +79,11 @@ def _start(problem: MixtureProblem, widths: tuple[float, ...]) -> Array:
     shape[:, :k], shape[:, k - 1] = np.log(_GGX_KAPPA), np.log(_USUAL_DIFFUSE_KAPPA)
     shape[:, k:] = np.log(reach_of_width(np.radians(widths), _FAMILY))
     elongation[:, : k - 1] = _START_ELONGATION
-    curves = problem.curves(unknowns).reshape(k, n_rows, -1)
+    curves = problem.curves(unknowns)
     heights = np.zeros((n_rows, 3, k))
     for row, channel in np.ndindex(n_rows, 3):
         root = np.sqrt(data.weight[channel, row].ravel())
-        heights[row, channel] = nnls(curves[:, row].T * root[:, np.newaxis], data.mean[channel, row].ravel() * root)[0]
+        heights[row, channel] = nnls(curves[row].T * root[:, np.newaxis], data.mean[channel, row].ravel() * root)[0]
     level = np.sqrt(np.mean(heights**2, axis=(0, 1)))
     logs = np.log(np.maximum(heights, FAINTEST_START * level + 1e-9)).reshape(n_rows, -1)
     amplitude[...] = smooth_control_values(problem.bases[0], logs)

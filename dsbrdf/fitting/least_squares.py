@@ -16,12 +16,13 @@ control values. Shapes get the strongest: where a lobe is faint they would run f
 What is known of the lobes beforehand can be added as a `Prior`.
 """
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg.blas import dsymv as symv
+from scipy.linalg.lapack import dgesv as gesv
 from scipy.linalg.lapack import dpotrf as potrf
 from scipy.linalg.lapack import dpotrs as potrs
 
@@ -29,7 +30,7 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 from dsbrdf.fitting.structure import Structure
-from dsbrdf.model.lobes import Stretch, lobe_derivatives, lobe_values, log_cosine, stretch
+from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
@@ -78,10 +79,24 @@ class FitData:
             self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
         )
 
-    @property
+    @cached_property
     def signal(self) -> float:
         """Weighted sum of squares."""
         return float(np.sum(self.weight * self.mean**2))
+
+    @cached_property
+    def rows(self) -> tuple[Array, Array]:
+        """Values and square roots of their weights, row by row, shape (R, 3, N * P)."""
+        mean, weight = (
+            part.transpose(1, 0, 2, 3).reshape(len(self.theta_diff), 3, -1) for part in (self.mean, self.weight)
+        )
+        return mean, np.sqrt(weight)
+
+    @cached_property
+    def squared_tangents(self) -> tuple[Array, Array]:
+        """tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2, shape (R, 1, N * P)."""
+        squared, shape = np.tan(self.theta_half)[..., None] ** 2, (len(self.theta_diff), 1, -1)
+        return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,106 +117,129 @@ class MixtureProblem:
         smoothing: tuple[float, float, float] = SMOOTHING,
         prior: Prior | None = None,
     ) -> None:
-        self.data, self.structure = data, structure
+        self.data, self.structure, self._prior = data, structure, prior
         self.bases = structure.bases(data.theta_diff)
-        self._squared = np.tan(data.theta_half)[..., None] ** 2
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
-        self._signal = data.signal
-        blocks = [
-            pull * np.kron(roughness(basis.shape[1]), np.eye(columns))
-            for basis, pull, (_, columns) in zip(self.bases, smoothing, structure.blocks, strict=True)
+        self._pulls = [
+            data.signal * share * roughness(basis.shape[1]) for basis, share in zip(self.bases, smoothing, strict=True)
         ]
-        self._pull = self._signal * (block_diag(*blocks) + (0.0 if prior is None else prior.matrix))
-        self._target = np.zeros(structure.n_unknowns) if prior is None else prior.target
+        k = structure.n_lobes
+        self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, P) [1/sr]."""
-        amplitude, _, _ = self.structure.row_parameters(self.bases, unknowns)
-        return np.einsum("crk,krnp->crnp", amplitude, self.curves(unknowns), optimize=True)
+        amplitude, curves, _ = self._lobes(unknowns)
+        return (amplitude @ curves).transpose(1, 0, 2).reshape(self.data.mean.shape[:1] + self.data.cos2_phi.shape)
 
     def curves(self, unknowns: Array) -> Array:
-        """Values of the lobes at height 1, shape (K, R, N, P)."""
-        _, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
-        family = self.structure.family
-        return np.concatenate(
-            [
-                lobe_values(at.squared_tangent, kappa, gamma, center, family)
-                for at, kappa, gamma, center in self._kinds(shape, elongation)
-            ]
-        )
+        """Values of the lobes at height 1, shape (R, K, N * P)."""
+        return self._lobes(unknowns)[1]
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""
-        amplitude, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
-        curves = self._derivatives(shape, elongation)
-        curves = np.ascontiguousarray(curves.reshape(*curves.shape[:2], -1).transpose(1, 0, 2))
-        values = amplitude.transpose(1, 0, 2) @ curves[:, : self.structure.n_lobes]
-        residual = values.transpose(1, 0, 2) - self.data.mean.reshape(3, len(values), -1)
-        cost = np.einsum("crn,crn,crn->", self.data.weight.reshape(residual.shape), residual, residual)
-        off = unknowns - self._target
-        return Evaluation(unknowns, float(cost + off @ self._pull @ off), amplitude, curves, residual)
+        mean, root = self.data.rows
+        amplitude, curves, kinds = self._lobes(unknowns)
+        residual = amplitude @ curves
+        residual -= mean
+        residual *= root
+        off = unknowns if self._prior is None else unknowns - self._prior.target
+        pull = self._pull(off)
+        cost = float(np.vdot(residual, residual) + off @ pull)
+        return Evaluation(unknowns, cost, amplitude, curves, kinds, residual, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
-        """Gauss-Newton matrix (U, U) and half the gradient (U,) of the cost."""
-        k, n_rows = self.structure.n_lobes, self.data.theta_diff.size
-        rings = np.flatnonzero(self.structure.rings)
-        lobe_of = np.concatenate([np.arange(k), np.arange(k), rings, np.arange(k)])
-        within, across = np.zeros((n_rows, 3, k, 3, k)), np.zeros((n_rows, 3, k, lobe_of.size))
-        shared = np.zeros((n_rows, lobe_of.size, lobe_of.size))
-        by_amplitude, by_shared = np.zeros((n_rows, 3, k)), np.zeros((n_rows, lobe_of.size))
+        """Lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
+        k, n_rows, count = self.structure.n_lobes, len(at.residual), self._lobe_of.size
+        columns = [(slice(0, k), at.curves), *(column for kind in at.kinds for column in self._slopes(kind))]
+        weighted = np.empty((n_rows, count, at.residual.shape[2]))
+        products, slopes = np.empty((n_rows, 3, count, count)), np.empty((n_rows, 3, count, 1))
         for channel in range(3):
-            height, scale = at.amplitude[channel], at.amplitude[channel][:, lobe_of]
-            weighted = at.curves * self.data.weight[channel].reshape(n_rows, 1, -1)
-            product = weighted @ at.curves.transpose(0, 2, 1)
-            slope = (weighted @ at.residual[channel][..., None])[..., 0]
-            within[:, channel, :, channel] = product[:, :k, :k] * height[:, :, None] * height[:, None, :]
-            across[:, channel] = product[:, :k, k:] * height[:, :, None] * scale[:, None, :]
-            shared += product[:, k:, k:] * scale[:, :, None] * scale[:, None, :]
-            by_amplitude[:, channel] = slope[:, :k] * height
-            by_shared += slope[:, k:] * scale
-        own, mixed = within.reshape(n_rows, 3 * k, 3 * k), across.reshape(n_rows, 3 * k, -1)
-        upper, lower = ((own, mixed), (mixed.transpose(0, 2, 1), shared))
-        rows = np.concatenate([np.concatenate(upper, axis=2), np.concatenate(lower, axis=2)], axis=1)
-        gradient_rows = np.concatenate([by_amplitude.reshape(n_rows, -1), by_shared], axis=1)
-        matrix, gradient = self._assemble(rows, gradient_rows)
+            root = self.data.rows[1][:, channel, None]
+            for place, values in columns:
+                np.multiply(values, root, out=weighted[:, place])
+            np.matmul(weighted, weighted.transpose(0, 2, 1), out=products[:, channel])
+            np.matmul(weighted, at.residual[:, channel, :, None], out=slopes[:, channel])
+        scale = at.amplitude[:, :, self._lobe_of]
+        products *= scale[..., None]
+        products *= scale[..., None, :]
+        matrix, gradient = self._assemble(products, slopes[..., 0] * scale)
         self.structure.chain(at.unknowns, matrix, gradient)
-        return matrix + self._pull, gradient + self._pull @ (at.unknowns - self._target)
+        for part, pull in zip(self.structure.parts, self._pulls, strict=True):
+            block = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
+            np.einsum("dpep->dep", block)[...] += pull[:, :, None]
+        if self._prior is not None:
+            matrix += self.data.signal * self._prior.matrix
+        return matrix, gradient + at.pull
 
-    def _assemble(self, rows: Array, gradient_rows: Array) -> tuple[Array, Array]:
-        """Normal equations of the unknowns from those of each row's parameters."""
-        k = self.structure.n_lobes
-        ends = np.cumsum([0, 3 * k, 2 * k + self.structure.n_rings, k])
-        parts = [slice(start, stop) for start, stop in itertools.pairwise(ends)]
-        blocks: list[list[Array]] = [[np.empty(0)] * 3 for _ in range(3)]
-        for i, first in enumerate(self.bases):
-            for j in range(i, 3):
-                block = _spread(first, self.bases[j], rows[:, parts[i], parts[j]])
-                blocks[i][j], blocks[j][i] = block, block.T
-        gradient = [(basis.T @ gradient_rows[:, part]).ravel() for basis, part in zip(self.bases, parts, strict=True)]
-        return np.block(blocks), np.concatenate(gradient)
+    def _assemble(self, products: Array, slopes: Array) -> tuple[Array, Array]:
+        """Normal equations of control values from those of each row and channel, (R, 3, M, M) and (R, 3, M)."""
+        k, first = self.structure.n_lobes, self.structure.parts[0]
+        q = 2 * k + self.structure.n_rings
+        matrix = np.zeros((self.structure.n_unknowns, self.structure.n_unknowns))
+        own = _spread(self.bases[0], self.bases[0], products[:, :, :k, :k])
+        into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
+        for channel in range(3):
+            into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
+        mixed = products[:, :, k:, :k].transpose(0, 2, 1, 3).reshape(len(products), -1, 3 * k)
+        shared = products[:, :, k:, k:].sum(axis=1)
+        for i, j, block in (
+            (1, 0, mixed[:, :q]),
+            (2, 0, mixed[:, q:]),
+            (1, 1, shared[:, :q, :q]),
+            (2, 1, shared[:, q:, :q]),
+            (2, 2, shared[:, q:, q:]),
+        ):
+            spread = _spread(self.bases[i], self.bases[j], block).transpose(0, 2, 1, 3)
+            matrix[self.structure.parts[i], self.structure.parts[j]].reshape(spread.shape)[...] = spread
+        by_shared = slopes[:, :, k:].sum(axis=1)
+        rows = slopes[:, :, :k].reshape(len(slopes), -1), by_shared[:, :q], by_shared[:, q:]
+        return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(self.bases, rows, strict=True)])
 
-    def _kinds(self, shape: Array, elongation: Array) -> Iterator[tuple[Stretch, Array, Array, Array | None]]:
-        """Stretch, kappa, gamma and center of the lobes about the normal, then of the ring lobes, (lobes, R, 1, 1)."""
+    def _pull(self, off: Array) -> Array:
+        """Half the gradient of the cost of smoothing and prior, at a distance from the prior's target."""
+        parts = zip(self._pulls, self.structure.split(off), strict=True)
+        pull = np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
+        return pull if self._prior is None else pull + self.data.signal * (self._prior.matrix @ off)
+
+    def _lobes(self, unknowns: Array) -> tuple[Array, Array, list["_Kind"]]:
+        """Amplitude (R, 3, K), lobes of height 1 (R, K, N * P), and what those of each kind are made of."""
+        amplitude, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
-        by_lobe = shape.T[..., None, None]
-        stretches = elongation.T[..., None, None]
-        for part, center in ((slice(0, centered), None), (slice(centered, k), by_lobe[2 * k :])):
+        along, across = self.data.squared_tangents
+        ratio = np.exp(elongation[..., None] * self._log_cos)
+        kappa, gamma = np.exp(shape[:, :k, None]), np.exp(shape[:, k : 2 * k, None])
+        curves, kinds = [], []
+        for part, center in ((slice(0, centered), None), (slice(centered, k), shape[:, 2 * k :, None])):
             if part.stop > part.start:
-                stretched = stretch(self._squared, self.data.cos2_phi, self._log_cos, stretches[part])
-                yield stretched, np.exp(by_lobe[:k][part]), np.exp(by_lobe[k : 2 * k][part]), center
+                near, far = along / ratio[:, part], across * ratio[:, part]
+                values, slopes = lobe_curves(near + far, kappa[:, part], gamma[:, part], center, self.structure.family)
+                curves.append(values)
+                kinds.append(_Kind(part, slopes, near, far))
+        return amplitude, curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
 
-    def _derivatives(self, shape: Array, elongation: Array) -> Array:
-        """Values, then derivatives in log kappa, log gamma, center and elongation, each of all lobes that have it."""
-        values, by_log_kappa, by_log_gamma, by_center, by_elongation = ([] for _ in range(5))
-        for at, kappa, gamma, center in self._kinds(shape, elongation):
-            found = lobe_derivatives(at.squared_tangent, kappa, gamma, center, self.structure.family)
-            values.append(found.value)
-            by_log_kappa.append(found.by_log_kappa)
-            by_log_gamma.append(found.by_log_gamma)
-            by_elongation.append(found.by_squared_tangent * at.by_elongation)
-            if center is not None:
-                by_center.append(found.by_center)
-        return np.concatenate(values + by_log_kappa + by_log_gamma + by_center + by_elongation)
+    def _slopes(self, kind: "_Kind") -> list[tuple[slice, Array]]:
+        """Derivatives of lobes in the parameters that channels share, and which of all columns they are."""
+        k, found = self.structure.n_lobes, kind.slopes()
+        start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
+        by_elongation = kind.far - kind.near
+        by_elongation *= self._log_cos
+        by_elongation *= found.by_squared_tangent
+        columns = [
+            (slice(k + start, k + stop), found.by_log_kappa),
+            (slice(2 * k + start, 2 * k + stop), found.by_log_gamma),
+            (slice(end + start, end + stop), by_elongation),
+        ]
+        return columns + [(slice(3 * k, end), found.by_center)] * bool(found.by_center.ndim)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """The lobes about the normal, or the ring lobes."""
+
+    part: slice  # of all lobes
+    slopes: Callable[[], LobeSlopes]
+    near: Array  # parts of the squared tangent of theta', along and across the plane of incidence
+    far: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,9 +248,11 @@ class Evaluation:
 
     unknowns: Array  # (U,)
     cost: float  # weighted squared error plus the pull towards smooth parameters
-    amplitude: Array  # (3, R, K)
-    curves: Array  # lobes of height 1, then derivatives in the Q parameters that channels share, (R, K + Q, N * P)
-    residual: Array  # mixture less data, (3, R, N * P)
+    amplitude: Array  # (R, 3, K)
+    curves: Array  # lobes of height 1 (R, K, N * P)
+    kinds: list[_Kind]
+    residual: Array  # mixture less data, times the square root of the weight, (R, 3, N * P)
+    pull: Array  # half the gradient of the pull (U,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +286,7 @@ def minimize(
         if on_iteration is not None:
             on_iteration(number)
         step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed)
-        predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
+        predicted = -float(2.0 * gradient @ step + step @ symv(1.0, matrix.T, step))
         proposed = problem.evaluate(at.unknowns + step) if predicted > 0.0 else at
         gain = (at.cost - proposed.cost) / predicted if predicted > 0.0 else -1.0
         if gain > 0.0:
@@ -277,40 +317,38 @@ def _step(
     """
     # First those that stand at a limit and are pushed outwards.
     pushed = structure.limit(unknowns - _SMALLEST_CHANGE * np.sign(gradient))
-    free = np.abs(pushed - unknowns) > 0.5 * _SMALLEST_CHANGE
+    held = np.abs(pushed - unknowns) <= 0.5 * _SMALLEST_CHANGE
     if fixed is not None:
-        free &= ~fixed
-    index = np.flatnonzero(free)
-    step = np.zeros_like(gradient)
-    if not index.size:
-        return step
-    scale = np.diag(matrix)
-    damped = matrix[np.ix_(index, index)]
-    damped[np.diag_indices(index.size)] += damping * (scale[index] + 1e-12 * scale.max())
-    factor, failed = potrf(damped, overwrite_a=True)
+        held |= fixed
+    if held.all():
+        return np.zeros_like(gradient)
+    damped, diagonal = matrix.copy(), matrix.diagonal()
+    damped.flat[:: len(matrix) + 1] += damping * (diagonal + 1e-12 * diagonal[~held].max())
+    places = np.flatnonzero(held)
+    damped[places], damped[:, places] = 0.0, 0.0
+    damped[places, places] = 1.0
+    factor, failed = potrf(damped.T, overwrite_a=True, clean=False)
     if failed:  # singular to rounding: no step, so that the damping grows
-        return step
-    solved = unlimited = potrs(factor, -gradient[index])[0]
-    stopped = np.zeros(index.size, bool)
+        return np.zeros_like(gradient)
+    solved = unlimited = potrs(factor, np.where(held, 0.0, -gradient))[0]
+    stopped = np.zeros(held.size, bool)
     for _ in range(_LIMIT_PASSES):
-        wanted = np.zeros_like(gradient)
-        wanted[index] = np.clip(solved, -_LARGEST_STEP, _LARGEST_STEP)
-        step = structure.limit(unknowns + wanted) - unknowns
-        newly = ~stopped & (np.abs(step[index] - solved) > _SMALLEST_CHANGE)
+        step = structure.limit(unknowns + np.minimum(np.maximum(solved, -_LARGEST_STEP), _LARGEST_STEP)) - unknowns
+        newly = ~stopped & ~held & (np.abs(step - solved) > _SMALLEST_CHANGE)
         if not newly.any():
             break
         stopped |= newly
         places = np.flatnonzero(stopped)
-        response = potrs(factor, np.eye(index.size)[:, places])[0]
-        held = step[index][places]
-        solved = unlimited + response @ np.linalg.solve(response[places], held - unlimited[places])
-        solved[places] = held  # to the last bit: an unknown at its bound stays there
+        columns = np.zeros((held.size, places.size), order="F")
+        columns[places, np.arange(places.size)] = 1.0
+        response = potrs(factor, columns, overwrite_b=True)[0]
+        solved = unlimited + response @ gesv(response[places], step[places] - unlimited[places])[2]
+        solved[places] = step[places]  # to the last bit: an unknown at its bound stays there
     return step
 
 
-def _spread(first: Array, second: Array, rows: Array) -> Array:
-    """Sum over rows of (first x second) x block, shape (D P, E Q) for blocks (R, P, Q)."""
-    outer = np.einsum("rd,re->rde", first, second).reshape(len(first), -1)
-    d, e, (_, p, q) = first.shape[1], second.shape[1], rows.shape
-    spread = (outer.T @ rows.reshape(len(rows), -1)).reshape(d, e, p, q)
-    return spread.transpose(0, 2, 1, 3).reshape(d * p, e * q)
+def _spread(first: Array, second: Array, blocks: Array) -> Array:
+    """Sum over rows of first x second x block, shape (D, E, ...) for blocks (R, ...)."""
+    outer = (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
+    spread = outer.T @ blocks.reshape(len(blocks), -1)
+    return spread.reshape(first.shape[1], second.shape[1], *blocks.shape[1:])

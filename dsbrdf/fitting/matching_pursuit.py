@@ -21,7 +21,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.first_lobes import FAINTEST_START, fit_first_lobes
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
-from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, stretch, width_of_reach
+from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, width_of_reach
 from dsbrdf.model.splines import smooth_control_values
 
 MAX_GROWN_LOBES = 7
@@ -172,13 +172,18 @@ def _candidates() -> list[_Candidate]:
 
 def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
     """Values of a candidate, shape (R, N * P)."""
-    squared = np.tan(data.theta_half)[:, None] ** 2
-    log_cos = log_cosine(data.theta_diff)[:, None, None]
-    at = stretch(squared, data.cos2_phi, log_cos, np.array(candidate.elongation)).squared_tangent
+    along, across = data.squared_tangents
+    ratio = np.exp(candidate.elongation * log_cosine(data.theta_diff)[:, None, None])
     center = np.array(candidate.center) if candidate.is_ring else None
     kappa = np.array(_START_KAPPA)
-    values = lobe_values(at, kappa, gamma_of_half_width(np.array(candidate.width), kappa, family), center, family)
-    return np.ascontiguousarray(values.reshape(data.theta_diff.size, -1))
+    values = lobe_values(
+        along / ratio + across * ratio,
+        kappa,
+        gamma_of_half_width(np.array(candidate.width), kappa, family),
+        center,
+        family,
+    )
+    return values[:, 0]
 
 
 def _starts(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> list[Mixture]:
@@ -188,7 +193,7 @@ def _starts(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) ->
     """
     problem, k = MixtureProblem(data, mixture.structure), mixture.structure.n_lobes
     stack, candidates = np.stack(list(curves.values())), list(curves)
-    others = problem.curves(mixture.unknowns).reshape(k, *stack.shape[1:]) if k else stack[:0]
+    others = problem.curves(mixture.unknowns).transpose(1, 0, 2) if k else stack[:0]
     residual = data.mean - problem.values(mixture.unknowns) if k else data.mean
     gain, amplitude = _project(data, residual, stack, others)
     far = np.array([abs(candidate.center) + candidate.width > _FAR for candidate in candidates])

@@ -11,7 +11,7 @@ half width, and at most `WIDEST_CUSP`: a cusp stays about as steep as the lobe i
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -74,14 +74,19 @@ class Structure:
         columns = 3 * self.n_lobes, 2 * self.n_lobes + self.n_rings, self.n_lobes
         return [(n_control_values(knots.size), count) for knots, count in zip(self.knots, columns, strict=True)]
 
+    @cached_property
+    def parts(self) -> tuple[slice, slice, slice]:
+        """Where the amplitudes, shapes and elongations are among the unknowns."""
+        first, second, third = (rows * columns for rows, columns in self.blocks)
+        return slice(0, first), slice(first, first + second), slice(first + second, first + second + third)
+
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
 
         Amplitudes are logarithms, channel by channel; shapes log kappa, log reach, and offset of the ring lobes.
         """
-        (d, p), (s, q), (e, r) = self.blocks
-        amplitude, rest = unknowns[: d * p].reshape(d, p), unknowns[d * p :]
-        shape, elongation = rest[: s * q].reshape(s, q), rest[s * q :].reshape(e, r)
+        blocks = zip(self.parts, self.blocks, strict=True)
+        amplitude, shape, elongation = (unknowns[part].reshape(block) for part, block in blocks)
         return amplitude, shape, elongation
 
     def is_kappa(self) -> Mask:
@@ -92,90 +97,112 @@ class Structure:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds of the unknowns, shape (n_unknowns,) each."""
-        sides = []
+        """Bounds of the unknowns, shape (n_unknowns,) each; ring lobes may have narrower ones, see `limit`."""
+        sides, k = [], self.n_lobes
         for side in (0, 1):
             bound = np.empty(self.n_unknowns)
             amplitude, shape, elongation = self.split(bound)
-            k = self.n_lobes
             amplitude[...] = LOG_AMPLITUDE_BOUNDS[side]
             bounds_of = self.bounds_of or (ShapeBounds(),) * k
             shape[:, :k] = [np.log(bounds.kappa[side]) for bounds in bounds_of]
             shape[:, k : 2 * k] = [np.log(bounds.reach[side]) for bounds in bounds_of]
             shape[:, 2 * k :], elongation[...] = OFFSET_BOUNDS[side], ELONGATION_BOUNDS[side]
             sides.append(bound)
+        about_normal = self.split(sides[0])[1][:, k : 2 * k - self.n_rings]
+        np.maximum(about_normal, self._narrowest(np.zeros(1)), out=about_normal)
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
         """Unknowns within the bounds, no lobe narrower than the data's spacing, no offset below 0 that does nothing."""
-        limited = np.clip(unknowns, *self.bounds)
-        shape, k = self.split(limited)[1], self.n_lobes
-        np.maximum(shape[:, 2 * k :], -_SATURATED * self._cusp_limit(shape)[0], out=shape[:, 2 * k :])
-        if self.theta_half.size > 1:
-            center = np.zeros((len(shape), k))
-            center[:, list(self.rings)] = np.maximum(shape[:, 2 * k :], 0.0)
-            middle = 0.5 * (self.theta_half[1:] + self.theta_half[:-1])
-            narrowest = np.interp(center, middle, np.diff(self.theta_half))
-            least = np.log(reach_of_width(np.minimum(narrowest, 1.0), self.family))
-            np.maximum(shape[:, k : 2 * k], least, out=shape[:, k : 2 * k])
+        low, high = self.bounds
+        limited = np.maximum(np.minimum(unknowns, high), low)
+        if self.n_rings:
+            reach, offset = self._of_rings(limited)
+            if offset.min() < 0.0:
+                np.maximum(offset, -_SATURATED * self._cusp_limit(reach)[0], out=offset)
+            np.maximum(reach, self._narrowest(offset), out=reach)
         return limited
 
     def lobe_shapes(self, unknowns: Array) -> Array:
         """Control values of log kappa, log gamma and, for ring lobes, center, shape (S, 2 K + rings)."""
         shape, k = self.split(unknowns)[1].copy(), self.n_lobes
-        limit, _ = self._cusp_limit(shape)
-        shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         offset = shape[:, 2 * k :]
-        shape[:, 2 * k :] = np.maximum(offset, 0.0) + limit * np.expm1(np.minimum(offset, 0.0) / limit)
+        if offset.min(initial=0.0) < 0.0:
+            limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
+            offset[...] = np.maximum(offset, 0.0) + limit * np.expm1(np.minimum(offset, 0.0) / limit)
+        shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         return shape
 
     def bases(self, theta_diff: Array) -> tuple[Array, Array, Array]:
         """Weights of the control values of amplitudes, shapes and elongations at angles (R,), see `spline_basis`."""
-        amplitude, shape, elongation = (spline_basis(knots, theta_diff) for knots in self.knots)
+        amplitude, shape, elongation = (_basis(knots.tobytes(), theta_diff.tobytes()) for knots in self.knots)
         return amplitude, shape, elongation
 
     def row_parameters(self, bases: tuple[Array, Array, Array], unknowns: Array) -> tuple[Array, Array, Array]:
-        """Amplitude (3, R, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
+        """Amplitude (R, 3, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
         amplitude, _, elongation = self.split(unknowns)
-        logs = (bases[0] @ amplitude).reshape(-1, 3, self.n_lobes).transpose(1, 0, 2)
+        logs = (bases[0] @ amplitude).reshape(-1, 3, self.n_lobes)
         return np.exp(logs), bases[1] @ self.lobe_shapes(unknowns), bases[2] @ elongation
 
     def join(self, amplitude: Array, lobe_shapes: Array, elongation: Array) -> Array:
         """Unknowns of control values; the inverse of `split` and `lobe_shapes`."""
         shape, k = lobe_shapes.copy(), self.n_lobes
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
-        limit, _ = self._cusp_limit(shape)
+        limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
         center = shape[:, 2 * k :]
         negative = np.maximum(np.minimum(center, 0.0) / limit, np.expm1(-_SATURATED))
         shape[:, 2 * k :] = np.maximum(center, 0.0) + limit * np.log1p(negative)
         return np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
 
     def chain(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
-        """Turn derivatives in control values, as `lobe_shapes` has them, into those in the unknowns, in place."""
-        shape, k = self.split(unknowns)[1], self.n_lobes
-        places = self.split(np.arange(float(self.n_unknowns)))[1].astype(np.intp)
-        kappa, reach, offset = places[:, :k].ravel(), places[:, k : 2 * k].ravel(), places[:, 2 * k :].ravel()
-        ring_reach = places[:, k : 2 * k][:, list(self.rings)].ravel()
-        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k])).ravel()
-        limit, slope = self._cusp_limit(shape)
-        saturation = np.minimum(shape[:, 2 * k :], 0.0) / limit
-        by_offset = np.exp(saturation).ravel()
-        by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation))).ravel()
-        for rows in (gradient, matrix, matrix.T):  # rows of the matrix, then its columns
-            tail = (slice(None),) + (None,) * (rows.ndim - 1)
-            rows[kappa] += by_kappa[tail] * rows[reach]
-            rows[reach] *= -1.0
-            rows[ring_reach] += by_reach[tail] * rows[offset]
-            rows[offset] *= by_offset[tail]
+        """Turn derivatives in control values, as `lobe_shapes` has them, into those in the unknowns, in place.
 
-    def _cusp_limit(self, shape: Array) -> tuple[Array, Array]:
-        """How far a center can be negative [rad], and the derivative in log reach; each of shape (S, rings)."""
-        k = self.n_lobes
-        reach = np.exp(shape[:, k : 2 * k][:, list(self.rings)])
+        Of the matrix, only the lower triangle counts.
+        """
+        shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
+        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]
+        reach, offset = self._of_rings(unknowns)
+        is_cusp = offset.min(initial=0.0) < 0.0
+        if is_cusp:
+            limit, slope = self._cusp_limit(reach)
+            saturation = np.minimum(offset, 0.0) / limit
+            by_offset = np.exp(saturation)[..., None]
+            by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
+        rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
+        columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
+        for found in (gradient[part].reshape(*shape.shape, 1), rows, columns):
+            by_log_reach = found[:, k : 2 * k]
+            found[:, :k] += by_kappa * by_log_reach
+            by_log_reach *= -1.0
+            if is_cusp:
+                by_center = found[:, 2 * k :]
+                by_log_reach[:, k - self.n_rings :] += by_reach * by_center
+                by_center *= by_offset
+
+    def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
+        """Views on log reach and offset of the ring lobes, shape (S, rings) each."""
+        shape, k = self.split(unknowns)[1], self.n_lobes
+        return shape[:, 2 * k - self.n_rings : 2 * k], shape[:, 2 * k :]
+
+    def _cusp_limit(self, log_reach: Array) -> tuple[Array, Array]:
+        """How far a center can be negative [rad], and the derivative in log reach."""
+        reach = np.exp(log_reach)
         width = width_of_reach(reach, self.family)
         slope = FAMILIES[self.family].slope_of_width(reach, np.tan(width))
         narrow = width < WIDEST_CUSP
         return np.where(narrow, width, WIDEST_CUSP), np.where(narrow, slope, 0.0)
+
+    def _narrowest(self, offset: Array) -> Array:
+        """Log reach of a lobe that is as narrow as the data's spacing is at its center."""
+        if self.theta_half.size < 2:
+            return np.full(offset.shape, -np.inf)
+        spacing = np.interp(np.maximum(offset, 0.0), *self._spacing)
+        return np.asarray(np.log(reach_of_width(np.minimum(spacing, 1.0), self.family)))
+
+    @cached_property
+    def _spacing(self) -> tuple[Array, Array]:
+        """Angles between those with data, and how far these are apart [rad]."""
+        return 0.5 * (self.theta_half[1:] + self.theta_half[:-1]), np.diff(self.theta_half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +233,13 @@ def mixture_model(mixture: Mixture) -> DSBRDF:
         interpolation="spline",
         lobe=structure.family,
     )
+
+
+@lru_cache(maxsize=64)
+def _basis(knots: bytes, theta_diff: bytes) -> Array:
+    basis = spline_basis(np.frombuffer(knots), np.frombuffer(theta_diff))
+    basis.flags.writeable = False
+    return basis
 
 
 def change_knots(mixture: Mixture, new: Structure) -> Mixture:

@@ -25,30 +25,22 @@ directions, leaves theta' as it is: every lobe is reciprocal.
 All arrays broadcast; the first axis is as a rule the lobe.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.model.lobe_families import FAMILIES, LARGEST_TANGENT, tangent_of_offset
+from dsbrdf.model.lobe_families import FAMILIES
 
 GRAZING_COSINE = 0.08
 """The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
+_SMALLEST_ROOT = 1e-150  # tan(theta') below it is 0, where the derivative in its square is infinite
 
 
-class Stretch(NamedTuple):
-    """Squared tangents of theta' and their derivative in the elongation."""
+class LobeSlopes(NamedTuple):
+    """Derivatives of lobes of height 1."""
 
-    squared_tangent: Array
-    by_elongation: Array
-
-
-@dataclass(frozen=True, eq=False)
-class LobeDerivatives:
-    """A lobe of height 1 and its derivatives, arrays of one shape."""
-
-    value: Array
     by_log_kappa: Array
     by_log_gamma: Array
     by_center: Array  # per radian; 0 where no center was given
@@ -86,38 +78,39 @@ def width_of_reach(reach: Array, family: str) -> Array:
     return np.asarray(np.arctan(np.sqrt(FAMILIES[family].squared_tangent(reach))))
 
 
-def stretch(squared_tangent: Array, cos2_phi: Array, log_cos_diff: Array, elongation: Array) -> Stretch:
-    """Stretch theta_half along and across the plane of incidence.
-
-    The arguments are ``tan(theta_half)**2``, ``cos(phi_diff)**2``, what `log_cosine` gives, and the elongation.
-    """
-    along = cos2_phi * np.exp(-elongation * log_cos_diff)
-    across = (1.0 - cos2_phi) * np.exp(elongation * log_cos_diff)
-    return Stretch(squared_tangent * (along + across), squared_tangent * log_cos_diff * (across - along))
-
-
 def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str) -> Array:
     """Values of lobes of height 1, of one of `dsbrdf.model.lobe_families.FAMILIES`.
 
     The arguments are ``tan(theta')**2``, kappa and gamma, both positive, and the center [rad], None about the normal.
     """
-    return FAMILIES[family].values(squared_tangent, kappa, gamma, center)
+    return lobe_curves(squared_tangent, kappa, gamma, center, family)[0]
 
 
-def lobe_derivatives(
+def lobe_curves(
     squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
-) -> LobeDerivatives:
-    """Values and derivatives of lobes of height 1, of the arguments of `lobe_values`."""
-    tangent = None if center is None else tangent_of_offset(squared_tangent, center)
-    tangent_top = np.zeros(()) if center is None else np.tan(np.minimum(center, 0.0))
-    found = FAMILIES[family].derivatives(squared_tangent, kappa, gamma, center, tangent, tangent_top)
-    value, by_log_kappa, by_log_gamma, by_offset, by_top = found
-    if center is None or tangent is None:
-        return LobeDerivatives(value, by_log_kappa, by_log_gamma, np.zeros(()), by_offset)
-    by_offset = np.where(tangent < LARGEST_TANGENT, by_offset, 0.0)
-    root = np.sqrt(squared_tangent)
-    is_cusp, at_offset = center < 0.0, 1.0 + tangent**2
-    per_root = np.where(is_cusp, at_offset, 1.0 + squared_tangent)
-    by_squared_tangent = 0.5 * by_offset / (np.where(root > 0.0, root, np.inf) * per_root)
-    by_center = np.where(is_cusp, by_top - by_offset * (1.0 + tangent_top**2) / at_offset, -by_offset)
-    return LobeDerivatives(value, by_log_kappa, by_log_gamma, by_center, by_squared_tangent)
+) -> tuple[Array, Callable[[], LobeSlopes]]:
+    """`lobe_values`, and what gives their derivatives from what was found on the way."""
+    known = FAMILIES[family]
+    if center is None:
+        values, slopes = known.curve(squared_tangent, kappa, gamma, None)
+
+        def about_normal() -> LobeSlopes:
+            by_log_kappa, by_log_gamma, by_square, _ = slopes()
+            return LobeSlopes(by_log_kappa, by_log_gamma, np.zeros(()), by_square)
+
+        return values, about_normal
+    root, tangent = np.sqrt(squared_tangent), np.tan(center)
+    of_ring, of_cusp = np.maximum(tangent, 0.0), np.minimum(tangent, 0.0)
+    below = 1.0 + root * of_ring
+    offset = np.minimum((root - tangent) / below, known.largest_tangent)
+    values, slopes = known.curve(offset * offset, kappa, gamma, of_cusp * of_cusp)
+
+    def about_center() -> LobeSlopes:
+        by_log_kappa, by_log_gamma, by_square, by_top = slopes()
+        by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
+        by_offset /= below * below
+        by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, _SMALLEST_ROOT)
+        by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))
+        return LobeSlopes(by_log_kappa, by_log_gamma, (1.0 + tangent**2) * by_tangent, by_squared_tangent)
+
+    return values, about_center
